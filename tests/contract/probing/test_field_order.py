@@ -7,7 +7,8 @@ from gsgen.contract.probing.field_order import suspect_order
 ORDERS = {
     "": [0, 1, 2, 3, 4, 5],
     "xx yy zz xy xz yz": [0, 3, 5, 1, 2, 4],
-    "xx xy yy xz yz zz": [0, 1, 3, 2, 4, 5],
+    "xx yy zz yz xz xy (Voigt)": [0, 3, 5, 4, 2, 1],
+    "xx xy yy xz yz zz (lower triangle)": [0, 1, 3, 2, 4, 5],
 }
 
 
@@ -37,3 +38,66 @@ def test_rows_that_are_not_finite_do_not_count():
     rows = rows_in("")
     rows[::2] = np.nan
     assert suspect_order(rows) is None
+
+
+BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
+
+
+def _joined(*names):
+    gaussians = cloud(200, seed=3)
+    rng = np.random.default_rng(4)
+    turns = rng.normal(size=(200, 4))
+    parts = {
+        "position": gaussians.position,
+        "opacity": gaussians.opacity[:, None],
+        "covariance": gaussians.covariance,
+        "log scale": np.log(rng.uniform(0.02, 0.2, (200, 3))),
+        "quaternion": turns / np.linalg.norm(turns, axis=1, keepdims=True),
+    }
+    return np.concatenate([parts[name] for name in names], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("columns", "name"),
+    [
+        (("opacity", "position", "covariance"), "opacity first"),
+        (("position", "covariance", "opacity"), "opacity last"),
+        (("covariance", "position", "opacity"), "the covariance first, then x y z"),
+        (("covariance", "opacity", "position"), "the covariance first, then opacity"),
+        (("position", "log scale", "quaternion"), "three log scales, a quaternion"),
+        (("position", "quaternion", "log scale"), "a quaternion, three log scales"),
+    ],
+)
+def test_columns_in_another_order_are_named(columns, name):
+    order = suspect_order(_joined(*columns), BOX)
+    assert order is not None
+    assert name in order.name
+
+
+def test_planes_that_were_reshaped_are_named():
+    right = rows_in("")
+    order = suspect_order(right.T.reshape(right.shape), BOX, right)
+    assert order is not None
+    assert order.name.startswith("ten planes")
+
+
+def test_a_cholesky_factor_is_named():
+    right = rows_in("")
+    sigma = right[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+    factor = np.linalg.cholesky(sigma)[:, [0, 1, 1, 2, 2, 2], [0, 0, 1, 0, 1, 2]]
+    order = suspect_order(np.concatenate([right[:, :4], factor], axis=1), BOX)
+    assert order is not None
+    assert "Cholesky" in order.name
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("fault", ["bytes", "logits", "diagonal bytes"])
+def test_a_wrong_opacity_is_no_other_layout(fault, seed):
+    """Also of axis-aligned Gaussians, whose off-diagonal zeros fit many columns."""
+    gaussians = cloud(200, seed=seed)
+    opacity = gaussians.opacity * 255
+    if fault == "logits":
+        opacity = np.log(gaussians.opacity / (1 - gaussians.opacity)) * 3 + 1
+    upper = gaussians.covariance * ([1, 0, 0, 1, 0, 1] if "diagonal" in fault else 1)
+    rows = np.concatenate([gaussians.position, opacity[:, None], upper], axis=1)
+    assert suspect_order(rows, BOX, rows.reshape(10, -1).T) is None

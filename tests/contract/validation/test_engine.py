@@ -239,7 +239,7 @@ def test_a_model_without_a_manifest_is_judged_by_a_guess(tmp_path):
     report = validate(path)
     assert report.outcome("GM001").status == "fail"
     assert report.outcome("GV003").status == "pass"
-    assert (report.verdict, report.name) == ("conforms", "")
+    assert (report.verdict, report.name) == ("invalid", "")
     assert validate(path, Settings(level=Level.STATIC, strict=True)).verdict == "invalid"
 
 

@@ -68,7 +68,8 @@ def test_an_example_breaks_its_rule_and_no_other(fixture, tmp_path: Path) -> Non
 )
 def test_good_models_are_seen(name: str, tmp_path: Path) -> None:
     report = ran(validate(find(name).write(tmp_path), RENDER))
-    assert not report.findings
+    empty = {"GV032"} if name == "nothing_live" else set()
+    assert {finding.rule for finding in report.findings} == empty
     alike = "skipped" if name == "weighted_sum" else "pass"
     assert status(report) == {
         "GB018": "pass",

@@ -1,7 +1,8 @@
-"""Infers from the numbers the order of the fields of packed rows."""
+"""Infers from the numbers the layout of packed rows: which column holds which field."""
 
 __all__ = ["FieldOrder", "suspect_order"]
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,28 +12,42 @@ from gsgen.contract.spec.geometry import smallest_eigenvalue
 
 # Minimum number of rows for a statement.
 _FEWEST = 16
-# An order is suspected if more than the first fraction of rows is invalid as declared, and
-# less than the second in the other order.
+# Another layout is suspected if more than the first fraction of rows is invalid as declared, and
+# less than the second in the other layout.
 _BROKEN = 0.2
 _SOUND = 1e-3
 _SLACK = 2.0**-8
 _UNIT = 1e-2
+# Natural logarithms of scales that scenes have.
+_LOG_SCALES = (-30.0, 5.0)
+# A covariance exceeds the two standard deviations' product by rounding alone.
+_CORRELATION = 1.02
+# A box of bounds may be left by this fraction of its diagonal.
+_OUTSIDE = 1e-2
 
-# Columns of xx xy xz yy yz zz in orders that exporters have used by mistake.
-_COVARIANCES = {
-    "xx yy zz xy xz yz": (0, 3, 4, 1, 5, 2),
-    "xx xy yy xz yz zz": (0, 1, 3, 2, 4, 5),
+# The columns that hold x y z, opacity, xx xy xz yy yz zz in layouts that exporters have used by
+# mistake.
+_PERMUTATIONS = {
+    "xx yy zz xy xz yz": (0, 1, 2, 3, 4, 7, 8, 5, 9, 6),
+    "xx yy zz yz xz xy (Voigt)": (0, 1, 2, 3, 4, 9, 8, 5, 7, 6),
+    "xx xy yy xz yz zz (lower triangle)": (0, 1, 2, 3, 4, 5, 7, 6, 8, 9),
+    "opacity first, then x y z and the covariance": (1, 2, 3, 0, 4, 5, 6, 7, 8, 9),
+    "x y z, the covariance, opacity last": (0, 1, 2, 9, 3, 4, 5, 6, 7, 8),
+    "the covariance first, then x y z and opacity": (6, 7, 8, 9, 0, 1, 2, 3, 4, 5),
+    "the covariance first, then opacity and x y z": (7, 8, 9, 6, 0, 1, 2, 3, 4, 5),
 }
+
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 @dataclass(frozen=True, slots=True)
 class FieldOrder:
-    """A field order that fits the rows better than the declared one.
+    """A layout that fits the rows better than the declared one.
 
     Attributes:
         name: The fields in that order.
-        declared: Fraction of rows without a valid covariance, read as declared.
-        fraction: The same fraction, read in this order.
+        declared: Fraction of rows that are no valid Gaussian, read as declared.
+        fraction: The same fraction, read in this layout.
         rows: Number of rows examined.
     """
 
@@ -42,44 +57,103 @@ class FieldOrder:
     rows: int
 
 
-def suspect_order(rows: Float[np.ndarray, "n 10"]) -> FieldOrder | None:
-    """Return the order that nearly all ``rows`` fit, if many do not fit the declared one."""
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    covariance = rows[:, 4:]
-    rows = rows[np.abs(covariance).sum(axis=1) > 0]
-    covariance = rows[:, 4:]
+def suspect_order(
+    rows: Float[np.ndarray, "n 10"],
+    bounds: Box | None = None,
+    planes: Float[np.ndarray, "n 10"] | None = None,
+) -> FieldOrder | None:
+    """Return the layout that nearly all rows fit, if many do not fit the declared one.
+
+    Args:
+        rows: Packed rows as stored, [n, 10], float64.
+        bounds: Declared corners of the box around all centres; None if not declared.
+        planes: The same memory read as ten planes, [n, 10]; None if the rows are a sample.
+    """
+    rows = _filled(rows)
     if len(rows) < _FEWEST:
         return None
-    declared = _share(_indefinite(covariance))
+    declared = _share(_unfit(rows, bounds, is_guess=False))
     if declared <= _BROKEN:
         return None
-    fractions = {
-        name: _share(_indefinite(covariance[:, columns]))
-        for name, columns in _COVARIANCES.items()
-    }
-    fractions |= {name: _share(is_invalid) for name, is_invalid in _turned(rows).items()}
+    fractions = {name: _share(mask) for name, mask in _layouts(rows, bounds, planes)}
     name, share = min(fractions.items(), key=lambda item: item[1])
     return FieldOrder(name, declared, share, len(rows)) if share <= _SOUND else None
+
+
+def _layouts(
+    rows: Float[np.ndarray, "n 10"],
+    bounds: Box | None,
+    planes: Float[np.ndarray, "n 10"] | None,
+) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
+    """Yield each other layout, and which rows do not fit it; the likelier ones first."""
+    for name, columns in _PERMUTATIONS.items():
+        yield name, _unfit(rows[:, columns], bounds)
+    yield from _with_quaternions(rows).items()
+    if planes is not None and len(_filled(planes)):
+        name = "ten planes, which reshape left as they were in place of a transpose"
+        yield name, _unfit(_filled(planes), bounds)
+    if (rows[:, 7] < 0).any():  # where a variance stands, and a factor has either sign
+        name = "a Cholesky factor in place of the covariance"
+        has_negative = (rows[:, [4, 6, 9]] < 0).any(axis=1)
+        yield name, _unfit(_squared_factor(rows), bounds) | has_negative
+
+
+def _filled(rows: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, "m 10"]:
+    """Return the finite rows that are not padding."""
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    return np.asarray(rows[np.abs(rows[:, 3:]).sum(axis=1) > 0])
 
 
 def _share(is_invalid: Bool[np.ndarray, " n"]) -> float:
     return float(np.count_nonzero(is_invalid) / len(is_invalid))
 
 
-def _indefinite(upper: Float[np.ndarray, "n 6"]) -> Bool[np.ndarray, " n"]:
+def _unfit(
+    rows: Float[np.ndarray, "n 10"], bounds: Box | None, *, is_guess: bool = True
+) -> Bool[np.ndarray, " n"]:
+    """Return which rows have an opacity, a covariance or a centre that no Gaussian has."""
+    opacity, upper = rows[:, 3], rows[:, 4:]
+    is_opacity = (opacity >= -_UNIT) & (opacity <= 1 + _UNIT)
     size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
-    return np.asarray(~(smallest_eigenvalue(upper) >= -_SLACK * size))
+    fits = is_opacity & (smallest_eigenvalue(upper) >= -_SLACK * size)
+    if is_guess:  # beside a large entry, an eigenvalue says little of the small ones
+        xx, yy, zz = np.maximum(upper[:, [0, 3, 5]].T, 0)
+        xy, xz, yz = np.abs(upper[:, [1, 2, 4]].T)
+        pairs = ((xy, xx * yy), (xz, xx * zz), (yz, yy * zz))
+        for covariance, variances in pairs:
+            fits &= covariance <= _CORRELATION * np.sqrt(variances)
+    if bounds is not None:
+        low, high = np.asarray(bounds)
+        slack = _OUTSIDE * np.linalg.norm(high - low)
+        position = rows[:, :3]
+        fits &= ((position >= low - slack) & (position <= high + slack)).all(axis=1)
+    return np.asarray(~fits)
 
 
-def _turned(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.ndarray, " n"]]:
+def _with_quaternions(
+    rows: Float[np.ndarray, "n 10"],
+) -> dict[str, Bool[np.ndarray, " n"]]:
     """Return which rows are not a position with scales and a unit quaternion."""
 
-    def unfit(scale: slice, quaternion: slice) -> Bool[np.ndarray, " n"]:
+    def unfit(scale: slice, quaternion: slice, *, log: bool) -> Bool[np.ndarray, " n"]:
         length = np.linalg.norm(rows[:, quaternion], axis=1)
-        fits = (rows[:, scale] >= 0).all(axis=1) & (np.abs(length - 1) <= _UNIT)
-        return np.asarray(~fits)
+        low, high = _LOG_SCALES if log else (0.0, np.inf)
+        fits = ((rows[:, scale] >= low) & (rows[:, scale] <= high)).all(axis=1)
+        return np.asarray(~(fits & (np.abs(length - 1) <= _UNIT)))
 
+    first, last = (slice(3, 6), slice(6, 10)), (slice(7, 10), slice(3, 7))
     return {
-        "x y z, three scales, a quaternion": unfit(slice(3, 6), slice(6, 10)),
-        "x y z, a quaternion, three scales": unfit(slice(7, 10), slice(3, 7)),
+        "x y z, three scales, a quaternion": unfit(*first, log=False),
+        "x y z, a quaternion, three scales": unfit(*last, log=False),
+        "x y z, three log scales, a quaternion": unfit(*first, log=True),
+        "x y z, a quaternion, three log scales": unfit(*last, log=True),
     }
+
+
+def _squared_factor(rows: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, "n 10"]:
+    """Return rows whose covariance is L Lᵀ of the factor that they hold, row by row."""
+    lower = np.zeros((len(rows), 3, 3))
+    lower[:, [0, 1, 1, 2, 2, 2], [0, 0, 1, 0, 1, 2]] = rows[:, 4:]
+    sigma = lower @ lower.transpose(0, 2, 1)
+    upper = sigma[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    return np.concatenate([rows[:, :4], upper], axis=1)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, UInt
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.field_order import FieldOrder, suspect_order
-from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, ROW
 from gsgen.contract.spec.manifest import AppearanceOutput
 
 # Rows checked at a time: their unpacked columns stay in the second-level cache.
@@ -87,10 +87,17 @@ class ModelOutputs:
     @cached_property
     def field_order(self) -> FieldOrder | None:
         """The inferred field order, if it clearly differs from the packed layout."""
-        if self.gaussians is None:
+        if self.gaussians is None or self.zeros:
             return None
         step = max(1, self.count // _ORDER_SAMPLE)
-        return suspect_order(self.gaussians[: self.count : step].astype(np.float64))
+        generator = getattr(self.subject, "generator", None)
+        bounds = generator.bounds if generator is not None else None
+        planes = self.gaussians.reshape(ROW, -1).T[: self.count : step]
+        return suspect_order(
+            self.gaussians[: self.count : step].astype(np.float64),
+            (bounds.min, bounds.max) if bounds is not None else None,
+            planes.astype(np.float64),
+        )
 
 
 def read_outputs(

@@ -98,7 +98,11 @@ def parse(text: str) -> Parsed:
 def _parse_document(text: str) -> Parsed:
     try:
         document = json.loads(
-            text, parse_float=_number, parse_int=_integer, parse_constant=_number
+            text,
+            parse_float=_number,
+            parse_int=_integer,
+            parse_constant=_number,
+            object_pairs_hook=_unique_keys,
         )
         json.dumps(
             document, ensure_ascii=False
@@ -173,6 +177,16 @@ def _number(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{_short(text)} is not a finite number")
     return value
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Build an object; a key that is repeated within it is refused."""
+    document = dict(pairs)
+    if len(document) != len(pairs):
+        keys = [key for key, _ in pairs]
+        repeated = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {_short(repeated)} is repeated within an object")
+    return document
 
 
 def _integer(text: str) -> int:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
-from gsgen.contract.probing.outputs import chunks, read_outputs
+from gsgen.contract.probing.outputs import ModelOutputs, chunks, read_outputs
 from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRuns, read_behaviour
 from gsgen.contract.probing.sandbox import Execution, execute
@@ -181,7 +181,7 @@ class _Validation:
 
     def _check_values(self, execution: Execution, plan: Plan) -> None:
         whole = self.results.ready(self._of_scope("emission", upto=Level.VALUES))
-        by_rows = self.results.ready(self._of_scope("rows", upto=Level.VALUES))
+        emissions: list[ModelOutputs] = []
         visited: set[int] = set()
         rows = 0
         # All-zero inputs come last: some rules skip them, but not if another probe gave the same
@@ -199,14 +199,18 @@ class _Validation:
             whole = [
                 rule for rule in whole if self.results.check(rule, emission, probe.label)
             ]
+            emissions.append(emission)
+        self.results.settle(whole, items=len(visited))
+        # Rules of rows may need rules of whole outputs, such as the order of the fields.
+        by_rows = self.results.ready(self._of_scope("rows", upto=Level.VALUES))
+        for emission in emissions:
             for chunk in chunks(emission):
                 rows += len(chunk)
                 by_rows = [
                     rule
                     for rule in by_rows
-                    if self.results.check(rule, chunk, probe.label, chunk.start)
+                    if self.results.check(rule, chunk, emission.probe, chunk.start)
                 ]
-        self.results.settle(whole, items=len(visited))
         if not rows:
             self.results.skip(by_rows, "no probe gave packed rows")
         self.results.settle(by_rows, items=rows)

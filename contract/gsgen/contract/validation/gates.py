@@ -9,6 +9,7 @@ __all__ = [
     "FINITE_OUTPUTS",
     "MANIFEST_PARSED",
     "MODEL_RUNS",
+    "ORDERED_ROWS",
     "PACKED_ROWS",
     "REPRODUCIBLE",
     "RUNNABLE",
@@ -39,6 +40,9 @@ RUNNABLE: Final = (
 
 # The model ran, and its Gaussians are packed rows in float32 or float16.
 PACKED_ROWS: Final = (MODEL_RUNS, "GO001", "GO002", "GO008")
+
+# Packed rows whose columns hold the fields in the order of the layout.
+ORDERED_ROWS: Final = (*PACKED_ROWS, "GO016")
 
 # Packed rows, and a count that lies between 0 and the capacity.
 COUNTED_ROWS: Final = (*PACKED_ROWS, "GO010", "GO011", "GV016")

@@ -72,7 +72,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     needs=REPRODUCIBLE,
 )
 def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
-    """Each input changes some output, unless `depends_on` says that it does not; and then it does not.
+    """Each input changes some output, unless `depends_on` says that it does not.
 
     Why:
         An input without effect was usually turned into a constant when the model was traced: the
@@ -93,11 +93,6 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
         if declared.get(role, True) and not (changes or _zero_changes(behaviour, role)):
             actual = f"no output changes with it ({len(comparisons)} variations)"
             yield Violation.at(location, actual, "an effect, or depends_on false")
-        elif not declared.get(role, True) and changes and role not in _OF_CAMERA:
-            name = next(iter(next(c.changed for c in comparisons if c.changed)))
-            yield Violation.at(
-                location, f"output {name} changes with it", "depends_on true"
-            )
 
 
 def _zero_changes(behaviour: Behaviour, role: str) -> bool:
@@ -114,6 +109,33 @@ def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
     graph = subject.graph
     used = {name for tensor in graph.outputs for name in graph.ancestors(tensor.name)[0]}
     return any(tensor.name in used for _, tensor in subject.inputs_of(role))
+
+
+@rule(
+    "GB022",
+    "denied-dependence",
+    Severity.ERROR,
+    over="runs",
+    fixture="undeclared_dependence",
+    needs=REPRODUCIBLE,
+)
+def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
+    """Where `depends_on` says that a role changes nothing, no output changes with it.
+
+    Why:
+        A runtime keeps the result while only such an input changes: the scene stands still, or
+        shows the time or pose of an earlier frame.
+
+    Hint:
+        Remove the role from "depends_on", or set it to true.
+    """
+    generator = behaviour.subject.generator
+    declared = generator.depends_on if generator else {}
+    for role, comparisons in behaviour.varied.items():
+        changed = next((c.changed for c in comparisons if c.changed), None)
+        if changed and role not in _OF_CAMERA and not declared.get(role, True):
+            actual = f"output {next(iter(changed))} changes with it"
+            yield Violation.at(f"role {role}", actual, "depends_on true")
 
 
 @rule(

@@ -28,7 +28,7 @@ def _floats(run: ProbeRun) -> dict[str, np.ndarray]:
 @rule(
     "GB004",
     "time-loops",
-    Severity.WARNING,
+    Severity.ERROR,
     over="runs",
     fixture="loop_that_jumps",
     needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"),

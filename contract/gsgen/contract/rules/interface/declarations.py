@@ -5,7 +5,6 @@ import re
 from collections.abc import Iterator
 
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.roles import KINDS, ROLES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -79,32 +78,22 @@ def color_space_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM004",),
 )
 def time_domain(subject: InspectedModel) -> Iterator[Violation]:
-    """Time has a range with a beginning before its end, and nothing but time loops or has frames.
+    """Time has a range whose beginning and end differ.
 
     Why:
         A viewer's timeline runs from one end of the range to the other; without one it guesses, and
         shows the first instant of a scene that runs for minutes.
 
     Hint:
-        Declare "range": [first, last] for time, and loop, frames and fps there alone.
+        Declare "range": [first, last] for time.
     """
     for entry in subject.manifest.inputs if subject.manifest else ():
         location = f"manifest input {entry.name}"
         if entry.role == "time" and entry.range is None:
             yield Violation.at(location, "no range", '"range": [first, last]')
-        backwards = entry.range is not None and not entry.range[0] < entry.range[1]
-        if entry.role in ("time", "frame_index") and backwards:
+        is_instant = entry.range is not None and entry.range[0] == entry.range[1]
+        if entry.role in ("time", "frame_index") and is_instant:
             yield Violation.at(location, f"range {list(entry.range or ())}", "first < last")
-        yield from _foreign_fields(entry, location)
-
-
-def _foreign_fields(entry: Input, location: str) -> Iterator[Violation]:
-    timed = {"loop": entry.loop, "fps": entry.fps, "frames": entry.frames}
-    declared_fields = [name for name, value in timed.items() if value is not None]
-    if declared_fields and entry.role not in ("time", "frame_index"):
-        yield Violation.at(
-            location, f"role {entry.role} with {', '.join(declared_fields)}", "role time"
-        )
 
 
 @rule(

@@ -5,16 +5,19 @@ from math import prod
 
 from gsgen.contract.model.graph import static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.manifest import Input, TrajectoryManifest
 from gsgen.contract.spec.roles import KINDS, ROLES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
-_TIMED = ("time", "frame_index")  # GM010 checks their ranges
+_TIMED = ("time", "frame_index")
 _SQUARE = ((4, 4), (3, 3))
 _QUATERNION = 4
 _AXIS_ANGLE = 3
+_ROTATIONS = ("pose", "root_rotation")
+# Two decimals more than 2π: a range may be rounded up.
+_FULL_TURN = 6.3
 # The rounding error of a decimal number that is read as binary.
 _ROUNDING = 1e-6
 # A runtime knows the camera, the clock, the window and the picture; users set these roles.
@@ -63,7 +66,7 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
             continue
         low, high = entry.range
         actual = f"range {[low, high]}"
-        if entry.role not in _TIMED and not low <= high:
+        if not low <= high:
             yield Violation.at(_place(entry), actual, "low <= high")
         elif ROLES[entry.role].index and not (low.is_integer() and high.is_integer()):
             yield Violation.at(_place(entry), actual, "whole numbers")
@@ -75,7 +78,7 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
     Severity.ERROR,
     over="model",
     fixture="default_of_wrong_length",
-    needs=("GM005", "GM010", "GI001", "GI002", "GI003", "GI005", "GI013"),
+    needs=("GM005", "GI001", "GI002", "GI003", "GI005", "GI013"),
     kinds=KINDS,
 )
 def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
@@ -167,6 +170,70 @@ def _holds(convention: str, shape: tuple[int, ...]) -> bool:
     if convention == "quaternion-wxyz":
         return shape[-1:] == (_QUATERNION,)
     return shape[-1:] == (_AXIS_ANGLE,) and shape != (3, 3)
+
+
+@rule(
+    "GI017",
+    "timing-belongs-to-time",
+    Severity.ERROR,
+    over="model",
+    fixture="slider_with_frames",
+    needs=("GM004",),
+    kinds=KINDS,
+)
+def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
+    """Only time has frames, fps and loop, and rates and steps of time are above 0.
+
+    Why:
+        A player divides by fps and by step_seconds: at 0 the time stands still or is infinite. A
+        slider with frames is moved by no timeline.
+
+    Hint:
+        Declare loop, frames and fps for the roles time and frame_index alone, and the rate that
+        the scene was recorded at; leave fps out if it is unknown.
+    """
+    for entry in _entries(subject):
+        timing = {"loop": entry.loop, "fps": entry.fps, "frames": entry.frames}
+        declared = [name for name, value in timing.items() if value is not None]
+        if declared and entry.role not in _TIMED:
+            actual = f"role {entry.role} with {', '.join(declared)}"
+            yield Violation.at(_place(entry), actual, "role time or frame_index")
+        elif entry.fps == 0:
+            yield Violation.at(_place(entry), "fps 0", "frames per second above 0")
+    if (
+        isinstance(subject.manifest, TrajectoryManifest)
+        and not subject.manifest.step_seconds
+    ):
+        yield Violation.at("manifest step_seconds", "0 seconds", "a time above 0")
+
+
+@rule(
+    "GI018",
+    "angles-are-radians",
+    Severity.ERROR,
+    over="model",
+    fixture="pose_range_in_degrees",
+    needs=("GM004", "GI015"),
+    kinds=KINDS,
+)
+def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
+    """The range of a rotation vector lies within ±2π, since angles are radians.
+
+    Why:
+        A slider in degrees turns a joint 57 times too far: almost its whole length shows a body
+        that spins.
+
+    Hint:
+        Divide degrees by 180 and multiply by π, in the range and in what is fed.
+    """
+    for entry in _entries(subject):
+        shape = _shape(subject, entry)
+        if entry.role not in _ROTATIONS or entry.range is None or shape is None:
+            continue
+        is_vector = shape[-1:] == (_AXIS_ANGLE,) and entry.convention != "matrix"
+        if is_vector and shape != (3, 3) and max(map(abs, entry.range)) > _FULL_TURN:
+            actual = f"range {list(entry.range)}, which looks like degrees"
+            yield Violation.at(_place(entry), actual, "radians, within ±2π (±6.28)")
 
 
 @rule(

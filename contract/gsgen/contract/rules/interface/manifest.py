@@ -14,11 +14,14 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
+# A manifest names its kind within so many characters.
+_MANIFEST_OPENING = 1 << 16
+
 
 @rule(
     "GM001",
     "manifest-present",
-    Severity.WARNING,
+    Severity.ERROR,
     over="model",
     fixture="no_manifest",
     kinds=KINDS,
@@ -28,16 +31,39 @@ def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         Without one a viewer guesses the meaning of tensors from parts of their names, and a wrong
-        guess shows a wrong picture without any error.
+        guess shows a wrong picture without any error. A manifest stored anywhere else is not read.
 
     Hint:
         Derive one with `gsgen inspect MODEL --emit-manifest`, correct what it had to guess, and
         embed it with `gsgen.contract.write_manifest`.
     """
     if subject.parsed is None:
-        yield Violation.at(
-            "metadata_props", f"no key {MANIFEST_KEY!r}", "a manifest under that key"
-        )
+        misplaced = _misplaced_manifest(subject)
+        actual = f"no key {MANIFEST_KEY!r}" + (f", but {misplaced}" if misplaced else "")
+        yield Violation.at("metadata_props", actual, "a manifest under that key")
+
+
+def _misplaced_manifest(subject: InspectedModel) -> str:
+    """Describe where a text that looks like a manifest is stored instead; empty if nowhere."""
+    proto = subject.file.proto
+    for key, value in subject.file.metadata.items():
+        if key.lower() == MANIFEST_KEY:
+            return f"a key {key!r}, which differs in case"
+        if _looks_like_manifest(value):
+            return f"a manifest under the key {key!r}"
+    if any(_looks_like_manifest(entry.value) for entry in proto.graph.metadata_props):
+        return "a manifest in the metadata of the graph, which is not that of the model"
+    docs = (("model", proto.doc_string), ("graph", proto.graph.doc_string))
+    for owner, text in docs:
+        if _looks_like_manifest(text):
+            return f"a manifest in the doc string of the {owner}"
+    return ""
+
+
+def _looks_like_manifest(text: str) -> bool:
+    """Return whether a text begins like a JSON object and names a kind of the contract."""
+    opening = text[:_MANIFEST_OPENING].lstrip()
+    return opening.startswith("{") and any(f'"{kind}"' in opening for kind in KINDS)
 
 
 @rule(
@@ -58,6 +84,12 @@ def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Correct the field named here; the schema is printed by `gsgen inspect --schema KIND`.
     """
+    keys = [entry.key for entry in subject.file.proto.metadata_props]
+    if keys.count(MANIFEST_KEY) > 1:
+        actual = (
+            f"the key {MANIFEST_KEY!r} is repeated: {keys.count(MANIFEST_KEY)} manifests"
+        )
+        yield Violation.at("metadata_props", actual, "one manifest")
     for complaint in subject.parsed.complaints if subject.parsed else ():
         if complaint.cause in ("schema", "syntax"):
             location = f"manifest {complaint.where}".strip()
@@ -263,15 +295,39 @@ def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
         Add "bounds": {"min": [x, y, z], "max": [x, y, z]}; the SDK measures them at export.
     """
     generator = subject.generator
-    if subject.candidate is not None or generator is None:
-        return
-    if generator.bounds is None:
+    if subject.candidate is None and generator is not None and generator.bounds is None:
         yield Violation.at("manifest bounds", "not declared", "min and max corners")
-    elif not all(
-        a <= b for a, b in zip(generator.bounds.min, generator.bounds.max, strict=True)
-    ):
-        actual = f"min {list(generator.bounds.min)}, max {list(generator.bounds.max)}"
+
+
+@rule(
+    "GM019",
+    "bounds-are-a-box",
+    Severity.ERROR,
+    over="model",
+    fixture="bounds_inside_out",
+    needs=MANIFEST_PARSED,
+)
+def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
+    """Declared bounds run from low to high on every axis, and are no point if rows are several.
+
+    Why:
+        A viewer frames the camera by the box. A box that is inside out or a point has no size:
+        the camera stands inside the scene, or everything is culled.
+
+    Hint:
+        Measure the bounds over all times and poses and write the lower corner first; the SDK
+        measures them at export.
+    """
+    generator, declared = subject.generator, subject.declared_gaussians
+    if generator is None or generator.bounds is None or declared is None:
+        return
+    low, high = generator.bounds.min, generator.bounds.max
+    actual = f"min {list(low)}, max {list(high)}"
+    if not all(a <= b for a, b in zip(low, high, strict=True)):
         yield Violation.at("manifest bounds", actual, "min <= max on every axis")
+    elif low == high and declared.capacity > 1:
+        expected = "a box; these bounds are a point"
+        yield Violation.at("manifest bounds", actual, expected)
 
 
 @rule(

@@ -10,6 +10,16 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import DECLARED
 from gsgen.contract.validation.rule import rule
 
+# What rows of another width usually hold.
+_COLUMNS = {
+    7: "x y z, opacity and three scales without a rotation",
+    11: "x y z, opacity, three scales and a quaternion",
+    13: "x y z, opacity and the full matrix of nine covariances",
+    14: "x y z, colour, opacity, three log scales and a quaternion of a PLY",
+    59: "x y z, SH, opacity, three log scales and a quaternion of a PLY",
+    62: "x y z, normal, SH, opacity, three log scales and a quaternion of a PLY",
+}
+
 
 def _dim(tensor: Tensor | None, axis: int) -> int | str | None:
     return tensor.dims[axis] if tensor is not None and tensor.dims else None
@@ -57,11 +67,23 @@ def gaussian_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
         mixes positions with covariances.
 
     Hint:
-        Pack all ten fields; the SDK does it for you.
+        Pack all ten fields: the covariance is R S Sᵀ Rᵀ of scales and quaternion, and opacity comes
+        after its sigmoid. The SDK packs for you.
     """
     tensor = subject.gaussians
     if tensor is not None and _dim(tensor, -1) != ROW:
-        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", f"[N, {ROW}]")
+        expected = f"[N, {ROW}]" + _likely_columns(tensor)
+        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
+
+
+def _likely_columns(tensor: Tensor) -> str:
+    """Return what rows of another width usually hold, to be appended; empty if unknown."""
+    columns = _dim(tensor, -1)
+    if _dim(tensor, 0) == ROW:
+        return "; this one is transposed, channels first"
+    if isinstance(columns, int) and columns in _COLUMNS:
+        return f"; {columns} columns usually are {_COLUMNS[columns]}"
+    return ""
 
 
 @rule(
@@ -79,11 +101,13 @@ def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
         Readers take the first dimension as the capacity: [1, N, 10] is read as one Gaussian.
 
     Hint:
-        Drop the batch axis.
+        Drop the batch axis; reshape flattened rows to [N, 10].
     """
     tensor = subject.gaussians
     if tensor is not None and (tensor.dims is None or len(tensor.dims) != 2):
-        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", "two axes, [N, 10]")
+        flat = tensor.dims is not None and len(tensor.dims) == 1
+        expected = "two axes, [N, 10]" + ("; these rows are flattened" if flat else "")
+        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
 @rule(
@@ -149,7 +173,8 @@ def appearance_channels_known(subject: InspectedModel) -> Iterator[Violation]:
         number shows colours of neighbouring rows.
 
     Hint:
-        Pad SH to the next degree with zeros, and RGB to four channels with ones.
+        Concatenate f_dc and f_rest of a PLY, pad SH to the next degree with zeros, and RGB to four
+        channels with ones; reshape [N, K, 3] to [N, 3K].
     """
     tensor, declared = subject.appearance, subject.declared_appearance
     if tensor is None or declared is None:
@@ -158,6 +183,10 @@ def appearance_channels_known(subject: InspectedModel) -> Iterator[Violation]:
     channels = _dim(tensor, -1)
     if tensor.dims is None or len(tensor.dims) != 2 or channels not in allowed:
         expected = f"[N, C] with C in {list(allowed)} for {declared.space}"
+        if declared.space == "sh" and isinstance(channels, int) and channels + 3 in allowed:
+            expected += f"; {channels} is f_rest without the constant term f_dc"
+        elif tensor.dims is not None and len(tensor.dims) == 3:
+            expected += "; reshape the last two axes into one"
         yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
+from gsgen.contract.rules.values.range_diagnosis import diagnose_rgb
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.validation.finding import Location, Violation
@@ -27,7 +28,7 @@ _LARGE_SHARE = 0.01
 @rule(
     "GV012",
     "rgb-range",
-    Severity.WARNING,
+    Severity.ERROR,
     over="rows",
     fixture="rgb_in_bytes",
     needs=COLORED_ROWS,
@@ -41,7 +42,8 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
         channels are RGB, they may be SH of degree 0, so the finding is possible then.
 
     Hint:
-        Divide bytes by 255; turn the SH constant term into colour as 0.5 + 0.28209479 · f_dc.
+        Divide bytes by 255; turn [-1, 1] into (x + 1) / 2, and the SH constant term into colour as
+        0.5 + 0.28209479 · f_dc; clamp what a network gives beyond 1.
     """
     declared, color = rows.emission.declared, rows.color
     if declared is None or declared.space != "rgb" or color is None:
@@ -49,11 +51,15 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
     rgb = color[:, :3].astype(np.float32)
     in_range = ((rgb >= -_COLOR_SLACK) & (rgb <= 1 + _COLOR_SLACK)).all(axis=1)
     guessed = rows.emission.subject.candidate is not None
+    invalid = rows.drawn & ~in_range & (not rows.emission.zeros)
+    expected = "0 <= rgb <= 1"
+    if invalid.any():
+        expected += f"; {diagnose_rgb(rgb[rows.drawn])}"
     yield Violation.rows(
         Location(rows.emission.color_place, "rgb"),
-        rows.drawn & ~in_range,
+        invalid,
         rgb,
-        "0 <= rgb <= 1",
+        expected,
         checked=rows.drawn_count,
         magnitude=np.nan_to_num(np.abs(rgb - 0.5).max(axis=1)),
         certainty="possible" if guessed else "confirmed",

@@ -72,3 +72,36 @@ def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
         )
         actual = f"{fault.stage}{probe}: {fault.message}"
         yield Violation.at("ONNX Runtime", actual, "no error")
+
+
+@rule(
+    "GV032",
+    "something-is-drawn",
+    Severity.ERROR,
+    over="execution",
+    fixture="nothing_live",
+    needs=("GV025", "GO004", "GO010", "GO011"),
+)
+def something_is_drawn(probe_runs: ProbeRuns) -> Iterator[Violation]:
+    """The count is above 0 at some probe.
+
+    Why:
+        A generator without a live row at any time, camera or pose draws nothing, and a viewer
+        cannot tell it from one that failed to load.
+
+    Hint:
+        Load the checkpoint before the export; return the number of live rows as the count.
+    """
+    declared = probe_runs.subject.declared_count
+    if declared is None:
+        return
+    runs = probe_runs.execution.runs[: probe_runs.plan.values]
+    counts = [
+        probe_runs.execution.samples[run.sample].outputs.get(declared.name) for run in runs
+    ]
+    numbers = [
+        int(count.reshape(-1)[0]) for count in counts if count is not None and count.size
+    ]
+    if numbers and not any(numbers):
+        actual = f"count is 0 at all {len(numbers)} probes: nothing is drawn"
+        yield Violation.at(f"output {declared.name}", actual, "live rows at some probe")

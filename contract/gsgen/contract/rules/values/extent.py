@@ -9,7 +9,7 @@ from gsgen.contract.spec.layout import CULL_OPACITY, FIELDS, OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_EPSILON, FLOAT16_MAX, FLOAT16_SMALLEST_NORMAL
 from gsgen.contract.validation.finding import Location, Violation
-from gsgen.contract.validation.gates import PACKED_ROWS
+from gsgen.contract.validation.gates import ORDERED_ROWS, PACKED_ROWS
 from gsgen.contract.validation.rule import rule
 
 # In float32, so that arrays of rows stay float32.
@@ -36,16 +36,18 @@ def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     """The fields of a row stand in the order x y z opacity xx xy xz yy yz zz.
 
     Why:
-        The contract fixes the order, and readers take it by position. With another one nearly every
-        covariance is invalid, and Gaussians become spikes.
+        The contract fixes the order, and readers take it by position. With another one opacities
+        and covariances are invalid, and Gaussians become spikes. Rules of values are not applied
+        to such rows, since they would name consequences.
 
     Hint:
-        Reorder the columns before packing; the SDK packs for you.
+        Reorder the columns before packing; build the covariance as R S Sᵀ Rᵀ of scales and
+        quaternion; transpose planes before they are reshaped. The SDK packs for you.
     """
     order = emission.field_order
     if order is not None:
         actual = (
-            f"{100 * order.declared:.3g} % of {order.rows} rows have no valid covariance, "
+            f"{100 * order.declared:.3g} % of {order.rows} rows are no valid Gaussian, "
             f"{100 * order.fraction:.3g} % if read as {order.name}"
         )
         yield Violation.at(emission.rows_place, actual, " ".join(FIELDS))
@@ -57,7 +59,7 @@ def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="subnormal_variances",
-    needs=PACKED_ROWS,
+    needs=ORDERED_ROWS,
     limit="subnormal_permille",
 )
 def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
@@ -88,7 +90,7 @@ def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="coarse_positions",
-    needs=PACKED_ROWS,
+    needs=ORDERED_ROWS,
 )
 def position_resolution(rows: Rows) -> Iterator[Violation]:
     """Steps between neighbouring float16 positions do not exceed the size of the Gaussians.
@@ -130,7 +132,7 @@ def position_resolution(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="larger_than_the_scene",
-    needs=(*PACKED_ROWS, "GM009"),
+    needs=(*ORDERED_ROWS, "GM009", "GM019"),
 )
 def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     """No Gaussian's standard deviation exceeds the diagonal of the bounds.
@@ -160,10 +162,10 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
 @rule(
     "GV021",
     "centres-within-bounds",
-    Severity.WARNING,
+    Severity.ERROR,
     over="rows",
     fixture="outside_bounds",
-    needs=(*PACKED_ROWS, "GM009"),
+    needs=(*ORDERED_ROWS, "GM009", "GM019"),
 )
 def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     """The declared bounds hold the centres of 99.9 % of the drawn rows, at every probe.
@@ -177,7 +179,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
         them.
     """
     generator = rows.emission.subject.generator
-    if generator is None or generator.bounds is None:
+    if generator is None or generator.bounds is None or rows.emission.zeros:
         return
     low, high = np.asarray([generator.bounds.min, generator.bounds.max], np.float64)
     slack = _OUTSIDE_SLACK * float(np.linalg.norm(high - low))
@@ -189,8 +191,9 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
         inside = (position >= (low - slack)[:, None]) & (
             position <= (high + slack)[:, None]
         )
-        saturated = np.abs(position).max(axis=0) >= FLOAT16_MAX  # GV010 reports them
-        outside = rows.drawn & ~inside.all(axis=0) & ~saturated
+        outside = rows.drawn & ~inside.all(axis=0)
+        if rows.packed.dtype == np.float16:  # GV010 reports saturated rows
+            outside &= ~(np.abs(position).max(axis=0) >= FLOAT16_MAX)
     yield Violation.rows(
         Location(rows.emission.rows_place, "position"),
         outside,

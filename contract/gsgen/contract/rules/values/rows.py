@@ -9,12 +9,14 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
+from gsgen.contract.model.graph import static_dims
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
+from gsgen.contract.rules.values.range_diagnosis import diagnose_opacity
 from gsgen.contract.spec.layout import CULL_OPACITY, MOSTLY_INVISIBLE
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_MAX
 from gsgen.contract.validation.finding import Location, Violation
-from gsgen.contract.validation.gates import PACKED_ROWS
+from gsgen.contract.validation.gates import ORDERED_ROWS, PACKED_ROWS
 from gsgen.contract.validation.rule import rule
 
 _MAX_EXAMPLES = 8
@@ -107,7 +109,7 @@ def padding_finite(rows: Rows) -> Iterator[Violation]:
     Severity.ERROR,
     over="rows",
     fixture="opacity_is_logits",
-    needs=PACKED_ROWS,
+    needs=ORDERED_ROWS,
 )
 def opacity_range(rows: Rows) -> Iterator[Violation]:
     """Opacity lies in [0, 1] in every live row.
@@ -117,16 +119,20 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
         below zero usually are logits whose sigmoid was forgotten.
 
     Hint:
-        Apply the activation, usually a sigmoid, before packing.
+        Apply the activation, usually a sigmoid, once and before packing; divide bytes by 255, and
+        clamp what a network gives beyond 1.
     """
     opacity = rows.opacity
     in_range = (opacity >= -_OPACITY_SLACK) & (opacity <= 1 + _OPACITY_SLACK)
     invalid = ~in_range & rows.counted & rows.finite
+    expected = "0 <= opacity <= 1"
+    if invalid.any():
+        expected += f"; {diagnose_opacity(opacity[rows.counted & rows.finite])}"
     yield Violation.rows(
         Location(rows.emission.rows_place, "opacity"),
         invalid,
         opacity,
-        "0 <= opacity <= 1",
+        expected,
         checked=rows.live_rows,
         magnitude=np.abs(opacity - 0.5),
     )
@@ -138,7 +144,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="all_transparent",
-    needs=PACKED_ROWS,
+    needs=ORDERED_ROWS,
 )
 def mostly_visible(rows: Rows) -> Iterator[Violation]:
     """Most live rows are opaque enough to change a pixel.
@@ -215,6 +221,10 @@ def count_range(emission: ModelOutputs) -> Iterator[Violation]:
     capacity = 0 if emission.gaussians is None else len(emission.gaussians)
     if declared is None or emission.gaussians is None:
         return
+    tensor = emission.subject.gaussians
+    dims = static_dims(tensor) if tensor else None
+    if dims is not None and dims[0] != capacity:
+        return  # GV024 reports that the graph declares another shape
     value = emission.outputs[declared.name].reshape(-1)
     if value.size and not 0 <= int(value[0]) <= capacity:
         expected = f"0 to {capacity}, the capacity"
@@ -227,7 +237,7 @@ def count_range(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.ERROR,
     over="rows",
     fixture="opaque_padding",
-    needs=PACKED_ROWS,
+    needs=(*ORDERED_ROWS, "GV032"),
 )
 def padding_inert(rows: Rows) -> Iterator[Violation]:
     """Opacity is 0 in every row behind the count.

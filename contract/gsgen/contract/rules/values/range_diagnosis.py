@@ -1,0 +1,64 @@
+"""Names the usual mistake behind opacities or colours that leave [0, 1]."""
+
+__all__ = ["diagnose_opacity", "diagnose_rgb"]
+
+import numpy as np
+from jaxtyping import Float
+
+# Shares of values that a mistake explains; the rest are outliers.
+_NEARLY_ALL = 0.995
+_SLACK = 1e-3
+_BYTE = 255.0
+_PERCENT = 100.0
+# Fewer values than this fit any mistake by chance.
+_FEWEST = 8
+
+
+def diagnose_opacity(values: Float[np.ndarray, " n"]) -> str:
+    """Return the likely cause of opacities outside [0, 1], with its repair; empty if unclear.
+
+    Args:
+        values: Finite opacities of live rows, [n].
+    """
+    low, high = _extent(values)
+    if low >= -_SLACK and _are_bytes(values):
+        return "these are bytes from 0 to 255: divide by 255"
+    if low >= -_SLACK and 2 < high <= _PERCENT + _SLACK:
+        return "these look like percent, 0 to 100: divide by 100"
+    if -1 - _SLACK <= low < -_SLACK and high <= 1 + _SLACK:
+        return (
+            "values within [-1, 1] suggest tanh in place of the sigmoid: negative opacity"
+        )
+    if low < -_SLACK:
+        return "values on both sides suggest logits: apply the sigmoid"
+    return "values above 1 alone suggest a missing clamp"
+
+
+def diagnose_rgb(values: Float[np.ndarray, "n 3"]) -> str:
+    """Return the likely cause of RGB outside [0, 1], with its repair; empty if unclear.
+
+    Args:
+        values: Finite colours of drawn rows, [n, 3].
+    """
+    low, high = _extent(values)
+    if low >= -_SLACK and _are_bytes(values):
+        return "these are bytes from 0 to 255: divide by 255"
+    if low >= -_SLACK:
+        return "values above 1 alone suggest a missing clamp"
+    if low >= -1 - _SLACK and high <= 1 + _SLACK and (low < -0.9 or high > 0.9):
+        return "values within [-1, 1] suggest signed colours: use (x + 1) / 2"
+    return (
+        "values on both sides suggest SH coefficients (0.5 + 0.28209479 · f_dc) "
+        "or logits (apply the sigmoid activation)"
+    )
+
+
+def _extent(values: Float[np.ndarray, "..."]) -> tuple[float, float]:
+    return float(values.min(initial=0.0)), float(values.max(initial=0.0))
+
+
+def _are_bytes(values: Float[np.ndarray, "..."]) -> bool:
+    """Return whether nearly all values are whole, up to 255, and some are far above 1."""
+    if values.size < _FEWEST or not 2 < values.max() <= _BYTE:
+        return False
+    return bool(np.mean(values == np.round(values)) >= _NEARLY_ALL)
