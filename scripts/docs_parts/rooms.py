@@ -72,7 +72,9 @@ def rooms() -> tuple[Room, ...]:
         parent = name
         while parent not in order:
             parent = parent.rpartition(".")[0]
-        return order[parent], -name.count("."), name
+        # A room stands above its sub-rooms, except above one that imports it.
+        depth = name.count(".")
+        return order[parent], depth if _imports_parent(name, files) else -depth, name
 
     return tuple(_room(name, packages[name], files) for name in sorted(packages, key=rank))
 
@@ -85,6 +87,19 @@ def _room(name: str, file: PythonFile, files: dict[str, PythonFile]) -> Room:
     ]
     question = (ast.get_docstring(file.tree) or "").partition("\n")[0]
     return Room(name, file.path.removesuffix("/__init__.py"), question, len(members))
+
+
+def _imports_parent(name: str, files: dict[str, PythonFile]) -> bool:
+    """Return whether a module of the room imports a module directly in the parent room."""
+    parent = name.rpartition(".")[0]
+    members = [module for module in files if module.rpartition(".")[0] == name]
+    targets = {
+        target for module in members for target in imports_of(module, files[module], files)
+    }
+    return any(
+        target.rpartition(".")[0] == parent and not _is_package(files[target])
+        for target in targets
+    )
 
 
 def _is_package(file: PythonFile) -> bool:

@@ -7,7 +7,9 @@ def test_what_a_group_holds_comes_by_name():
     names = [point.name for point in registered_entry_points("gsgen.commands")]
     assert "validate" in names
     assert names == sorted(names)
-    assert {point.group for point in registered_entry_points("gsgen.commands")} == {"gsgen.commands"}
+    assert {point.group for point in registered_entry_points("gsgen.commands")} == {
+        "gsgen.commands"
+    }
 
 
 @pytest.mark.parametrize("group", ["gsgen.nothing", "gsgen", ""])

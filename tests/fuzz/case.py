@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from google.protobuf.message import DecodeError, EncodeError
 from onnx import ModelProto
 
-from fuzz.mutations import mutate_bytes, mutate_manifest, mutate_model
 from fuzz.corpus import Base
+from fuzz.mutations import mutate_bytes, mutate_manifest, mutate_model
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.severity import Level
 

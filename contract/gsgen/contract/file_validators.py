@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from gsgen.contract._entry_points import registered_entry_points
+from gsgen.contract.process.atomic_files import MODEL_SUFFIX
 
 if TYPE_CHECKING:
     from gsgen.contract.validation.report import Report
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from gsgen.contract.validation.settings import Settings
 
 _GROUP = "gsgen.validators"
-_MODEL = ".onnx"
 
 
 class FileValidator(Protocol):
@@ -41,7 +41,7 @@ class FileValidator(Protocol):
 
 def find_validator(path: Path) -> FileValidator | None:
     """Return what judges the file at ``path``; None for a model, or what may be one."""
-    if path.suffix.lower() == _MODEL:
+    if path.suffix.lower() == MODEL_SUFFIX:
         return None
     for point in registered_entry_points(_GROUP):
         validator: FileValidator = point.load()

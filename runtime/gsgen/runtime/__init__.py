@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from gsgen.contract._lazy import lazy_getattr
 
 if TYPE_CHECKING:
+    from gsgen.runtime.baking.bake_frames import bake
     from gsgen.runtime.camera_files import CameraFile, open_cameras
     from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
     from gsgen.runtime.gpu.device import Device
@@ -47,6 +48,7 @@ __all__ = [
     "SceneInvalid",
     "SplatData",
     "SplatSet",
+    "bake",
     "open_cameras",
     "open_scene",
     "post_process",
@@ -77,6 +79,7 @@ _HOME = {
     "open_scene": "sources.scene_file",
     "post_process": "playback.image_tiling",
     "read_mesh": "sources.mesh_files",
+    "bake": "baking.bake_frames",
     "view": "viewer.window",
 }
 

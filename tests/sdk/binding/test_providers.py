@@ -74,7 +74,9 @@ def test_a_missing_package_is_named(monkeypatch):
 
 def test_an_onnx_runtime_without_plug_ins_is_named(monkeypatch):
     monkeypatch.delattr(onnxruntime, "register_execution_provider_library")
-    with pytest.raises(AdapterMissing, match="does not support plug-in providers") as raised:
+    with pytest.raises(
+        AdapterMissing, match="does not support plug-in providers"
+    ) as raised:
         find_adapter()
     assert raised.value.hint == "pip install -U onnxruntime"
 
@@ -148,9 +150,7 @@ def test_an_adapter_that_cannot_be_had_is_an_absence(models, monkeypatch):
 
 
 def test_cuda_that_is_absent_is_refused(models):
-    with pytest.raises(
-        ProviderUnavailable, match="has no CUDAExecutionProvider"
-    ) as raised:
+    with pytest.raises(ProviderUnavailable, match="has no CUDAExecutionProvider") as raised:
         FrameSession(models["drift-float32"], provider="cuda")
     assert "onnxruntime-gpu" in raised.value.hint
 

@@ -31,4 +31,6 @@ def traced(
     manifest = _manifest(generator.eval(), name, "float32", degree, rows, bounds)
     probes = _probes(manifest)
     module = PackedGenerator(generator, Packed(torch.float32, rows))
-    return Traced(trace_generator(module, probes[1], manifest, 18), module, manifest, probes)
+    return Traced(
+        trace_generator(module, probes[1], manifest, 18), module, manifest, probes
+    )

@@ -1,6 +1,7 @@
 """Write files to a temporary name, and rename them once they are complete."""
 
 __all__ = [
+    "MODEL_SUFFIX",
     "atomic_write",
     "is_device",
     "refuse_device",
@@ -16,7 +17,8 @@ from pathlib import Path
 
 from gsgen.contract.errors import ConfigInvalid
 
-_MODEL = ".onnx"
+MODEL_SUFFIX = ".onnx"
+"""The suffix of model files."""
 
 
 @contextmanager
@@ -122,9 +124,9 @@ def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
         ConfigInvalid: ``path`` is one of the models, or has the suffix of models.
     """
     refuse_itself(path, models)
-    if path.suffix.lower() == _MODEL:
+    if path.suffix.lower() == MODEL_SUFFIX:
         hint = f"Name another file, such as {path.with_suffix('.txt')}."
-        message = f"ends in {_MODEL}, but the output is not a model"
+        message = f"ends in {MODEL_SUFFIX}, but the output is not a model"
         raise ConfigInvalid(message, where=str(path), hint=hint)
 
 

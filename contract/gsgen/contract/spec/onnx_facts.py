@@ -7,6 +7,7 @@ __all__ = [
     "KERNEL_TYPE_INPUT",
     "MAIN_DOMAIN",
     "RANDOM_OPERATORS",
+    "SAFEST_OPSET",
 ]
 
 from typing import Final
@@ -43,3 +44,6 @@ KERNEL_TYPE_INPUT: Final = {"OneHot": 2, "Where": 1}
 
 # Bytes of weights that a model file may hold itself: protobuf refuses 2 GiB and more.
 INLINE_LIMIT: Final = 1_900_000_000
+
+SAFEST_OPSET = 18
+"""The operator set that most runtimes have kernels for; exports default to it."""

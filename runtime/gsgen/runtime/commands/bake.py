@@ -21,47 +21,63 @@ if TYPE_CHECKING:
     from gsgen.runtime.sources.source import GeneratorSource
 
 
+_Output = Annotated[
+    Path,
+    typer.Option(
+        "-o",
+        "--output",
+        help="The splat file to write; for several frames a pattern such as seq/%04d.ply.",
+        show_default=False,
+    ),
+]
+_Time = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME|FIRST:LAST:COUNT",
+        help="A time, or a range with both ends. [default: the manifest's]",
+    ),
+]
+_Poses = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="[NAME=]FILE",
+        help="A pose or one pose per frame, in any format of `gsgen render`; repeatable.",
+    ),
+]
+_InputValues = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--input",
+        metavar="NAME=VALUE",
+        help="Another input, by its name or role: a number, A,B,…, FIRST:LAST:COUNT, or a "
+        "file; repeatable.",
+    ),
+]
+_BakedCamera = Annotated[
+    str | None,
+    typer.Option(
+        help="Bake what this camera sees: orbit[:AZIMUTH,ELEVATION[,RADIUS]], "
+        "look-at:EX,EY,EZ,TX,TY,TZ, or FILE#NAME. [default: colours are fitted for all]"
+    ),
+]
+_Psnr = Annotated[
+    bool | None,
+    typer.Option(
+        "--psnr/--no-psnr",
+        help="Render the files and the model and print the PSNR. "
+        "[default: if something depends on the camera]",
+        show_default=False,
+    ),
+]
+
+
 def bake(
     model: Annotated[Path, typer.Argument(help="The ONNX generator.", show_default=False)],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help="The splat file to write; for several frames a pattern such as seq/%04d.ply.",
-            show_default=False,
-        ),
-    ],
-    time: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME|FIRST:LAST:COUNT",
-            help="A time, or a range with both ends. [default: the manifest's]",
-        ),
-    ] = None,
-    pose: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[NAME=]FILE",
-            help="A pose or one pose per frame, in any format of `gsgen render`; repeatable.",
-        ),
-    ] = None,
-    inputs: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--input",
-            metavar="NAME=VALUE",
-            help="Another input, by its name or role: a number, A,B,…, FIRST:LAST:COUNT, or a "
-            "file; repeatable.",
-        ),
-    ] = None,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            help="Bake what this camera sees: orbit[:AZIMUTH,ELEVATION[,RADIUS]], "
-            "look-at:EX,EY,EZ,TX,TY,TZ, or FILE#NAME. [default: colours are fitted for all]"
-        ),
-    ] = None,
+    output: _Output,
+    time: _Time = None,
+    pose: _Poses = None,
+    inputs: _InputValues = None,
+    camera: _BakedCamera = None,
     up: Axis = None,
     views: Annotated[
         int,
@@ -70,15 +86,7 @@ def bake(
     sh_degree: Annotated[
         int, typer.Option(help="Highest SH degree of fitted colours.", min=0, max=3)
     ] = 3,
-    psnr: Annotated[
-        bool | None,
-        typer.Option(
-            "--psnr/--no-psnr",
-            help="Render the files and the model and print the PSNR. "
-            "[default: if something depends on the camera]",
-            show_default=False,
-        ),
-    ] = None,
+    psnr: _Psnr = None,
     format: Annotated[
         str | None,
         typer.Option(

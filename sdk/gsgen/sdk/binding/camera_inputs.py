@@ -1,6 +1,13 @@
 """Cameras that a session accepts, and the values of camera inputs derived from them."""
 
-__all__ = ["FAR_RATIO", "Camera", "CameraLike", "Pinhole", "camera_values", "pinhole_projection"]
+__all__ = [
+    "FAR_RATIO",
+    "Camera",
+    "CameraLike",
+    "Pinhole",
+    "camera_values",
+    "pinhole_projection",
+]
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.spec.onnx_facts import SAFEST_OPSET
 
 if TYPE_CHECKING:
     from gsgen.contract.validation.report import Report
@@ -29,7 +30,7 @@ Progress = Callable[[str], None]
 _Verified = TypeVar("_Verified")
 
 # The operator set of exported models unless another is requested: every runtime has its kernels.
-OPSET = 18
+OPSET = SAFEST_OPSET
 
 
 def silent(_: str) -> None:

@@ -12,11 +12,10 @@ import numpy as np
 from gsgen.conformance.fixtures import Fixture
 from gsgen.conformance.fixtures.builders.arrays import f32, i64
 from gsgen.conformance.fixtures.builders.fixture import fixtures_in, invalid
-from gsgen.conformance.fixtures.builders.moving import drifting
+from gsgen.conformance.fixtures.builders.moving import SHIFT_NODE, drifting
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.severity import Level
 
-_SHIFT_NODE = "shift = Mul (speed, time)"
 _OUTPUT_NODE = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
 # More outputs than the default number of storage buffers per stage of any adapter.
 _PARTS = 64
@@ -31,7 +30,7 @@ def live_fixtures() -> list[Fixture]:
 def integers_of_64_bits() -> ModelSpec:
     """A number above 2³² is added and removed; the GPU keeps only its lower half."""
     counted = drifting().reworded(
-        _SHIFT_NODE,
+        SHIFT_NODE,
         "scaled = Mul (time, thousand) whole = Cast <to = 7> (scaled) far = Add (whole, big) "
         "back = Cast <to = 1> (far) near = Div (back, size) shift = Mul (speed, near)",
     )
@@ -43,7 +42,7 @@ def integers_of_64_bits() -> ModelSpec:
 def branches_by_if() -> ModelSpec:
     """An If whose branches differ; a graph rule warns about it, too."""
     branched = drifting().reworded(
-        _SHIFT_NODE,
+        SHIFT_NODE,
         "late = Greater (time, half) turned = If (late) <then_branch = t () => (float[1] a) { a = Neg (time) }, "
         "else_branch = e () => (float[1] b) { b = Abs (time) }> "
         "shift = Mul (speed, turned)",
@@ -55,7 +54,7 @@ def branches_by_if() -> ModelSpec:
 def round_on_the_cpu() -> ModelSpec:
     """Time is rounded to tenths by Round, which has no GPU kernel."""
     stepped = drifting().reworded(
-        _SHIFT_NODE,
+        SHIFT_NODE,
         "scaled = Mul (time, ten) whole = Round (scaled) step = Div (whole, ten) "
         "shift = Mul (speed, step)",
     )
@@ -77,7 +76,7 @@ def split_into_many() -> ModelSpec:
     """A Split has more outputs than a kernel may bind, which only fails at its launch."""
     parts = ", ".join(f"part_{index}" for index in range(_PARTS))
     wide_split = drifting().reworded(
-        _SHIFT_NODE,
+        SHIFT_NODE,
         f"many = Expand (time, parts) {parts} = Split <axis = 0, num_outputs = {_PARTS}> (many) "
         "again = Add (part_0, part_1) twice = Mul (speed, again) shift = Mul (twice, half)",
     )

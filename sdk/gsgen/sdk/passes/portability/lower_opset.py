@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 import onnx
 import onnx_ir as ir
 
-from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN, SAFEST_OPSET
 from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
@@ -16,7 +16,6 @@ from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of, split_s
 from gsgen.sdk.passes.lowering.write_out_activations import WriteOutActivations
 from gsgen.sdk.passes.lowering.write_out_norms import WriteOutNorms
 
-SAFEST_OPSET = 18
 # The operators of later sets have not been compared with their earlier versions.
 _NEWEST_KNOWN_OPSET = 26
 _SPLIT_COUNTS = 18
