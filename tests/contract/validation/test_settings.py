@@ -230,10 +230,13 @@ def test_settings_win_over_the_target_which_wins_over_the_rule(settings, severit
     assert settings.severity_of(OPACITY) == severity
 
 
-def test_a_strict_run_makes_a_missing_manifest_an_error_unless_said_otherwise():
+def test_a_missing_manifest_is_an_error_unless_the_target_reads_none_or_settings_say_so():
     missing = REGISTRY.find("GM001")
-    assert Settings().severity_of(missing) == Severity.WARNING
-    assert Settings(strict=True).severity_of(missing) == Severity.ERROR
+    assert Settings().severity_of(missing) == Severity.ERROR
+    visionary = load_target("visionary")
+    assert Settings(target=visionary).severity_of(missing) == Severity.WARNING
+    strict = Settings(target=visionary, strict=True)
+    assert strict.severity_of(missing) == Severity.ERROR
     lenient = Settings(strict=True, severities={"GM001": Severity.INFO})
     assert lenient.severity_of(missing) == Severity.INFO
 
