@@ -207,15 +207,15 @@ def test_a_model_that_breaks_a_rule_is_rejected_and_what_stood_there_stays(
     [
         (
             {"opacity": torch.ones(7)},
-            "Gaussians.opacity: shape is [7], wanted [5] or [5, 1]",
+            "Gaussians.opacity: shape is [7], expected [5] or [5, 1]",
         ),
         ({"sh": torch.zeros(5, 3, 16), "rgb": None}, "transpose(1, 2)"),
         ({"sh": torch.zeros(5, 48), "rgb": None}, "Reshape to [N, K, 3]"),
         ({"rgb": None}, "exactly one of sh and rgb"),
         ({"scale": None}, "scale and rotation, or covariance"),
         ({"covariance": torch.zeros(5, 6)}, "scale and rotation, or covariance"),
-        ({"rotation": torch.zeros(5, 3)}, "wanted [5, 4]"),
-        ({"count": torch.zeros(2)}, "wanted one element"),
+        ({"rotation": torch.zeros(5, 3)}, "expected [5, 4]"),
+        ({"count": torch.zeros(2)}, "expected one element"),
     ],
 )
 def test_wrong_shapes_are_named_before_anything_is_traced(
