@@ -87,7 +87,7 @@ class _Reader:
         """Go on."""
         if size > len(self._data) - self._at:
             raise ConfigInvalid(
-                f"ends at byte {len(self._data)}, {size} more were wanted from byte {self._at}",
+                f"ends at byte {len(self._data)}, {size} more were expected from byte {self._at}",
                 where=str(self._path),
                 hint="It is damaged, or none of COLMAP's.",
             )
