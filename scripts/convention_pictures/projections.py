@@ -50,7 +50,9 @@ def principal_point(renderer: Renderer) -> Image.Image:
     )
     pictures = []
     for cx, cy in ((165.0, 120.0), (235.0, 70.0)):
-        camera = Camera(base.view, base.fx, base.fy, cx, cy, 330, 240)
+        camera = Camera(
+            base.view, fx=base.fx, fy=base.fy, cx=cx, cy=cy, width=330, height=240
+        )
         picture = drawn(renderer, scene, camera)
         pen = ImageDraw.Draw(picture)
         pen.line([(cx, 0), (cx, 240)], fill=RED)

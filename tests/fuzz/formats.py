@@ -68,7 +68,7 @@ def read(format: str, file: Path) -> Trial:
 
 def _fault(error: FormatError, file: Path) -> str:
     """Return what is wrong with an error: it has to name the file, in a few lines."""
-    if "more memory than there is" in error.message:
+    if "more memory than is available" in error.message:
         return f"memory ran out: {error}"
     if not (error.path or "").startswith(str(file.parent)):
         return f"names no file: {error}"

@@ -87,5 +87,6 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         share_operators(patch)
         for kind in (Drift, Growing, Lit, Harmonic, HalfSeen):
+            torch.manual_seed(0)  # the weights of networks do not depend on other tests
             export(kind(), folder / f"{kind.__name__.lower()}.onnx")
         yield folder

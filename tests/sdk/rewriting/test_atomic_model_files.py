@@ -15,7 +15,7 @@ from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 
 def test_a_folder_is_no_place_for_a_file(tmp_path: Path) -> None:
     with (
-        pytest.raises(GsgenError, match="is a folder, wanted a file to write") as caught,
+        pytest.raises(GsgenError, match="is a folder, expected a file to write") as caught,
         atomic_write(tmp_path),
     ):
         pytest.fail("no work is done for it")

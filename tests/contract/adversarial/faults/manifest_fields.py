@@ -352,7 +352,7 @@ EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         "blend_without_cells",
         "Declares a weighted sum and has no cells.",
         _set(blend="wsr"),
-        Sentence("cells.md", "of which none goes without the others"),
+        Sentence("cells.md", "each of which requires the others"),
         r"cells|weighted_sum",
     ),
     (
