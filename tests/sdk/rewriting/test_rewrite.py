@@ -362,7 +362,8 @@ def test_outputs_that_are_no_numbers_prove_nothing(tmp_path: Path) -> None:
     assert "nothing differs; y could not be compared" in ran.stdout
     assert "equal bits" not in ran.stdout
     assert (
-        "y: no finite number at any of 5 probes, so the rewrite is not verified" in ran.stderr
+        "y: no finite number at any of 5 probes, so the rewrite is not verified"
+        in ran.stderr
     )
     assert json.loads(gsgen(*words, "--json").stdout)["unjudged"] == ["y"]
 
@@ -401,7 +402,11 @@ def test_the_command_lists_its_passes() -> None:
             2,
             "--size: is 'N', expected SYMBOL=SIZE",
         ),
-        (["in.onnx", "-o", "out.onnx", "--freeze", "N"], 2, "--freeze: is 'N', expected SYMBOL=SIZE"),
+        (
+            ["in.onnx", "-o", "out.onnx", "--freeze", "N"],
+            2,
+            "--freeze: is 'N', expected SYMBOL=SIZE",
+        ),
         (["in.onnx", "-o", "out.onnx", "--opset", "21"], 2, "above the model's"),
         (["gone.onnx", "-o", "out.onnx"], 4, "cannot be read"),
         ([], 2, "MODEL is missing"),
