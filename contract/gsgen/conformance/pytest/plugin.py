@@ -159,6 +159,6 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
 def _check_of(item: pytest.Item) -> "Check | None":
     if item.get_closest_marker(_MARK) is None or not isinstance(item, pytest.Function):
         return None
-    found: Any = item.callspec.params["check"]
-    check: Check = found
+    parameter: Any = item.callspec.params["check"]
+    check: Check = parameter
     return check

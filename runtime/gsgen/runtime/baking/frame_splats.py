@@ -75,8 +75,8 @@ def splats_of_frame(
     scales, quaternions = scales_and_quaternions(gaussians.covariance)
     if gaussians.sh is None:
         assert gaussians.rgb is not None
-        wide = (gaussians.rgb.astype(np.float64)[:, None, :] - 0.5) / SH_C0
-        sh = wide.astype(np.float32)
+        coefficients = (gaussians.rgb.astype(np.float64)[:, None, :] - 0.5) / SH_C0
+        sh = coefficients.astype(np.float32)
     else:
         sh = np.asarray(gaussians.sh, np.float32)
     return Splats(

@@ -44,9 +44,9 @@ def fit_sh(
         part = slice(start, start + _CHUNK)
         harmonics = basis(_directions(positions[part], eyes), degree)  # [v, n, k]
         weighted = np.swapaxes(harmonics * np.square(weights[:, part, None]), 0, 1)
-        wide = np.swapaxes(np.asarray(colors[:, part], np.float64), 0, 1) - 0.5
+        centered_colors = np.swapaxes(np.asarray(colors[:, part], np.float64), 0, 1) - 0.5
         normal = np.swapaxes(weighted, 1, 2) @ np.swapaxes(harmonics, 0, 1)
-        target = np.swapaxes(weighted, 1, 2) @ wide
+        target = np.swapaxes(weighted, 1, 2) @ centered_colors
         mean = np.trace(normal, axis1=1, axis2=2) / count
         ridge = np.where(mean > 0, mean, 1)[:, None] * _RIDGE * (np.arange(count) > 0)
         ridge[:, 0] += np.where(mean > 0, 0, 1)  # a row without any weight becomes grey

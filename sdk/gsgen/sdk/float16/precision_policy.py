@@ -72,7 +72,7 @@ def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
         allowed=allowed,
     )
     stored = first.quantized | unstepped.quantized
-    kept = (
+    retained_groups = (
         replace(group, units=tuple(k for k in group.units if k not in stored))
         for group in first.retained
     )
@@ -87,7 +87,7 @@ def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
     )
     return Search(
         stored | second.quantized,
-        (*(group for group in kept if group.units), *second.retained),
+        (*(group for group in retained_groups if group.units), *second.retained),
         measured + second.measured,
     )
 
