@@ -47,9 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument(
-        "paths", nargs="*", type=Path, help="report these files and folders only"
-    )
+    parser.add_argument("paths", nargs="*", type=Path, help="report these files and folders only")
     parser.add_argument(
         "--only",
         nargs="+",
@@ -59,9 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"run these checks only: {', '.join(check.name for check in CHECKS)}",
     )
     parser.add_argument(
-        "--list",
-        action="store_true",
-        help="list violations of passed checks, and exceptions",
+        "--list", action="store_true", help="list violations of passed checks, and exceptions"
     )
     parser.add_argument("--root", type=Path, default=ROOT, help="folder of the checkout")
     parser.add_argument("--exceptions", type=Path, default=EXCEPTIONS, help="TOML table")
@@ -94,9 +90,7 @@ def _print_exceptions(results: list[Result]) -> None:
             print(f"excepted: {exception}")
 
 
-def _unused(
-    exceptions: list[StyleException], results: list[Result]
-) -> list[StyleException]:
+def _unused(exceptions: list[StyleException], results: list[Result]) -> list[StyleException]:
     """Return the entries that permitted no violation."""
     used = {exception for result in results for exception in result.used}
     return [exception for exception in exceptions if exception not in used]

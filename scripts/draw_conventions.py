@@ -35,9 +35,7 @@ def main(folder: Path) -> None:
     for name, draw in PICTURES.items():
         picture = draw(renderer)
         if name.endswith(".png"):
-            picture.quantize(COLORS, dither=Image.Dither.NONE).save(
-                folder / name, optimize=True
-            )
+            picture.quantize(COLORS, dither=Image.Dither.NONE).save(folder / name, optimize=True)
         else:
             picture.save(folder / name, quality=84, optimize=True)
 

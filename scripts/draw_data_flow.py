@@ -102,11 +102,7 @@ def arrows() -> list[str]:
     """Everything that one box gives to another."""
     half = BOX_WIDTH / 2
     quads_y, mesh_y = QUADS + BOX_HEIGHT / 2, MESHES + BOX_HEIGHT / 2
-    sum_x, layers_x, blend_x = (
-        COLUMNS[5] + half,
-        COLUMNS[6] + half,
-        COLUMNS[5] + half,
-    )
+    sum_x, layers_x, blend_x = (COLUMNS[5] + half, COLUMNS[6] + half, COLUMNS[5] + half)
     turn = (SORTED + BOX_HEIGHT + SUMMED) / 2
     return [
         *between(SORTED, 0, 6),

@@ -90,13 +90,11 @@ def generated() -> dict[Path, str]:
     """Return every file that is generated as a whole or in part: path → what it should hold."""
     registry = rules.ours()
     pages = {
-        DOCS / "rules" / f"{rule.id}.md": page(rule, registry)
-        for rule in registry.rules.values()
+        DOCS / "rules" / f"{rule.id}.md": page(rule, registry) for rule in registry.rules.values()
     }
     pages[DOCS / "rules" / "index.md"] = index(registry)
     pages |= {
-        DOCS / "passes" / f"{rewrite.name}.md": passes.page(rewrite)
-        for rewrite in passes.REWRITES
+        DOCS / "passes" / f"{rewrite.name}.md": passes.page(rewrite) for rewrite in passes.REWRITES
     }
     pages[DOCS / "passes" / "index.md"] = passes.index()
     published = schemas() | {REPORT_SCHEMA_FILE: schema()}

@@ -104,11 +104,7 @@ def run(block: Block, folder: Path) -> None:
         command = [sys.executable, script.name]
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     completed = subprocess.run(
-        command,
-        cwd=folder,
-        env=os.environ | {"PATH": path},
-        capture_output=True,
-        text=True,
+        command, cwd=folder, env=os.environ | {"PATH": path}, capture_output=True, text=True
     )
     if completed.returncode:
         sys.exit(
@@ -142,12 +138,7 @@ def compressed(picture: Image.Image, comment: str) -> bytes:
     for quality in range(90, 20, -4):
         buffer = io.BytesIO()
         picture.save(
-            buffer,
-            "JPEG",
-            quality=quality,
-            optimize=True,
-            progressive=True,
-            comment=comment,
+            buffer, "JPEG", quality=quality, optimize=True, progressive=True, comment=comment
         )
         if buffer.tell() <= LIMIT:
             return buffer.getvalue()

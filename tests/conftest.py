@@ -10,9 +10,7 @@ import pytest
 
 from support.reports.corpus_line import corpus_line
 
-_ON = {
-    name: value for name, value in os.environ.items() if name.startswith("COVERAGE_PROCESS")
-}
+_ON = {name: value for name, value in os.environ.items() if name.startswith("COVERAGE_PROCESS")}
 
 os.environ["GSGEN_NO_CACHE"] = "1"  # no test keeps what it measured of a driver
 
@@ -25,11 +23,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(autouse=True)
 def _measured(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.node.path.name in (
-        "test_validate.py",
-        "test_other_commands.py",
-        "test_diff.py",
-    ):
+    if request.node.path.name in ("test_validate.py", "test_other_commands.py", "test_diff.py"):
         for name, value in _ON.items():
             monkeypatch.setenv(name, value)
 

@@ -6,13 +6,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians, inputs, math
 
 # An arm of three joints with two fingers; -1 is the root.
 PARENTS = (-1, 0, 1, 2, 2)
-JOINTS = (
-    (0.0, 0.0, 0.0),
-    (0.5, 0.0, 0.0),
-    (1.0, 0.0, 0.0),
-    (1.2, 0.1, 0.0),
-    (1.2, -0.1, 0.0),
-)
+JOINTS = ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (1.0, 0.0, 0.0), (1.2, 0.1, 0.0), (1.2, -0.1, 0.0))
 
 
 class Avatar(GaussianGenerator):

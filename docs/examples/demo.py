@@ -49,14 +49,10 @@ def gsgen(*words: str | Path) -> "subprocess.CompletedProcess[str]":
 
 def weight(model: ModelProto, name: str) -> TensorProto:
     """Return the weight behind an output."""
-    return next(
-        tensor for tensor in model.graph.initializer if tensor.name == f"{name}_weight"
-    )
+    return next(tensor for tensor in model.graph.initializer if tensor.name == f"{name}_weight")
 
 
-def rewrite(
-    model: ModelProto, name: str, change: Callable[[np.ndarray], np.ndarray]
-) -> None:
+def rewrite(model: ModelProto, name: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
     """Replace the values of an output."""
     tensor = weight(model, name)
     changed = change(numpy_helper.to_array(tensor).copy())
@@ -78,17 +74,15 @@ def nan_row(rows: np.ndarray) -> np.ndarray:
 
 def channel_major(color: np.ndarray) -> np.ndarray:
     """Copy f_rest as the PLY has it: all red coefficients first."""
-    return np.ascontiguousarray(
-        color.reshape(len(color), -1, 3).transpose(0, 2, 1)
-    ).reshape(color.shape)
+    return np.ascontiguousarray(color.reshape(len(color), -1, 3).transpose(0, 2, 1)).reshape(
+        color.shape
+    )
 
 
 def int64_count(model: ModelProto) -> None:
     """Return the count as torch makes it."""
     model.graph.node.append(
-        NodeProto(
-            op_type="Cast", input=["count_32"], output=["num_points"], name="to_int64"
-        )
+        NodeProto(op_type="Cast", input=["count_32"], output=["num_points"], name="to_int64")
     )
     model.graph.node[-1].attribute.add(name="to", type=onnx.AttributeProto.INT, i=7)
     next(n for n in model.graph.node if n.output[0] == "num_points").output[0] = "count_32"
@@ -99,11 +93,7 @@ def int64_count(model: ModelProto) -> None:
 
 BREAKS: dict[str, tuple[str, str, Callable[[ModelProto], None]]] = {
     "logits": ("opacity is logits", "GV003", lambda m: rewrite(m, "gaussians", logits)),
-    "sh_order": (
-        "SH is channel-major",
-        "GV014",
-        lambda m: rewrite(m, "color_sh", channel_major),
-    ),
+    "sh_order": ("SH is channel-major", "GV014", lambda m: rewrite(m, "color_sh", channel_major)),
     "nan": ("one row is NaN", "GV001", lambda m: rewrite(m, "gaussians", nan_row)),
     "int64": ("the count is int64", "GO011", int64_count),
 }
@@ -160,8 +150,7 @@ def cameras(source: Path) -> str:
         size = {"width": int(scene["width"]), "height": int(scene["height"]), "near": 0.01}
         poses = zip(scene["viewmats"].tolist(), scene["Ks"].tolist(), strict=True)
         document = [
-            size
-            | {"view": view, "fx": k[0][0], "fy": k[1][1], "cx": k[0][2], "cy": k[1][2]}
+            size | {"view": view, "fx": k[0][0], "fy": k[1][1], "cx": k[0][2], "cy": k[1][2]}
             for view, k in poses
         ]
     path.write_text(json.dumps(document))

@@ -100,11 +100,7 @@ def required(log: Path, *words: str) -> None:
 
 def make(name: str, folder: Path) -> DemoModel:
     """Export, validate, time and draw a plugin's demo; ``commands.txt`` logs the commands."""
-    plugin, log, model = (
-        demo_plugins()[name],
-        folder / "commands.txt",
-        folder / f"{name}.onnx",
-    )
+    plugin, log, model = (demo_plugins()[name], folder / "commands.txt", folder / f"{name}.onnx")
     run, report_file = folder / "run", folder / "report.json"
     # An earlier demo's checkpoint may have other files.
     shutil.rmtree(run, ignore_errors=True)
@@ -166,9 +162,7 @@ def draw(plugin: Plugin, model: Path, folder: Path, log: Path) -> tuple[Path | N
         pictures = frames(scene, options, folder / "frames", log)
         if demo.degrade is not None:
             degraded = [demo.degrade(picture) for picture in pictures]
-            pictures = alternating(
-                degraded, [processed(model, image) for image in degraded]
-            )
+            pictures = alternating(degraded, [processed(model, image) for image in degraded])
         elif works_on_images(plugin):
             options += ["--post", str(model)]
             pictures = alternating(pictures, frames(scene, options, folder / "after", log))

@@ -41,9 +41,7 @@ def main(out: Path) -> None:
     # %% The model: tiles of 96 × 96, values as renderers have them, timestep 199.
     model = out / "enhance.onnx"
     words = ("--difix", run / "model.pkl", "--size", "96x96", "--values", "unit")
-    gsgen(
-        "export", "denoiser", "--checkpoint", run, *words, "--dtype", "float16", "-o", model
-    )
+    gsgen("export", "denoiser", "--checkpoint", run, *words, "--dtype", "float16", "-o", model)
 
     # %% Pictures, as they are drawn and as they come out of the model.
     view = (*CAMERA.split(), "--background", "#16181d")

@@ -31,25 +31,14 @@ def matrix_order(renderer: Renderer) -> Image.Image:
     _cells(image, (20, 44), MATRIX, across=4)
     write(image, (20 + 2 * 34, 22), "M, as it is written", INK, 16)
     for name, numbers, y in (("column", MATRIX.T, 70), ("row", MATRIX, 170)):
-        write(
-            image,
-            (200, y - 24),
-            f'"{name}": memory, and tensor[0] to tensor[3]',
-            INK,
-            16,
-            "lm",
-        )
+        write(image, (200, y - 24), f'"{name}": memory, and tensor[0] to tensor[3]', INK, 16, "lm")
         _cells(image, (196, y), numbers, across=16, side=29)
     write(image, (20 + 2 * 34, 200), "coloured: t", INK, 15)
     return image
 
 
 def _cells(
-    image: Image.Image,
-    corner: tuple[int, int],
-    numbers: np.ndarray,
-    across: int,
-    side: int = 34,
+    image: Image.Image, corner: tuple[int, int], numbers: np.ndarray, across: int, side: int = 34
 ) -> None:
     pen = ImageDraw.Draw(image)
     for index, number in enumerate(numbers.ravel()):
@@ -77,12 +66,10 @@ def _board(renderer: Renderer, quaternion: np.ndarray, title: str) -> Image.Imag
     turn = np.eye(3) + 2 * w * cross + 2 * cross @ cross
     camera = Camera.look_at((1.4, -1.5, -3.6), (0, 0, 0), width=240, height=220, fov_y=38)
     corners = [
-        turn @ np.array([a * 0.8, b * 0.4, 0])
-        for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        turn @ np.array([a * 0.8, b * 0.4, 0]) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
     ]
     edges: list[Dots] = [
-        line(a, b, 0.05, INK)
-        for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+        line(a, b, 0.05, INK) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
     ]
     picture = drawn(renderer, scene_of([*edges, *axes(np.zeros(3), 1.0, 0.022)]), camera)
     write(picture, (120, 14), title, INK, 14)

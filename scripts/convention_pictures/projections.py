@@ -4,17 +4,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from convention_pictures.room import room
-from convention_pictures.sketch import (
-    BLUE,
-    FAINT,
-    INK,
-    RED,
-    beside,
-    drawn,
-    paper,
-    scene_of,
-    write,
-)
+from convention_pictures.sketch import BLUE, FAINT, INK, RED, beside, drawn, paper, scene_of, write
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 
@@ -22,9 +12,7 @@ from gsgen.runtime.scene.camera import Camera
 def camera_kinds(renderer: Renderer) -> Image.Image:
     """A pinhole, an orthographic camera and a panorama in one room."""
     scene = scene_of(room())
-    pinhole = Camera.look_at(
-        (-0.9, -1.1, -3.2), (0.1, 0.2, 1.6), width=330, height=240, fov_y=56
-    )
+    pinhole = Camera.look_at((-0.9, -1.1, -3.2), (0.1, 0.2, 1.6), width=330, height=240, fov_y=56)
     flat = pinhole.flattened(5.2)
     around = Camera.panorama((0.0, -0.3, 0.0), width=672, height=336)
     two = beside([drawn(renderer, scene, pinhole), drawn(renderer, scene, flat)])
@@ -45,14 +33,10 @@ def camera_kinds(renderer: Renderer) -> Image.Image:
 def principal_point(renderer: Renderer) -> Image.Image:
     """The same camera with the axis in the middle, and off it."""
     scene = scene_of(room())
-    base = Camera.look_at(
-        (-0.9, -1.1, -3.2), (0.1, 0.2, 1.6), width=330, height=240, fov_y=56
-    )
+    base = Camera.look_at((-0.9, -1.1, -3.2), (0.1, 0.2, 1.6), width=330, height=240, fov_y=56)
     pictures = []
     for cx, cy in ((165.0, 120.0), (235.0, 70.0)):
-        camera = Camera(
-            base.view, fx=base.fx, fy=base.fy, cx=cx, cy=cy, width=330, height=240
-        )
+        camera = Camera(base.view, fx=base.fx, fy=base.fy, cx=cx, cy=cy, width=330, height=240)
         picture = drawn(renderer, scene, camera)
         pen = ImageDraw.Draw(picture)
         pen.line([(cx, 0), (cx, 240)], fill=RED)
@@ -80,13 +64,10 @@ def clip_depth(renderer: Renderer) -> Image.Image:
     curves = ((far / (far - near) * (1 - near / z), BLUE), ((z - near) / (far - near), RED))
     for values, color in curves:
         points = [
-            (x0 + width * a / 9, top + high * (1 - b))
-            for a, b in zip(z, values, strict=True)
+            (x0 + width * a / 9, top + high * (1 - b)) for a, b in zip(z, values, strict=True)
         ]
         pen.line(points, fill=color, width=3)
     write(image, (x0 + 104, top + 54), "pinhole: (m - n m / z) / (m - n)", BLUE, 15, "lm")
     write(image, (x0 + 236, top + 136), "orthographic: (z - n) / (m - n)", RED, 15, "lm")
-    write(
-        image, (x0 + width / 2, 246), "z in camera space, with n = 0.5 and m = 8", INK, 15
-    )
+    write(image, (x0 + width / 2, 246), "z in camera space, with n = 0.5 and m = 8", INK, 15)
     return image

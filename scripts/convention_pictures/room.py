@@ -33,17 +33,13 @@ def ball(ground: tuple[float, float], color: tuple[int, int, int]) -> list[Dots]
     around = np.stack([level * np.cos(turn), height, level * np.sin(turn)], 1)
     light = 0.75 - 0.35 * around[:, 1:2]
     center = np.array([ground[0], 0.55, ground[1]])
-    return [
-        Dots(center + 0.45 * around, 0.05, np.clip(np.array(color) * light * 1.25, 0, 255))
-    ]
+    return [Dots(center + 0.45 * around, 0.05, np.clip(np.array(color) * light * 1.25, 0, 255))]
 
 
 def tower(ground: tuple[float, float], color: tuple[int, int, int]) -> list[Dots]:
     """Four edges and rings between them, which show what is parallel."""
     x, z = ground
-    corners = [
-        (x + a * 0.35, z + b * 0.35) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    ]
+    corners = [(x + a * 0.35, z + b * 0.35) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     dots = [line((a, 1, b), (a, -1.5, b), 0.05, color) for a, b in corners]
     for y in np.linspace(1, -1.5, 6):
         for (a, b), (c, d) in zip(corners, corners[1:] + corners[:1], strict=True):

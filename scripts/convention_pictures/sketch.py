@@ -136,9 +136,7 @@ def pixel(camera: Camera, point: Sequence[float]) -> np.ndarray:
     """Where a pinhole or an orthographic camera sees a point."""
     x, y, z = camera.view[:3, :3] @ np.asarray(point, float) + camera.view[:3, 3]
     distance = 1.0 if camera.kind == "orthographic" else z
-    return np.array(
-        [camera.fx * x / distance + camera.cx, camera.fy * y / distance + camera.cy]
-    )
+    return np.array([camera.fx * x / distance + camera.cx, camera.fy * y / distance + camera.cy])
 
 
 def label(

@@ -73,27 +73,16 @@ def camera_axes(renderer: Renderer) -> Image.Image:
 
 
 def _camera(renderer: Renderer, turn: np.ndarray, title: str) -> Image.Image:
-    seen_by = Camera.look_at(
-        (-2.7, -1.5, -1.5), (0.1, 0.05, 0.45), width=380, height=300, fov_y=42
-    )
-    corners = [
-        np.array([a * 0.55, b * 0.38, 1.3]) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    ]
+    seen_by = Camera.look_at((-2.7, -1.5, -1.5), (0.1, 0.05, 0.45), width=380, height=300, fov_y=42)
+    corners = [np.array([a * 0.55, b * 0.38, 1.3]) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     body = [line(np.zeros(3), corner, 0.012, FAINT) for corner in corners]
     body += [
-        line(a, b, 0.014, INK)
-        for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+        line(a, b, 0.014, INK) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
     ]
-    picture = drawn(
-        renderer, scene_of([*body, *axes(np.zeros(3), 0.8, 0.03, turn)]), seen_by
-    )
+    picture = drawn(renderer, scene_of([*body, *axes(np.zeros(3), 0.8, 0.03, turn)]), seen_by)
     is_y_down = turn[1, 1] > 0
     meanings = ("right", "down", "forward") if is_y_down else ("right", "up", "backward")
-    shifts = (
-        (40, -4),
-        (0, 16 if is_y_down else -16),
-        (-12, 22) if is_y_down else (-18, 20),
-    )
+    shifts = ((40, -4), (0, 16 if is_y_down else -16), (-12, 22) if is_y_down else (-18, 20))
     for index, (meaning, shift) in enumerate(zip(meanings, shifts, strict=True)):
         tip = 0.8 * turn[:, index]
         label(picture, seen_by, tip, f"{NAMES[index]} {meaning}", AXES[index], shift)
@@ -107,9 +96,7 @@ def sh_directions(renderer: Renderer) -> Image.Image:
     camera = Camera.look_at(
         (0, -4.2, 0.001), (0, 0, 0), up=(0, 0, 1), width=420, height=400, fov_y=47
     )
-    positions = [
-        np.array([np.cos(a), 0, np.sin(a)]) * 1.45 for a in np.arange(8) * np.pi / 4
-    ]
+    positions = [np.array([np.cos(a), 0, np.sin(a)]) * 1.45 for a in np.arange(8) * np.pi / 4]
     dots: list[Dots] = []
     for position in positions:
         dots += arrow(position * 0.93, position * 0.42, 0.02, FAINT)

@@ -131,9 +131,7 @@ def plugin_table() -> str:
         plugin = point.load()
         inputs = code(plugin.inputs) or "none"
         link = f"[{point.name}]({point.name}.md)"
-        rows.append(
-            (link, plugin.headline, plugin.reads, inputs, _cited(plugin.publication))
-        )
+        rows.append((link, plugin.headline, plugin.reads, inputs, _cited(plugin.publication)))
     columns = ("plugin", "what it exports", "what it reads", "inputs of the model")
     return table((*columns, "paper, code and its licence"), rows)
 

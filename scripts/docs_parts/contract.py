@@ -103,14 +103,10 @@ def limits() -> str:
     for name in names:
         asked_by = [rule for rule in ours().rules.values() if rule.limit == name]
         text = _LIMITS.get(name) or (asked_by[0].statement if asked_by else "–")
-        values = [
-            f"{target.limits[name]:,}" if name in target.limits else "–" for target in known
-        ]
+        values = [f"{target.limits[name]:,}" if name in target.limits else "–" for target in known]
         links = ", ".join(_link(rule.id) for rule in asked_by)
         rows.append((f"`{name}`", *values, f"{text} {links}".strip()))
-    return table(
-        ("limit", *(f"`{target.name}`" for target in known), "meaning, and rule"), rows
-    )
+    return table(("limit", *(f"`{target.name}`" for target in known), "meaning, and rule"), rows)
 
 
 def severities() -> str:

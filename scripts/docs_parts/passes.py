@@ -50,9 +50,7 @@ def pictured(text: str) -> str:
     """Fence the pictures of a docstring, and join the lines of its paragraphs."""
     fenced = _PICTURE.sub(_fenced, text + "\n")
     parts = re.split(r"(```text\n.*?```)", fenced, flags=re.DOTALL)
-    return "".join(
-        part if part.startswith("```") else _flowing(part) for part in parts
-    ).strip()
+    return "".join(part if part.startswith("```") else _flowing(part) for part in parts).strip()
 
 
 def _fenced(match: "re.Match[str]") -> str:

@@ -26,12 +26,7 @@ def _rows(definitions: Any, name: str, path: str) -> Iterator[tuple[str, ...]]:
         reference = inside.get("$ref", "").removeprefix(_REFERENCE)
         if not reference:
             kind = {key: value for key, value in inside.items() if key != "pattern"}
-            yield (
-                f"`{field_path}`",
-                type_in_words(kind),
-                need,
-                inner.get("description", "–"),
-            )
+            yield (f"`{field_path}`", type_in_words(kind), need, inner.get("description", "–"))
             continue
         text = inner.get("description") or definitions[reference]["description"]
         yield f"`{field_path}`", "object", need, text

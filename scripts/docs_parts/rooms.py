@@ -63,9 +63,7 @@ def layer_order() -> tuple[str, ...]:
 def rooms() -> tuple[Room, ...]:
     """Return every room, lowest first; packages that layers do not name follow their parent."""
     files = {module_name(file.path): file for file in Repository(ROOT).product}
-    packages = {
-        name: file for name, file in files.items() if file.path.endswith("/__init__.py")
-    }
+    packages = {name: file for name, file in files.items() if file.path.endswith("/__init__.py")}
     order = {name: number for number, name in enumerate(layer_order())}
 
     def rank(name: str) -> tuple[int, int, str]:
@@ -93,12 +91,9 @@ def _imports_parent(name: str, files: dict[str, PythonFile]) -> bool:
     """Return whether a module of the room imports a module directly in the parent room."""
     parent = name.rpartition(".")[0]
     members = [module for module in files if module.rpartition(".")[0] == name]
-    targets = {
-        target for module in members for target in imports_of(module, files[module], files)
-    }
+    targets = {target for module in members for target in imports_of(module, files[module], files)}
     return any(
-        target.rpartition(".")[0] == parent and not _is_package(files[target])
-        for target in targets
+        target.rpartition(".")[0] == parent and not _is_package(files[target]) for target in targets
     )
 
 
@@ -131,7 +126,5 @@ def imported_rooms() -> dict[str, frozenset[str]]:
 def table() -> str:
     """Return a table of all rooms with modules: folder and question, lowest first."""
     lines = ["| room | its question |", "|---|---|"]
-    lines += [
-        f"| `{room.folder}` | {room.question} |" for room in rooms() if room.modules > 0
-    ]
+    lines += [f"| `{room.folder}` | {room.question} |" for room in rooms() if room.modules > 0]
     return "\n".join(lines)

@@ -54,31 +54,19 @@ CHECKS = (
         per=100,
     ),
     Check(name="folders", measures="folders have more than 15 modules", find=folders),
-    Check(
-        name="shaders", measures="shader files are not whole, or are spliced", find=shaders
-    ),
+    Check(name="shaders", measures="shader files are not whole, or are spliced", find=shaders),
     Check(name="cycles", measures="import cycles", find=import_cycles),
     Check(
-        name="phrases",
-        measures="banned phrases in 10,000 words",
-        find=phrases,
-        bar=3.0,
-        per=10_000,
+        name="phrases", measures="banned phrases in 10,000 words", find=phrases, bar=3.0, per=10_000
     ),
-    Check(
-        name="functions", measures="functions have more than 80 lines", find=long_functions
-    ),
+    Check(name="functions", measures="functions have more than 80 lines", find=long_functions),
     Check(name="files", measures="files have more than 500 lines", find=long_files),
     Check(
         name="fields",
         measures="classes or calls pass more than four fields by position",
         find=positional_fields,
     ),
-    Check(
-        name="booleans",
-        measures="boolean parameters are positional",
-        find=positional_booleans,
-    ),
+    Check(name="booleans", measures="boolean parameters are positional", find=positional_booleans),
     Check(
         name="any",
         measures="uses of Any in 1,000 lines of the runtime",

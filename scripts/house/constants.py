@@ -19,9 +19,7 @@ _QUANTITIES = frozenset(
 )
 """Words that name a quantity without saying of what: ``_MOST = 3`` is a fact of its module."""
 _LARGEST_ROUND = 16  # leading digits: 2.0, 0.05, 1e-6 and 16 are everywhere
-_TRIVIAL = frozenset(
-    ["None", "True", "False", "0", "1", "2", "0.0", "1.0", "''", "()", "{}"]
-)
+_TRIVIAL = frozenset(["None", "True", "False", "0", "1", "2", "0.0", "1.0", "''", "()", "{}"])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,9 +48,7 @@ class _Constant:
     @property
     def is_distinctive(self) -> bool:
         """Whether the value alone makes a coincidence unlikely: no round number, no single word."""
-        digits = (
-            self.value.lstrip("-").lower().partition("e")[0].replace(".", "").strip("0")
-        )
+        digits = self.value.lstrip("-").lower().partition("e")[0].replace(".", "").strip("0")
         if digits.isdigit():
             whole = int(digits)
             return whole > _LARGEST_ROUND and whole & (whole - 1) != 0
@@ -68,9 +64,7 @@ class _Constant:
         names_thing = bool(common - _QUANTITIES)
         if self.words == candidate.words:
             return names_thing or self.is_distinctive
-        return (
-            names_thing and common in (self.words, candidate.words) and self.is_distinctive
-        )
+        return names_thing and common in (self.words, candidate.words) and self.is_distinctive
 
 
 def copied_constants(repository: Repository) -> Measurement:

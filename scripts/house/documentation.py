@@ -49,9 +49,7 @@ def documentation(repository: Repository) -> Measurement:
                 total += 1
                 actual = _problem(module, name, modules)
                 if actual:
-                    violations.append(
-                        _violation(path, offset + node.lineno, module, actual)
-                    )
+                    violations.append(_violation(path, offset + node.lineno, module, actual))
     return Measurement(violations, total)
 
 
@@ -81,9 +79,7 @@ def _parsed(path: str, offset: int, code: str) -> Iterator[tuple[str, int, ast.M
 
 
 def _import_statements(tree: ast.Module) -> list[ast.Import | ast.ImportFrom]:
-    return [
-        node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)
-    ]
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
 
 
 def _imported(node: ast.stmt, modules: dict[str, PythonFile]) -> Iterator[tuple[str, str]]:
@@ -93,9 +89,7 @@ def _imported(node: ast.stmt, modules: dict[str, PythonFile]) -> Iterator[tuple[
             for alias in aliases:
                 if alias.name.split(".")[0] == "gsgen":
                     yield alias.name, ""
-        case ast.ImportFrom(module=str(module), names=aliases) if (
-            module.split(".")[0] == "gsgen"
-        ):
+        case ast.ImportFrom(module=str(module), names=aliases) if module.split(".")[0] == "gsgen":
             for alias in aliases:
                 submodule = f"{module}.{alias.name}"
                 names = _exported(modules[module]) if module in modules else None
@@ -126,11 +120,7 @@ def _exported(file: PythonFile) -> set[str] | None:
 
 
 def _violation(path: str, line: int, module: str, actual: str) -> Violation:
-    public = [
-        name
-        for name in PUBLIC_MODULES
-        if name.split(".")[1] == (module + ".").split(".")[1]
-    ]
+    public = [name for name in PUBLIC_MODULES if name.split(".")[1] == (module + ".").split(".")[1]]
     return Violation(
         path=path,
         line=line,

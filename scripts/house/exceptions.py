@@ -81,14 +81,10 @@ def _parsed(
         raise ExceptionsInvalid(f"{location}: missing keys {sorted(missing)}")
     if entry["check"] not in checks:
         names = ", ".join(sorted(checks))
-        raise ExceptionsInvalid(
-            f"{location}: check {entry['check']!r}; expected one of {names}"
-        )
+        raise ExceptionsInvalid(f"{location}: check {entry['check']!r}; expected one of {names}")
     if len(entry["reason"].strip()) < _SHORTEST_REASON:
         raise ExceptionsInvalid(f"{location}: reason {entry['reason']!r} explains nothing")
     subjects = entry.get("subjects", ["*"])
     if not isinstance(subjects, list):
-        raise ExceptionsInvalid(
-            f"{location}: subjects {subjects!r}; expected a list of names"
-        )
+        raise ExceptionsInvalid(f"{location}: subjects {subjects!r}; expected a list of names")
     return StyleException(entry["check"], entry["path"], tuple(subjects), entry["reason"])

@@ -37,9 +37,7 @@ def strong_components(graph: Graph) -> list[list[str]]:
     numbers = {name: number for number, name in enumerate(names)}
     edges = [(numbers[name], numbers[target]) for name in names for target in graph[name]]
     rows, columns = np.array(edges, np.int64).reshape(-1, 2).T
-    matrix = coo_array(
-        (np.ones(len(edges)), (rows, columns)), shape=(len(names), len(names))
-    )
+    matrix = coo_array((np.ones(len(edges)), (rows, columns)), shape=(len(names), len(names)))
     _, labels = connected_components(matrix, directed=True, connection="strong")
     components: dict[int, list[str]] = defaultdict(list)
     for name, label in zip(names, labels, strict=True):
@@ -72,9 +70,7 @@ def _targets(node: ast.AST, files: dict[str, PythonFile]) -> Iterator[str]:
             yield module
 
 
-def _violation(
-    component: list[str], graph: Graph, files: dict[str, PythonFile]
-) -> Violation:
+def _violation(component: list[str], graph: Graph, files: dict[str, PythonFile]) -> Violation:
     cycle = _shortest_cycle(component, graph)
     steps = [
         f"{files[name].path}:{graph[name][target]} imports {target}"
@@ -111,6 +107,4 @@ def _cycle_through(start: str, graph: Graph, members: set[str]) -> list[str]:
             if target in members and target not in previous:
                 previous[target] = name
                 queue.append(target)
-    raise AssertionError(
-        f"{start} is in no cycle, though its component has several modules"
-    )
+    raise AssertionError(f"{start} is in no cycle, though its component has several modules")

@@ -56,9 +56,7 @@ _SIDES = {"right", "top", "bottom"}  # beside one of these, left is a side
 
 def placeholders(repository: Repository) -> Measurement:
     """Find placeholder names in the product's code and in the scripts."""
-    return _measure(
-        file for file in repository.selected if file.root not in ("tests", "docs")
-    )
+    return _measure(file for file in repository.selected if file.root not in ("tests", "docs"))
 
 
 def placeholders_in_tests(repository: Repository) -> Measurement:

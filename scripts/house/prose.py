@@ -80,8 +80,7 @@ def _strings(file: PythonFile) -> Iterator[Passage]:
                 pass
             case ast.JoinedStr(values=values):
                 text = "".join(
-                    str(value.value) if isinstance(value, ast.Constant) else "…"
-                    for value in values
+                    str(value.value) if isinstance(value, ast.Constant) else "…" for value in values
                 )
             case _:
                 continue

@@ -1,14 +1,6 @@
 """The files of a checkout: Python, shaders and pages, each read and parsed once."""
 
-__all__ = [
-    "PRODUCT",
-    "FileUnreadable",
-    "Page",
-    "PythonFile",
-    "Repository",
-    "Shader",
-    "module_name",
-]
+__all__ = ["PRODUCT", "FileUnreadable", "Page", "PythonFile", "Repository", "Shader", "module_name"]
 
 import ast
 from collections.abc import Iterator
@@ -149,9 +141,7 @@ class Repository:
     def pages(self) -> list[Page]:
         """Every Markdown page of the documentation and of the root, without the changelog."""
         paths = [*self._files("docs", ".md"), *sorted(self.root.glob("*.md"))]
-        return [
-            Page(self._name(path), _read(path)) for path in paths if path.name != _HISTORY
-        ]
+        return [Page(self._name(path), _read(path)) for path in paths if path.name != _HISTORY]
 
     def _files(self, folder: str, suffix: str) -> Iterator[Path]:
         for path in sorted((self.root / folder).rglob(f"*{suffix}")):

@@ -35,9 +35,7 @@ def _fragment(shader: Shader) -> Iterator[Violation]:
         elif character in "})":
             depth -= 1
             if depth < 0:
-                yield _violation(
-                    shader, offset, "a closing bracket without its opening one"
-                )
+                yield _violation(shader, offset, "a closing bracket without its opening one")
                 return
         if depth == 0 and character in ";}":
             declaration = code[start : offset + 1]

@@ -122,9 +122,7 @@ def _fields(node: ast.ClassDef, classes: dict[str, ast.ClassDef]) -> list[str]:
     bases = [classes[name] for base in node.bases if (name := _last_name(base)) in classes]
     names = [name for base in bases if base is not node for name in _fields(base, classes)]
     for statement in node.body if decorator is not None or _is_named_tuple(node) else []:
-        if not isinstance(statement, ast.AnnAssign) or not isinstance(
-            statement.target, ast.Name
-        ):
+        if not isinstance(statement, ast.AnnAssign) or not isinstance(statement.target, ast.Name):
             continue
         annotation = ast.unparse(statement.annotation)
         if "KW_ONLY" in annotation:
@@ -138,9 +136,7 @@ def _fields(node: ast.ClassDef, classes: dict[str, ast.ClassDef]) -> list[str]:
 def _keywords(call: ast.expr | None) -> dict[str, str]:
     if not isinstance(call, ast.Call):
         return {}
-    return {
-        keyword.arg: ast.unparse(keyword.value) for keyword in call.keywords if keyword.arg
-    }
+    return {keyword.arg: ast.unparse(keyword.value) for keyword in call.keywords if keyword.arg}
 
 
 def _positional_dataclass(

@@ -21,12 +21,7 @@ from gsgen.reference_plugins.people.lhm import LHM
 from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
 from gsgen.reference_plugins.people.r3_avatar import R3Avatar
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
-from gsgen.reference_plugins.synthetic import (
-    PersonOptions,
-    write_gauhuman,
-    write_lhm,
-    write_r3,
-)
+from gsgen.reference_plugins.synthetic import PersonOptions, write_gauhuman, write_lhm, write_r3
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
 from support.models import needed_tensors
@@ -100,14 +95,10 @@ def measure(
     floor = min(taken(lambda: target.fill(1)) for _ in range(ROUNDS))
     weights = sum(len(one.raw_data) for one in onnx.load(path).graph.initializer)
     ratio, size = min(graph) / min(eager), path.stat().st_size
-    say(
-        f"{rows:,} Gaussians: graph {1e3 * min(graph):.2f} ms, eager {1e3 * min(eager):.2f} ms, "
-    )
+    say(f"{rows:,} Gaussians: graph {1e3 * min(graph):.2f} ms, eager {1e3 * min(eager):.2f} ms, ")
     say(f"ratio {ratio:.2f} (bar {BAR}); {min(graph) / floor:.1f} × writing the outputs, ")
     say(f"{1e9 * min(graph) / rows:.0f} ns a Gaussian; file {size / 1e6:.1f} MB, ")
-    say(
-        f"{size / needed:.3f} × the tensors that it needs (bar {SIZE_BAR}), {weights} B stored"
-    )
+    say(f"{size / needed:.3f} × the tensors that it needs (bar {SIZE_BAR}), {weights} B stored")
     assert ratio <= BAR
     assert size <= SIZE_BAR * needed
     return min(graph)
@@ -125,20 +116,13 @@ def bench_gauhuman(tmp_path: Path) -> None:
 
 
 def bench_lhm(tmp_path: Path) -> None:
-    read = read_lhm(
-        write_lhm(tmp_path / "run", PersonOptions(count=40_000, vertices=SMPLX))
-    )
+    read = read_lhm(write_lhm(tmp_path / "run", PersonOptions(count=40_000, vertices=SMPLX)))
     measure(LHM(read), tmp_path, needed_tensors.of_lhm(read), LHM(read, bake="always"))
 
 
 def bench_r3_avatar(tmp_path: Path) -> None:
     options = PersonOptions(
-        count=23_000,
-        vertices=SMPL,
-        nets=True,
-        width=128,
-        channels=32,
-        resolution=(64, 64, 64, 50),
+        count=23_000, vertices=SMPL, nets=True, width=128, channels=32, resolution=(64, 64, 64, 50)
     )
     read = read_r3(write_r3(tmp_path / "run", options))
     generator = R3Avatar(read, range(4))

@@ -62,9 +62,7 @@ def decoder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         GaussiansOutput("gaussians", GAUSSIANS), AppearanceOutput("color", "rgb")
     )
     inputs = (Input(name="time", role="time", range=(0.0, 1.0), default=0.0),)
-    manifest = GeneratorManifest(
-        name="decoder", inputs=inputs, outputs=outputs, space=Space()
-    )
+    manifest = GeneratorManifest(name="decoder", inputs=inputs, outputs=outputs, space=Space())
     return save(tmp_path_factory.mktemp("decoder") / "decoder.onnx", proto, manifest)
 
 
@@ -111,9 +109,7 @@ def bare(path: Path, threads: int = 1) -> Callable[[], object]:
     """Return what runs a frame on the CPU with ONNX Runtime alone, all buffers bound once."""
     settings = onnxruntime.SessionOptions()
     settings.intra_op_num_threads = threads
-    session = onnxruntime.InferenceSession(
-        str(path), settings, providers=["CPUExecutionProvider"]
-    )
+    session = onnxruntime.InferenceSession(str(path), settings, providers=["CPUExecutionProvider"])
     binding, now = session.io_binding(), np.zeros(1, np.float32)
     binding.bind_ortvalue_input("time", onnxruntime.OrtValue.ortvalue_from_numpy(now))
     kinds = {"tensor(float)": np.float32, "tensor(int32)": np.int32}
@@ -157,12 +153,8 @@ def bench_overhead_on_a_decoder(decoder: Path) -> None:
     whole, bare = frames.T
     more = np.median((whole - bare) / bare)
     say(f"100 k Gaussians decoded on the CPU: {1e3 * np.median(bare):.2f} ms a frame, ")
-    say(
-        f"of which {1e6 * np.median(whole - bare):.1f} µs are ours, {100 * more:+.3f} % (bar +3 %)"
-    )
-    say(
-        f"taking turns: {1e3 * ours:.2f} ms against {1e3 * one:.2f} and {1e3 * again:.2f} bare"
-    )
+    say(f"of which {1e6 * np.median(whole - bare):.1f} µs are ours, {100 * more:+.3f} % (bar +3 %)")
+    say(f"taking turns: {1e3 * ours:.2f} ms against {1e3 * one:.2f} and {1e3 * again:.2f} bare")
     assert more <= 0.03
 
 
@@ -171,9 +163,7 @@ def bench_overhead_on_a_tiny_model(tiny: Path, provider: str) -> None:
     with FrameSession(tiny, provider=provider, threads=1) as session:
         actions = [bare_frame(session), lambda: session.run({"time": 0.3})]
         alone, ours = 1e6 * np.median(alternating(actions, 2000), axis=0)
-    say(
-        f"5 Gaussians, {provider}: update and run bare {alone:.1f} µs, FrameSession {ours:.1f} µs"
-    )
+    say(f"5 Gaussians, {provider}: update and run bare {alone:.1f} µs, FrameSession {ours:.1f} µs")
     say(f"so {ours - alone:.1f} µs a frame are ours")
 
 

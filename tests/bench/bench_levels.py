@@ -58,8 +58,7 @@ def weighing(sketch: ModelSpec, megabytes: int) -> ModelSpec:
     rows = megabytes * 10**6 // 12
     table = np.random.default_rng(0).random((rows, 3), np.float32)
     looked_up = sketch.reworded(
-        "color = Identity (colors)",
-        "some = Gather (table, places) color = Mul (some, small)",
+        "color = Identity (colors)", "some = Gather (table, places) color = Mul (some, small)"
     )
     places = np.arange(5, dtype=np.int32)
     return looked_up.weighing(table=table, places=places, small=np.float32([0.1]))
@@ -89,9 +88,7 @@ def network(rows: int, width: int) -> ModelSpec:
     gaussians = replace(outputs.gaussians, capacity=rows)
     layers = {"first": normal(width, width), "second": normal(width, width)}
     return (
-        sketch.weighing(
-            **rest, **layers, third=normal(width, 3), feature=normal(rows, width)
-        )
+        sketch.weighing(**rest, **layers, third=normal(width, 3), feature=normal(rows, width))
         .weighing(live=np.int32([rows]), center=rng.uniform(-1, 1, (rows, 3)).astype("f4"))
         .declaring_outputs(gaussians=gaussians)
     )

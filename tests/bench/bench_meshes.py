@@ -35,9 +35,7 @@ def cpu(renderer: Renderer, scene: Scene, times: int = 5, camera: Camera = CAMER
 def splats() -> SplatData:
     rng = np.random.default_rng(0)
     z = rng.uniform(2, 8, COUNT)
-    at = np.stack(
-        [rng.uniform(-0.8, 0.8, COUNT) * z, rng.uniform(-0.45, 0.45, COUNT) * z, z], 1
-    )
+    at = np.stack([rng.uniform(-0.8, 0.8, COUNT) * z, rng.uniform(-0.45, 0.45, COUNT) * z, z], 1)
     sigma = covariance_upper(
         0.012 * np.exp(0.4 * rng.normal(size=(COUNT, 3))), rng.normal(size=(COUNT, 4))
     )
@@ -52,9 +50,7 @@ def ball(rings: int) -> MeshData:
     up = np.linspace(0, np.pi, rings + 1)[:, None]
     around = np.linspace(0, 2 * np.pi, rings, endpoint=False)
     points = np.stack(
-        np.broadcast_arrays(
-            np.sin(up) * np.cos(around), np.cos(up), np.sin(up) * np.sin(around)
-        ),
+        np.broadcast_arrays(np.sin(up) * np.cos(around), np.cos(up), np.sin(up) * np.sin(around)),
         -1,
     ).reshape(-1, 3)
     ring, spoke = np.divmod(np.arange(rings * rings), rings)
@@ -97,9 +93,7 @@ def bench_meshes_all_around() -> None:
         "a room of 1,800 triangles": placed(ball(30), 0, 5),
         "a room of 105,800 triangles": placed(ball(230), 0, 5),
     }
-    sys.stdout.write(
-        f"\n  8 triangles, far away: {cpu(renderer, sky, camera=AROUND):.3f} s"
-    )
+    sys.stdout.write(f"\n  8 triangles, far away: {cpu(renderer, sky, camera=AROUND):.3f} s")
     for name, mesh in cases.items():
         scene = Scene([], meshes=[mesh])
         took, ahead = cpu(renderer, scene, camera=AROUND), cpu(renderer, scene)

@@ -82,9 +82,7 @@ def bench_encoding(renderer: Renderer, count: int) -> None:
     uniforms = least(lambda: frame(()), plan.collect) - bare
     steps = sum(map(len, plan.stages.values()))
     goal = f" (goal {GOALS[count]:g})" if count in GOALS else ""
-    say(
-        f"{count:3} models, {steps} dispatches: {whole:.2f} ms{goal}, {whole / bare:.1f} times an"
-    )
+    say(f"{count:3} models, {steps} dispatches: {whole:.2f} ms{goal}, {whole / bare:.1f} times an")
     say(
         f"    empty one's {bare:.2f}; uniforms {uniforms:.2f}, dispatches {whole - uniforms - bare:.2f}"
     )
@@ -130,9 +128,7 @@ def bench_what_stays(renderer: Renderer) -> None:
     )
 
 
-def bench_overlap(
-    renderer: Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def bench_overlap(renderer: Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """How much of inference passes while a frame is drawn; both take turns without overlap."""
     drifting(200_000, degree=1).write(tmp_path / "many.onnx")
     camera = Camera.orbit((0, 0, 0), 4, width=320, height=180)
@@ -142,10 +138,7 @@ def bench_overlap(
         name = "run" if owner is FrameSession else "render"
 
         def watched(
-            *args: object,
-            plain: object = getattr(owner, name),
-            name: str = name,
-            **rest: object,
+            *args: object, plain: object = getattr(owner, name), name: str = name, **rest: object
         ) -> object:
             began = time.perf_counter()
             made = plain(*args, **rest)
@@ -155,9 +148,7 @@ def bench_overlap(
         monkeypatch.setattr(owner, name, watched)
 
     def shared(play: Callable[[GeneratorPlayer], object]) -> float:
-        with GeneratorPlayer(
-            tmp_path / "many.onnx", provider="cpu", renderer=renderer
-        ) as player:
+        with GeneratorPlayer(tmp_path / "many.onnx", provider="cpu", renderer=renderer) as player:
             player.render(camera, time=0.5)
             for one in spans.values():
                 one.clear()

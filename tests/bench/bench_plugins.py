@@ -108,9 +108,7 @@ def _measure(
     ratio, each = min(graph) / min(eager), 1e9 / rows
     floor = _floor(path, sum(value.nbytes for value in outputs))
     size, weights = path.stat().st_size, _weights(path)
-    say(
-        f"{rows:,} Gaussians: graph {1e3 * min(graph):.1f} ms, eager {1e3 * min(eager):.1f} ms, "
-    )
+    say(f"{rows:,} Gaussians: graph {1e3 * min(graph):.1f} ms, eager {1e3 * min(eager):.1f} ms, ")
     say(f"ratio {ratio:.2f} (bar {BAR}); {min(graph) * each:.0f} ns a Gaussian, ")
     say(f"{min(graph) / floor:.1f} × the floor of {floor * each:.0f} ns")
     say(f"file {size / 1e6:.1f} MB, {size / weights:.3f} × its weights (bar 1.05)")
@@ -140,9 +138,7 @@ def _floor(path: Path, written: int) -> float:
             continue
         left, right = torch.rand(a), torch.rand(b)
         out = torch.empty(a[0], b[1])
-        total += min(
-            taken(lambda x=left, y=right, z=out: torch.mm(x, y, out=z)) for _ in range(3)
-        )
+        total += min(taken(lambda x=left, y=right, z=out: torch.mm(x, y, out=z)) for _ in range(3))
     return total
 
 
@@ -199,9 +195,7 @@ def sized(folder: Path) -> Iterator[tuple[str, GaussianGenerator, int]]:
         ScaffoldGS(scaffold.cloud, scaffold.nets),
         needed_tensors.of_anchors(scaffold),
     )
-    octree = read_anchors(
-        write_octree(folder / "octree", anchors, mode="progressive"), octree=True
-    )
+    octree = read_anchors(write_octree(folder / "octree", anchors, mode="progressive"), octree=True)
     made = OctreeGS(octree.cloud, octree.nets, Levels.of(octree))
     yield "octree-gs", made, needed_tensors.of_anchors(octree)
     cells = read_cells(write_duplex(folder / "duplex", anchors))
@@ -221,9 +215,7 @@ def sized(folder: Path) -> Iterator[tuple[str, GaussianGenerator, int]]:
     person = read_gauhuman(write_gauhuman(folder / "gauhuman", people))
     needed = needed_tensors.of_gauhuman(person.canonical, person.body, person.nets)
     yield "gauhuman", GauHuman(person.canonical, person.body, person.nets), needed
-    drawn = read_lhm(
-        write_lhm(folder / "lhm", PersonOptions(count=20_000, vertices=10_475))
-    )
+    drawn = read_lhm(write_lhm(folder / "lhm", PersonOptions(count=20_000, vertices=10_475)))
     yield "lhm", LHM(drawn), needed_tensors.of_lhm(drawn)
     people = PersonOptions(
         count=10_000, vertices=6_890, nets=True, channels=16, resolution=(64, 64, 64, 50)

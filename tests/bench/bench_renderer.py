@@ -84,9 +84,7 @@ def scene() -> Scene:
     return Scene([room()])
 
 
-def planned(
-    renderer: Renderer, scene: Scene, camera: Camera
-) -> tuple[Plan, list[Placed], int]:
+def planned(renderer: Renderer, scene: Scene, camera: Camera) -> tuple[Plan, list[Placed], int]:
     """Draw once, so that there is room for all pairs; return the plan, its pages, the pairs."""
     pairs = renderer.render(scene, camera).pairs
     placed = renderer.placed(scene)
@@ -125,9 +123,7 @@ def flops() -> float:
 
 @pytest.mark.parametrize("compact", [False, True], ids=["exact", "compact"])
 @pytest.mark.parametrize("size", SIZES)
-def bench_a_million(
-    device: Device, scene: Scene, size: tuple[int, int], compact: bool
-) -> None:
+def bench_a_million(device: Device, scene: Scene, size: tuple[int, int], compact: bool) -> None:
     renderer = Renderer(device, rasteriser="tiles", compact=compact)
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])
     plan, placed, pairs = planned(renderer, scene, camera)
@@ -155,12 +151,8 @@ def bench_a_million(
             f"{name:8} {sums[number + 1] - sums[number]:.3f} CPU-s; "
             f"{bytes_ / 1e6:5.0f} MB, at one core's copying rate {bytes_ / rate:.3f} s"
         )
-    work = (
-        14 * pairs * TILE**2
-    )  # of a tile's pixels with a splat, each takes about 14 operations
-    say(
-        f"blend at most {work / 1e9:.1f} G operations, one core's rate {work / flops():.3f} s"
-    )
+    work = 14 * pairs * TILE**2  # of a tile's pixels with a splat, each takes about 14 operations
+    say(f"blend at most {work / 1e9:.1f} G operations, one core's rate {work / flops():.3f} s")
     say(f"uniforms and reading back {idle:.3f} CPU-s")
     say(f"frame {sums[-1]:.3f} CPU-s (goal {SIZES[size]})")
     began = time.perf_counter()
@@ -170,10 +162,7 @@ def bench_a_million(
 
 @pytest.mark.parametrize("size", SIZES)
 def bench_what_changes(
-    device: Device,
-    scene: Scene,
-    monkeypatch: pytest.MonkeyPatch,
-    size: tuple[int, int],
+    device: Device, scene: Scene, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
 ) -> None:
     """Frames of new values, in memory that is mapped and arranged, and by copies in own order."""
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])
@@ -230,10 +219,7 @@ def bench_panorama(device: Device, scene: Scene) -> None:
         plan, placed, pairs = planned(one, scene, camera)
 
         def frame(
-            *stages: str,
-            plan: Plan = plan,
-            placed: list[Placed] = placed,
-            camera: Camera = camera,
+            *stages: str, plan: Plan = plan, placed: list[Placed] = placed, camera: Camera = camera
         ) -> None:
             plan.submit(placed, camera, NOTHING_BEHIND, only=stages or None)
             plan.collect()
@@ -287,16 +273,12 @@ def bench_memory(device: Device, scene: Scene) -> None:
             stay.append(sum(page.rows.size + page.appearance.size for page in pages))
         say("compact: " if compact else "exact: ")
         say("  ".join(f"degree {d} {size / MILLION:.0f}" for d, size in enumerate(stay)))
-        say(
-            f"bytes stay per Gaussian (goal {GOAL_BYTES} at degree 0, and what is above it)"
-        )
+        say(f"bytes stay per Gaussian (goal {GOAL_BYTES} at degree 0, and what is above it)")
     plan, _, pairs = planned(renderer, scene, camera)
     of_gaussians = ("keys of G", "values of G", "lows", "shapes", "weights", "colors")
     of_gaussians += ("origins",)
     splats = sum(
-        buffer.size
-        for name, buffer in plan.buffers.items()
-        if name.startswith(of_gaussians)
+        buffer.size for name, buffer in plan.buffers.items() if name.startswith(of_gaussians)
     )
     rest = sum(buffer.size for buffer in plan.buffers.values()) - splats
     say(f"the plan of a frame takes {splats / MILLION:.0f} bytes per Gaussian, and ")
@@ -313,8 +295,7 @@ def bench_sorting_four_million(renderer: Renderer) -> None:
     sort = RadixSort(device, cut, Scan(device, cut.block, 64, 256))
     counts = device.storage("counts", counting.BYTES, extra="INDIRECT")
     columns = [
-        Columns(device.storage("keys", 4 * n), device.storage("values", 4 * n))
-        for _ in range(2)
+        Columns(device.storage("keys", 4 * n), device.storage("values", 4 * n)) for _ in range(2)
     ]
     steps, at = sort.steps(
         counts,

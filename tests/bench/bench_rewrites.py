@@ -89,9 +89,7 @@ def cpu_seconds(action: Callable[[], object]) -> float:
 
 def by_turns(actions: dict[str, Callable[[], object]]) -> dict[str, float]:
     """Run all actions in turn, several times; return the shortest time of each."""
-    taken = {
-        name: [cpu_seconds(action) for _ in range(1)] for name, action in actions.items()
-    }
+    taken = {name: [cpu_seconds(action) for _ in range(1)] for name, action in actions.items()}
     for _ in range(TURNS):
         for name, action in actions.items():
             taken[name].append(cpu_seconds(action))

@@ -103,9 +103,7 @@ def published_levels(splats: Splats) -> dict[float, Splats]:
     return result
 
 
-def same_bytes(
-    make: Callable[[float], Splats], low: float, high: float, size: int
-) -> Splats:
+def same_bytes(make: Callable[[float], Splats], low: float, high: float, size: int) -> Splats:
     """Bisect the one number of ``make``, which makes smaller files as it grows, to a size."""
     for _ in range(14):
         middle = math.sqrt(low * high)
@@ -128,9 +126,7 @@ def baselines(splats: Splats, level: Splats, extent: float) -> dict[str, Splats]
     def merged(side: float) -> Splats:
         return tilesplat(*in_cells(splats, side))
 
-    thinned["TileSplat Eq. 2, same bytes"] = same_bytes(
-        merged, extent * 1e-4, extent * 0.5, size
-    )
+    thinned["TileSplat Eq. 2, same bytes"] = same_bytes(merged, extent * 1e-4, extent * 0.5, size)
     return thinned
 
 
@@ -185,9 +181,7 @@ def bench_stored_leaves(renderer: Renderer, tmp_path: Path) -> None:
     splats = knot()
     judge = Judge.of(renderer, splats, knot_cameras())
     write_ply(tmp_path / "knot.ply", splats)
-    parameters = BuildParameters(
-        leaf=8_000, qualities=(0, 2, 4), transform=upright_transform()
-    )
+    parameters = BuildParameters(leaf=8_000, qualities=(0, 2, 4), transform=upright_transform())
     with open_engine("serial") as engine:
         build_tileset(
             [tmp_path / "knot.ply"],

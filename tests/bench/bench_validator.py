@@ -48,9 +48,7 @@ def million(dtype: type, degree: int) -> PackedRows:
     root = rng.normal(size=(MILLION, 3, 3)).astype(np.float32) * 0.2
     full = root @ root.transpose(0, 2, 1)
     rows[:, 4:] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-    color = (
-        0.1 * rng.standard_normal((MILLION, 3 * (degree + 1) ** 2), np.float32)
-    ).astype(dtype)
+    color = (0.1 * rng.standard_normal((MILLION, 3 * (degree + 1) ** 2), np.float32)).astype(dtype)
     return PackedRows(rows, color)
 
 
@@ -94,15 +92,7 @@ def bench_static_on_a_large_model(large: Path) -> None:
 
 
 def bench_memory_of_static_on_a_large_model(large: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "gsgen.cli",
-        "validate",
-        "--level",
-        "static",
-        str(large),
-    ]
+    command = [sys.executable, "-m", "gsgen.cli", "validate", "--level", "static", str(large)]
     # Started by a small process: a child begins with the peak of the process that it came from.
     launch = (
         "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, "
@@ -130,9 +120,7 @@ def bench_values_of_a_million_and_a_million_broken(half: Path, tmp_path: Path) -
     clean, _ = values_seconds(half)
     bytes_checked = MILLION * (10 + 48) * 2
     rate = bytes_checked / clean / 1e6
-    say(
-        f"values of 1 M Gaussians, SH3 float16: {1000 * clean:.0f} ms, {rate:.0f} MB/s (bar 500)"
-    )
+    say(f"values of 1 M Gaussians, SH3 float16: {1000 * clean:.0f} ms, {rate:.0f} MB/s (bar 500)")
     baseline = best(lambda: np.isfinite(np.ones((MILLION, 58), np.float16)).all(), 3)
     say(f"for scale, one np.isfinite over as many values: {1000 * baseline:.0f} ms")
     content = million(np.float16, 3)
@@ -143,9 +131,7 @@ def bench_values_of_a_million_and_a_million_broken(half: Path, tmp_path: Path) -
     broken, text = values_seconds(tmp_path / "broken.onnx")
     findings = json.loads(text)["findings"]
     counted = {finding["rule"]: finding["stats"]["count"] for finding in findings}
-    say(
-        f"a million broken rows: {1000 * broken:.0f} ms, {broken / clean:.2f} × clean (bar 3)"
-    )
+    say(f"a million broken rows: {1000 * broken:.0f} ms, {broken / clean:.2f} × clean (bar 3)")
     say(f"findings {counted}, report {len(text) / 1000:.1f} kB (bar 20)")
     assert rate >= 500
     assert broken <= 3 * clean

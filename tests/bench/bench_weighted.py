@@ -21,14 +21,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 CELLS, PER_CELL, FRAMES = 50_000, 5, 5
 PAIR_BYTES = 16  # two columns of a key and a value
 SORTED = ("keys of Gaussians", "values of Gaussians", "lows", "histogram")
-CELLED = (
-    "keys of cells",
-    "values of cells",
-    "lows",
-    "keys of weighted",
-    "circles",
-    "spans",
-)
+CELLED = ("keys of cells", "values of cells", "lows", "keys of weighted", "circles", "spans")
 
 
 def say(text: str) -> None:
@@ -45,9 +38,7 @@ def data() -> SplatData:
     """Cells in a deep box before the camera, five Gaussians in each, as a trained scene has them."""
     rng = np.random.default_rng(0)
     z = rng.uniform(2, 12, CELLS)
-    middle = np.stack(
-        [rng.uniform(-0.7, 0.7, CELLS) * z, rng.uniform(-0.5, 0.5, CELLS) * z, z], 1
-    )
+    middle = np.stack([rng.uniform(-0.7, 0.7, CELLS) * z, rng.uniform(-0.5, 0.5, CELLS) * z, z], 1)
     extent = 0.03 * np.exp(0.4 * rng.normal(size=(CELLS, 3)))
     ellipsoid = covariance_upper(extent, rng.normal(size=(CELLS, 4)))
     cells = np.concatenate([middle, rng.uniform(0.3, 1, (CELLS, 1)), ellipsoid], 1)
@@ -66,9 +57,7 @@ def data() -> SplatData:
 
 
 @pytest.mark.parametrize("size", [(640, 360), (1280, 720)])
-def bench_sums_beside_sorting(
-    device: Device, data: SplatData, size: tuple[int, int]
-) -> None:
+def bench_sums_beside_sorting(device: Device, data: SplatData, size: tuple[int, int]) -> None:
     width, height = size
     seen_by = Camera(
         np.eye(4),

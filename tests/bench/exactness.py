@@ -71,9 +71,7 @@ def splats(renderer: Renderer, scene: Scene, camera: Camera) -> Splats:
         2, :3
     ].astype(np.float32)
     inverse = np.linalg.inv(found.dilated)
-    return Splats(
-        found.mean, inverse, rows[:, 3], found.depth, naive, keys[drawn], lows[drawn]
-    )
+    return Splats(found.mean, inverse, rows[:, 3], found.depth, naive, keys[drawn], lows[drawn])
 
 
 def describe(made: Splats) -> None:
@@ -86,15 +84,9 @@ def describe(made: Splats) -> None:
     )
     swapped = (np.diff(key) < 0) | ((np.diff(key) == 0) & (np.diff(low) < 0))
     swapped &= np.diff(made.depth[order]) > _TIE * made.depth[order][1:]
-    say(
-        f"of {len(order):,} splats, {int((np.diff(naive) < 0).sum()):,} stand before one that is "
-    )
-    say(
-        f"nearer if depths are worked out in float32; {int((np.diff(key) == 0).sum()):,} have the "
-    )
-    say(
-        f"rounded depth of the next; by both floats of a depth {int(swapped.sum()):,} are swapped"
-    )
+    say(f"of {len(order):,} splats, {int((np.diff(naive) < 0).sum()):,} stand before one that is ")
+    say(f"nearer if depths are worked out in float32; {int((np.diff(key) == 0).sum()):,} have the ")
+    say(f"rounded depth of the next; by both floats of a depth {int(swapped.sum()):,} are swapped")
 
 
 def reason(made: Splats, x: int, y: int) -> str:
@@ -124,12 +116,8 @@ def reason(made: Splats, x: int, y: int) -> str:
 def main() -> int:
     """Print what there is to know; return 1 if it is not exact enough."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument(
-        "--size", default="640x360", help="WIDTHxHEIGHT (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--gaussians", type=int, default=1_000_000, help="(default: %(default)s)"
-    )
+    parser.add_argument("--size", default="640x360", help="WIDTHxHEIGHT (default: %(default)s)")
+    parser.add_argument("--gaussians", type=int, default=1_000_000, help="(default: %(default)s)")
     given = parser.parse_args()
     width, height = map(int, given.size.split("x"))
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=width, height=height)
@@ -143,9 +131,7 @@ def main() -> int:
     worst = error.max(axis=-1)
     undeclared = float(worst[~wanted.fragile].max())
     say(f"{width}×{height}, {renderer.device.name}: {psnr(error):.1f} dB over all pixels; ")
-    say(
-        f"largest error {worst.max():.1e}, away from declared discontinuities {undeclared:.1e} "
-    )
+    say(f"largest error {worst.max():.1e}, away from declared discontinuities {undeclared:.1e} ")
     say(f"({100 * wanted.fragile.mean():.1f} % of the pixels have one)")
     for place in np.argsort(worst.ravel())[::-1][:_WORST]:
         y, x = divmod(int(place), width)

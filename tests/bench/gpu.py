@@ -61,9 +61,7 @@ MODES: Final = {
     "quads, compact": {"rasteriser": "quads", "compact": True},
 }
 IN_IMAGE: Final = 0.76  # of the Gaussians
-WARM: Final = (
-    3  # frames: the second one arranges rows, the third has grown room for all pairs
-)
+WARM: Final = 3  # frames: the second one arranges rows, the third has grown room for all pairs
 FLOPS_OF_A_PIXEL: Final = 14  # that a splat is blended into
 CROP: Final = (256, 144)
 NOTHING: Final = np.zeros(3)
@@ -113,9 +111,7 @@ def crowd(n: int, camera: Camera, degree: int) -> SplatData:
         rows[part, 4:] = covariance_upper(scale, rng.normal(size=(count, 4)))
     color = rng.standard_normal((n, 3 * (degree + 1) ** 2), dtype=np.float32)
     color *= np.float32(0.15)
-    color[:, 0:3] += np.float32(0.5) * np.sin(3 * spread[:, :1] + [0, 2, 4]).astype(
-        np.float32
-    )
+    color[:, 0:3] += np.float32(0.5) * np.sin(3 * spread[:, :1] + [0, 2, 4]).astype(np.float32)
     return SplatData(rows, color, "sh")
 
 
@@ -228,9 +224,7 @@ class Frame:
         )
 
 
-def floors(
-    frame: Frame, gaussians: int, bytes_a_second: float, flops: float
-) -> dict[str, Any]:
+def floors(frame: Frame, gaussians: int, bytes_a_second: float, flops: float) -> dict[str, Any]:
     """Return the least milliseconds of each stage: its bytes once, and blending's operations.
 
     Bytes are those of the stages as they are built: 32-bit keys, splats of 48 bytes. The operations
@@ -293,12 +287,7 @@ def near(data: SplatData, camera: Camera) -> SplatData:
     sigma = np.sqrt(data.rows[:, [4, 7, 9]].astype(np.float64).sum(axis=1))
     reach = 2 * 3.4 * (camera.fx * sigma / z + 1) + 2
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    kept = (
-        (u > -reach)
-        & (u < camera.width + reach)
-        & (v > -reach)
-        & (v < camera.height + reach)
-    )
+    kept = (u > -reach) & (u < camera.width + reach) & (v > -reach) & (v < camera.height + reach)
     return SplatData(data.rows[kept], data.appearance[kept], "sh")
 
 
@@ -323,9 +312,7 @@ class Exactness:
         seen = renderer.render(self.scene, self.camera).rgba
         assert seen is not None
         error = np.abs(seen - self.wanted.rgba).max(axis=-1)
-        part = whole[
-            self.y : self.y + self.camera.height, self.x : self.x + self.camera.width
-        ]
+        part = whole[self.y : self.y + self.camera.height, self.x : self.x + self.camera.width]
         return {
             "dB": decibels(seen, self.wanted.rgba),
             "largest error": float(error.max()),
@@ -343,8 +330,7 @@ def sorting(device: Device, n: int) -> dict[str, Any]:
     sort = RadixSort(device, cut, Scan(device, cut.block, 64, 256))
     counts = device.storage("counts", counting.BYTES, extra="INDIRECT")
     columns = [
-        Columns(device.storage("keys", 4 * n), device.storage("values", 4 * n))
-        for _ in range(2)
+        Columns(device.storage("keys", 4 * n), device.storage("values", 4 * n)) for _ in range(2)
     ]
     source = device.storage("unsorted", 4 * n)
     device.write(source, keys)
@@ -409,9 +395,7 @@ def asked() -> argparse.Namespace:
     parser.add_argument("--size", default="1920x1080", help="WIDTHxHEIGHT")
     parser.add_argument("--degree", type=int, default=3, choices=range(4))
     parser.add_argument("--frames", type=int, default=30)
-    parser.add_argument(
-        "--modes", default=",".join(MODES).replace(", ", " "), help="Of these."
-    )
+    parser.add_argument("--modes", default=",".join(MODES).replace(", ", " "), help="Of these.")
     parser.add_argument("--out", default=os.environ.get("OUT") or ROOT / "out" / "gpu")
     return parser.parse_args()
 

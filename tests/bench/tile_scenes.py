@@ -69,9 +69,7 @@ def garden() -> tuple[Splats, np.ndarray, np.ndarray]:
         points, colors = data["means3d"].astype(np.float32), data["colors"] / 255
         views, k = data["viewmats"].astype(np.float64), data["Ks"].astype(np.float64)
     distance = cKDTree(points).query(points, 4)[0][:, 1:]
-    scale = np.sqrt(np.square(distance).mean(axis=1)).clip(
-        1e-4, np.quantile(distance, 0.99)
-    )
+    scale = np.sqrt(np.square(distance).mean(axis=1)).clip(1e-4, np.quantile(distance, 0.99))
     count = len(points)
     splats = Splats(
         position=points,
@@ -92,9 +90,7 @@ class Judge:
     pictures: dict[str, list[np.ndarray]]
 
     @classmethod
-    def of(
-        cls, renderer: Renderer, splats: Splats, cameras: dict[str, list[Camera]]
-    ) -> "Judge":
+    def of(cls, renderer: Renderer, splats: Splats, cameras: dict[str, list[Camera]]) -> "Judge":
         pictures = {
             name: [picture(renderer, splats, camera) for camera in group]
             for name, group in cameras.items()
@@ -118,16 +114,12 @@ class Judge:
 
 
 def picture(renderer: Renderer, splats: Splats, camera: Camera) -> np.ndarray:
-    frame = renderer.render(
-        Scene([SplatData.from_splats(splats)]), camera, background=(0, 0, 0, 1)
-    )
+    frame = renderer.render(Scene([SplatData.from_splats(splats)]), camera, background=(0, 0, 0, 1))
     assert frame.rgba is not None
     return np.clip(frame.rgba[..., :3], 0, 1)
 
 
-def knot_cameras(
-    size: tuple[int, int] = (320, 240), views: int = 3
-) -> dict[str, list[Camera]]:
+def knot_cameras(size: tuple[int, int] = (320, 240), views: int = 3) -> dict[str, list[Camera]]:
     """Cameras around the knot: it fills the picture, two thirds of it, a third."""
     cameras: dict[str, list[Camera]] = {}
     for name, distance in (("near", 3.6), ("middle", 6.0), ("far", 10.0)):
@@ -136,16 +128,12 @@ def knot_cameras(
             angle = 2 * np.pi * index / views + 0.4
             eye = distance * np.array([np.cos(angle), -0.45, np.sin(angle)]) / 1.1
             cameras[name].append(
-                Camera.look_at(
-                    tuple(eye), (0.0, 0.0, 0.0), fov_y=50, width=size[0], height=size[1]
-                )
+                Camera.look_at(tuple(eye), (0.0, 0.0, 0.0), fov_y=50, width=size[0], height=size[1])
             )
     return cameras
 
 
-def garden_cameras(
-    splats: Splats, views: np.ndarray, k: np.ndarray
-) -> dict[str, list[Camera]]:
+def garden_cameras(splats: Splats, views: np.ndarray, k: np.ndarray) -> dict[str, list[Camera]]:
     """The cameras of the capture at half its size, then 1.5 and 4 depths of the scene behind."""
     cameras: dict[str, list[Camera]] = {}
     for name, back in (("near", 0.0), ("middle", 1.5), ("far", 4.0)):

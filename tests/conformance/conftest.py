@@ -46,9 +46,7 @@ def property_of(case: ElementTree.Element, name: str) -> str:
 
 def run_pytest(folder: Path, *words: str | Path) -> Tested:
     """Run pytest in ``folder`` with nothing but our plugin, unless more are named."""
-    clean = {
-        key: value for key, value in os.environ.items() if not key.startswith("PYTEST")
-    }
+    clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST")}
     clean |= {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200"}
     command = [sys.executable, "-m", "pytest", "-p", "gsgen.conformance.pytest.plugin"]
     command += ["-p", "no:cacheprovider", "--junitxml=junit.xml", "-rA"]

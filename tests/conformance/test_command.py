@@ -10,9 +10,7 @@ from conformance.conftest import write
 from support.commands import gsgen
 
 
-def test_each_suite_is_one_line_and_failures_say_how_to_see_them_again(
-    folder: Path,
-) -> None:
+def test_each_suite_is_one_line_and_failures_say_how_to_see_them_again(folder: Path) -> None:
     write(folder, "drift", "opacity_is_logits")
     ran = gsgen(
         *(

@@ -22,11 +22,7 @@ def read(tmp_path: Path, text: str) -> tuple[ExpectedFailure, ...]:
 def test_a_file_names_rules_by_id_or_name(tmp_path: Path) -> None:
     more = '[[xfail]]\nrule = "gv001"\nreason = "known"\n'
     first, second = read(tmp_path, KNOWN + more)
-    assert (first.rule, first.model, first.reason) == (
-        "GV003",
-        "opacity*.onnx",
-        "until 2.0",
-    )
+    assert (first.rule, first.model, first.reason) == ("GV003", "opacity*.onnx", "until 2.0")
     assert (second.rule, second.model) == ("GV001", "")
     assert first.matches("GV003", Path("a/opacity_is_logits.onnx"))
     assert not first.matches("GV003", Path("a/drift.onnx"))
@@ -63,25 +59,14 @@ def test_a_file_that_cannot_be_meant_is_refused(
 
 def test_strangers_match_nothing_that_is_tested() -> None:
     known = ExpectedFailure("GV003", "?", "drift.onnx")
-    other_rule, other_model = (
-        ExpectedFailure("TV101", "?"),
-        ExpectedFailure("GV003", "?", "x"),
-    )
+    other_rule, other_model = (ExpectedFailure("TV101", "?"), ExpectedFailure("GV003", "?", "x"))
     tested = {Path("out/drift.onnx"): ["GV001", "GV003"]}
-    assert unmatched_entries([known, other_rule, other_model], tested) == [
-        other_rule,
-        other_model,
-    ]
+    assert unmatched_entries([known, other_rule, other_model], tested) == [other_rule, other_model]
 
 
 def test_in_pytest_an_entry_that_holds_or_matches_nothing_is_no_pass(folder: Path) -> None:
     write(folder, "drift", "opacity_is_logits")
-    models = (
-        "--gsgen=drift.onnx",
-        "--gsgen=opacity_is_logits.onnx",
-        "-k",
-        "GV003 or xfail",
-    )
+    models = ("--gsgen=drift.onnx", "--gsgen=opacity_is_logits.onnx", "-k", "GV003 or xfail")
     (folder / "known.toml").write_text(KNOWN)
     ran = run_pytest(folder, *models, "--gsgen-level=values", "--gsgen-xfails=known.toml")
     assert ran.code == 0, ran.out

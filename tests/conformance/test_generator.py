@@ -129,9 +129,7 @@ class TestTwice(GeneratorConformance):
 """
 
 
-def test_a_model_that_cannot_be_made_is_one_error_and_not_one_for_each_rule(
-    folder: Path,
-) -> None:
+def test_a_model_that_cannot_be_made_is_one_error_and_not_one_for_each_rule(folder: Path) -> None:
     write(folder, "camera_and_proj")
     (folder / "test_mine.py").write_text(HEAD + UNMADE)
     ran = run_pytest(folder, "--gsgen-level=static")
@@ -146,9 +144,7 @@ def test_a_model_that_cannot_be_made_is_one_error_and_not_one_for_each_rule(
     assert "mine.onnx: GV003 output gaussians: 4 of 5 rows\n  Squash it." in told
     assert "test_mine.py:16: return build()" in told
     assert "\nE  " not in told  # no traceback
-    crash = ran.out.partition("ERROR at setup of TestCrashing")[2].partition("____ ERROR")[
-        0
-    ]
+    crash = ran.out.partition("ERROR at setup of TestCrashing")[2].partition("____ ERROR")[0]
     assert 'return {}["weights"]' in crash
     assert "KeyError: 'weights'" in crash
     assert "the model cannot be validated: see the error of test_" in ran.out

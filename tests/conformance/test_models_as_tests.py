@@ -141,11 +141,7 @@ def test_the_target_brings_its_rules(folder: Path) -> None:
         (("--gsgen=none.onnx",), 4, "none.onnx"),
         (("--gsgen=text.onnx",), 2, "is not an ONNX model but text"),
         (("--gsgen=drift.onnx", "--gsgen-suite=tme"), 4, "Did you mean 'time'?"),
-        (
-            ("--gsgen=drift.onnx", "--gsgen-xfails=none.toml"),
-            4,
-            "none.toml: cannot be read",
-        ),
+        (("--gsgen=drift.onnx", "--gsgen-xfails=none.toml"), 4, "none.toml: cannot be read"),
     ],
 )
 def test_a_wrong_option_ends_the_run_and_names_itself(
@@ -187,19 +183,8 @@ installed.builtin_rules = builtin_rules
 
 def test_workers_share_the_tests(folder: Path) -> None:
     write(folder, "drift", "opacity_is_logits")
-    options = (
-        "--gsgen=drift.onnx",
-        "--gsgen=opacity_is_logits.onnx",
-        "--gsgen-level=values",
-    )
-    ran = run_pytest(
-        folder,
-        *options,
-        "-p",
-        "xdist.plugin",
-        "-n2",
-        "--gsgen-suite=basic",
-    )
+    options = ("--gsgen=drift.onnx", "--gsgen=opacity_is_logits.onnx", "--gsgen-level=values")
+    ran = run_pytest(folder, *options, "-p", "xdist.plugin", "-n2", "--gsgen-suite=basic")
     assert ran.code == 1, ran.out
     assert len(ran.names("failure")) == 1
     assert ran.counts["passed"] > 60

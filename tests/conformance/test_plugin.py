@@ -27,11 +27,7 @@ def test_a_run_without_models_imports_nothing_heavy(folder: Path) -> None:
     assert "gsgen.conformance.pytest.plugin" in names  # the measure works
     assert {name.partition(".")[0] for name in names} & HEAVY == set()
     assert {name for name in names if name.startswith("gsgen.")} == {
-        *(
-            "gsgen.conformance",
-            "gsgen.conformance.pytest",
-            "gsgen.conformance.pytest.plugin",
-        ),
+        *("gsgen.conformance", "gsgen.conformance.pytest", "gsgen.conformance.pytest.plugin"),
         "gsgen.conformance.pytest",
         *("gsgen.contract", "gsgen.contract._lazy"),
     }
@@ -41,9 +37,7 @@ def test_pytest_finds_the_plugin_and_its_options_clash_with_none() -> None:
     """In this environment, with every plugin that is installed here."""
     clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
     command = [sys.executable, "-m", "pytest", "--help"]
-    done = subprocess.run(
-        command, capture_output=True, text=True, env=clean | {"COLUMNS": "200"}
-    )
+    done = subprocess.run(command, capture_output=True, text=True, env=clean | {"COLUMNS": "200"})
     assert done.returncode == 0, done.stderr
     text = done.stdout.partition("conformance of Gaussian Generators:")[2]
     section = text.partition("\n\n")[0]

@@ -15,10 +15,7 @@ from support.commands import gsgen
 
 Found = tuple[str, str, str, str]
 
-MODELS = {
-    "core": ("opacity_is_logits", "time_is_baked"),
-    "visionary": ("drift", "still_sh1"),
-}
+MODELS = {"core": ("opacity_is_logits", "time_is_baked"), "visionary": ("drift", "still_sh1")}
 
 
 def told(findings: Iterable[dict[str, Any]]) -> list[Found]:
@@ -47,16 +44,12 @@ def test_all_front_ends_agree(folder: Path, target: str) -> None:
     reports = json.loads(ran.out)["reports"]
     assert {r["subject"]["uri"]: told(r["findings"]) for r in reports} == python
 
-    suites = gsgen(
-        "conformance", *named, "--target", target, "--format", "json", cwd=folder
-    )
+    suites = gsgen("conformance", *named, "--target", target, "--format", "json", cwd=folder)
     models = json.loads(suites.out)["models"]
     assert {m["subject"]["uri"]: told(m["findings"]) for m in models} == python
     assert suites.code == ran.code == 1
 
-    tested = run_pytest(
-        folder, *[f"--gsgen={n}" for n in named], f"--gsgen-target={target}"
-    )
+    tested = run_pytest(folder, *[f"--gsgen={n}" for n in named], f"--gsgen-target={target}")
     by_model: dict[str, list[dict[str, Any]]] = {name: [] for name in named}
     for name, case in tested.cases.items():
         model = f"{name.partition('.onnx')[0]}.onnx"

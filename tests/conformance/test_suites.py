@@ -37,9 +37,7 @@ def test_suites_follow_the_manifest(tmp_path: Path, name: str, suites: str) -> N
 
 @pytest.mark.parametrize("target", ["core", "webgpu", "visionary"])
 @pytest.mark.parametrize("name", ["drift", "trajectory", "manifest_is_no_json"])
-def test_every_rule_that_can_fail_is_in_one_suite(
-    tmp_path: Path, name: str, target: str
-) -> None:
+def test_every_rule_that_can_fail_is_in_one_suite(tmp_path: Path, name: str, target: str) -> None:
     (model,) = write(tmp_path, name)
     kind = {"drift": GENERATOR, "trajectory": TRAJECTORY}.get(name)  # else nobody knows
     settings = Settings(target=load_target(target))

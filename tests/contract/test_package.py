@@ -13,15 +13,11 @@ def test_every_public_name_is_there(name):
 
 
 def test_another_name_is_not():
-    with pytest.raises(
-        AttributeError, match=r"module 'gsgen.contract' has no attribute 'nothing'"
-    ):
+    with pytest.raises(AttributeError, match=r"module 'gsgen.contract' has no attribute 'nothing'"):
         gsgen.contract.nothing  # noqa: B018
 
 
 def test_importing_the_contract_imports_nothing_else():
-    code = (
-        "import sys, gsgen.contract; print('onnx' in sys.modules, 'numpy' in sys.modules)"
-    )
+    code = "import sys, gsgen.contract; print('onnx' in sys.modules, 'numpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
     assert done.stdout.split() == [b"False", b"False"]

@@ -29,14 +29,7 @@ def test_a_public_module_has_every_name_of_its_home(door):
 
 def test_authors_of_rules_get_the_types_that_their_checks_receive():
     door = import_module("gsgen.contract.rule")
-    received = {
-        "InspectedModel",
-        "ProbeRuns",
-        "ModelOutputs",
-        "Rows",
-        "Behaviour",
-        "Review",
-    }
+    received = {"InspectedModel", "ProbeRuns", "ModelOutputs", "Rows", "Behaviour", "Review"}
     assert received <= set(door.__all__)
 
 

@@ -23,8 +23,7 @@ TEXT = PAGE.read_text("utf-8")
 
 _ROW = re.compile(r"^\| (?P<name>[\w ]+) \| (?P<places>.*`.*) \|$", re.MULTILINE)
 _EXAMPLE = re.compile(
-    r"^<!-- append: (?P<path>\S+) -->\n```python\n(?P<code>.*?)^```$",
-    re.MULTILINE | re.DOTALL,
+    r"^<!-- append: (?P<path>\S+) -->\n```python\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL
 )
 _PLACES = {
     row["name"]: [path for path in re.findall(r"`([^`]+)`", row["places"]) if "/" in path]
@@ -49,9 +48,7 @@ class Copy:
         for package in packages:
             inner = package.partition("/")[2]
             shutil.copytree(
-                ROOT / package,
-                self.folder / inner,
-                ignore=shutil.ignore_patterns("__pycache__"),
+                ROOT / package, self.folder / inner, ignore=shutil.ignore_patterns("__pycache__")
             )
 
     def write(self, path: str, text: str) -> None:
@@ -199,9 +196,7 @@ def test_a_pass_touches_the_places_of_the_page(copy: Copy) -> None:
     copy.assert_touches_only("pass")
     model = still().reworded(COLORS, "negated = Neg (colors) color = Neg (negated)").build()
     onnx.save(model, copy.folder / "model.onnx")
-    completed = copy.gsgen(
-        "rewrite", "model.onnx", "-o", "out.onnx", "--pass", "merge-negations"
-    )
+    completed = copy.gsgen("rewrite", "model.onnx", "-o", "out.onnx", "--pass", "merge-negations")
     assert completed.returncode == 0, completed.stdout + completed.stderr
     assert [node.op_type for node in model.graph.node].count("Neg") == 2
     rewritten = onnx.load(copy.folder / "out.onnx").graph.node
@@ -268,9 +263,7 @@ def test_a_target_touches_the_place_of_the_page(copy: Copy) -> None:
     copy.take("contract/gsgen")
     (folder,) = _PLACES["target"]
     target = json.loads((ROOT / folder / "gsgen.json").read_text("utf-8"))
-    copy.write(
-        f"{folder}/acme.json", json.dumps(target | {"name": "acme", "opset": [13, 17]})
-    )
+    copy.write(f"{folder}/acme.json", json.dumps(target | {"name": "acme", "opset": [13, 17]}))
     copy.assert_touches_only("target")
     onnx.save(still().build(), copy.folder / "model.onnx")  # operator set 18
     completed = copy.gsgen("validate", "model.onnx", "--target", "acme", "--json")

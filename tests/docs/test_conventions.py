@@ -33,9 +33,7 @@ def test_pictures_are_current(drawn: list[Path]) -> None:
         kept = DOCS / "assets" / path.name
         new, old = pixels(path), pixels(kept)
         assert new.shape == old.shape, path.name
-        difference = np.abs(
-            new - old
-        ).mean()  # drivers differ by a little, palettes by more
+        difference = np.abs(new - old).mean()  # drivers differ by a little, palettes by more
         assert difference < 0.5, f"{path.name}: run scripts/draw_conventions.py"
         assert kept.stat().st_size <= MOST_BYTES
 

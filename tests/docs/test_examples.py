@@ -20,9 +20,7 @@ from support.reports.pages import DOCS
 PAGE = DOCS / "guides" / "export-your-method.md"
 TEXT = PAGE.read_text("utf-8")
 BLOCKS = dict(
-    re.findall(
-        r"^<!-- example: (\S+) -->\n```python\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE
-    )
+    re.findall(r"^<!-- example: (\S+) -->\n```python\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
 )
 COMMANDS = re.findall(r"^gsgen export (\w+):\w+ .*$", TEXT, re.MULTILINE)
 
@@ -53,10 +51,7 @@ def test_the_guide_s_command_exports_a_model_that_is_captured(
     assert len(shares) == 4
     assert max(shares) <= 100
     manifest = loads(open_model(tmp_path / f"{name}.onnx").manifest_text or "")
-    assert (
-        manifest.family
-        == {"lit_mlp": "mlp", "deforming_cloud": "4d", "avatar": "avatar"}[name]
-    )
+    assert manifest.family == {"lit_mlp": "mlp", "deforming_cloud": "4d", "avatar": "avatar"}[name]
     assert validate(tmp_path / f"{name}.onnx").findings == ()
 
 

@@ -15,9 +15,7 @@ from gsgen.contract.errors import GsgenError
 from support.reports.pages import DOCS
 
 TEXT = (DOCS / "guides" / "add-your-own-family.md").read_text("utf-8")
-BLOCKS = re.findall(
-    r"^<!-- family: (\S+) -->\n```\w+\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE
-)
+BLOCKS = re.findall(r"^<!-- family: (\S+) -->\n```\w+\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
 FILES = {name: text for name, text in BLOCKS if name != "bash"}
 INSTALL, EXPORT, TEST = (text for name, text in BLOCKS if name == "bash")
 

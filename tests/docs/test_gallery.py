@@ -70,9 +70,7 @@ def test_a_changed_block_makes_what_follows_from_it_stale(script: ModuleType) ->
     assert all(all_of_them[name] != before[name] for name in before)
 
 
-def test_a_picture_is_put_together_as_its_mark_says(
-    script: ModuleType, tmp_path: Path
-) -> None:
+def test_a_picture_is_put_together_as_its_mark_says(script: ModuleType, tmp_path: Path) -> None:
     text = (
         "<!-- gallery: two.jpg 2 x3 = a.png b.png c.png -->\n```python\n"
         "from PIL import Image\n"

@@ -11,9 +11,7 @@ SCRIPT = ROOT / "scripts" / "write_docs.py"
 
 
 def test_generated_pages_are_current():
-    done = subprocess.run(
-        [sys.executable, str(SCRIPT), "--check"], capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, str(SCRIPT), "--check"], capture_output=True, text=True)
     advice = "run: .venv/bin/python scripts/write_docs.py"
     assert done.returncode == 0, f"{advice}\nnot current:\n{done.stdout}{done.stderr}"
 
@@ -27,18 +25,9 @@ def test_every_marker_is_closed():
 def test_what_is_counted_by_hand_is_counted_right():
     changes = (ROOT / "CHANGELOG.md").read_text("utf-8")
     rules = [rule for rule in installed_rules().rules.values() if "/" not in rule.id]
-    assert (
-        "of eleven families at the levels static, values, behaviour, live and render"
-        in changes
-    )
+    assert "of eleven families at the levels static, values, behaviour, live and render" in changes
     assert len({rule.family for rule in rules}) == 11
-    assert [level.word for level in Level] == [
-        "static",
-        "values",
-        "behaviour",
-        "live",
-        "render",
-    ]
+    assert [level.word for level in Level] == ["static", "values", "behaviour", "live", "render"]
     specification = (ROOT / "docs" / "spec" / "index.md").read_text("utf-8")
     assert specification.startswith(f"# The contract, version {CONTRACT}\n")
     assert f"The contract, version {CONTRACT}:" in changes

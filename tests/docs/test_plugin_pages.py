@@ -93,9 +93,7 @@ def spelled(function: Callable[..., object]) -> list[str]:
     for parameter in inspect.signature(function).parameters.values():
         told = getattr(parameter.annotation, "__metadata__", ())
         info = next((one for one in told if isinstance(one, OptionInfo)), None)
-        if (
-            info is not None
-        ):  # typer takes the first spelling for a default until it is used
+        if info is not None:  # typer takes the first spelling for a default until it is used
             written = " ".join(map(str, (info.default, *(info.param_decls or ()))))
             words = [one for one in written.replace("/", " ").split() if one[:2] == "--"]
             found.append((words or [f"--{parameter.name.replace('_', '-')}"])[-1])
@@ -110,10 +108,7 @@ def test_every_plugin_has_a_demo(name: str) -> None:
 
 @pytest.mark.parametrize("name", OURS)
 def test_the_page_cites_what_the_plugin_cites(name: str) -> None:
-    publication, introduction = (
-        plugin_of(name).publication,
-        text_of(name).partition("\n## ")[0],
-    )
+    publication, introduction = (plugin_of(name).publication, text_of(name).partition("\n## ")[0])
     cited = re.findall(r"arxiv\.org/abs/([\d.]+)\)", introduction)
     assert cited == [publication.arxiv] * bool(publication.arxiv)
     facts = (publication.paper, publication.code.removeprefix("https://github.com/"))

@@ -91,13 +91,7 @@ def test_the_picture_is_that_of_the_oracle(
     view, _ = viewer.look_at(np.array(eye), np.zeros(3), (0, 1, 0), SIZE, FOV)
     focal = SIZE[0] / 2 / np.tan(FOV / 2)
     camera = Camera(
-        view,
-        fx=focal,
-        fy=focal,
-        cx=SIZE[0] / 2,
-        cy=SIZE[1] / 2,
-        width=SIZE[0],
-        height=SIZE[1],
+        view, fx=focal, fy=focal, cx=SIZE[0] / 2, cy=SIZE[1] / 2, width=SIZE[0], height=SIZE[1]
     )
     wanted = oracle.render(scene, camera)
     assert wanted.visible > 0

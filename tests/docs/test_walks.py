@@ -49,9 +49,7 @@ def rank(path: str) -> tuple[int, ...]:
 
 def _layer_of(name: str, container: str) -> int:
     matches = [index for index, names in enumerate(layers()[container]) if name in names]
-    assert len(matches) == 1, (
-        f"{name} is in {len(matches)} layers of {container or 'the house'}"
-    )
+    assert len(matches) == 1, f"{name} is in {len(matches)} layers of {container or 'the house'}"
     return matches[0]
 
 

@@ -42,9 +42,7 @@ def test_the_harmonics_of_degree_4_are_orthonormal():
     )
     values = sh_basis(points.reshape(-1, 3), 4)
     weights = np.repeat(weight, 18) * 2 * np.pi / 18
-    np.testing.assert_allclose(
-        values.T @ (values * weights[:, None]), np.eye(25), atol=1e-12
-    )
+    np.testing.assert_allclose(values.T @ (values * weights[:, None]), np.eye(25), atol=1e-12)
 
 
 @pytest.mark.parametrize("signs", [RDF_RUB, RDF_LUF])
@@ -61,15 +59,12 @@ def test_a_flip_turns_ellipsoids_and_colours(signs):
     flipped = flip(splats, signs)
     mirror = np.diag(signs)
     shapes = [
-        rotation_matrix(one.rotation) * np.exp(one.log_scale)[:, None]
-        for one in (splats, flipped)
+        rotation_matrix(one.rotation) * np.exp(one.log_scale)[:, None] for one in (splats, flipped)
     ]
     here, there = (shape @ shape.swapaxes(1, 2) for shape in shapes)
     np.testing.assert_allclose(there, mirror @ here @ mirror, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(
-        evaluate(flipped.sh, directions() * signs),
-        evaluate(splats.sh, directions()),
-        atol=1e-6,
+        evaluate(flipped.sh, directions() * signs), evaluate(splats.sh, directions()), atol=1e-6
     )
 
 

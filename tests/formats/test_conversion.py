@@ -163,9 +163,7 @@ def test_packed_rows_become_the_splats_that_they_were(seed, degree):
     scale = np.abs(rows[:, 4:]).max(axis=1, keepdims=True)
     assert (np.abs(again - rows[:, 4:]) <= 2e-6 * scale).all()
     assert_near(
-        replace(back, rotation=splats.rotation, log_scale=splats.log_scale),
-        splats,
-        sh=1e-6,
+        replace(back, rotation=splats.rotation, log_scale=splats.log_scale), splats, sh=1e-6
     )
 
 
@@ -175,11 +173,7 @@ def test_flat_rows_and_ends_of_opacity():
     rows[0, [4, 7]] = 4
     back = splats_of_rows(PackedRows(rows, np.zeros((2, 4), np.float32)))
     np.testing.assert_array_equal(back.logit_opacity, [np.inf, -np.inf])
-    assert sorted(back.log_scale[0]) == [
-        -np.inf,
-        np.float32(np.log(2)),
-        np.float32(np.log(2)),
-    ]
+    assert sorted(back.log_scale[0]) == [-np.inf, np.float32(np.log(2)), np.float32(np.log(2))]
 
 
 @pytest.mark.parametrize(

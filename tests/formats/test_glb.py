@@ -23,9 +23,7 @@ from support.splat_files import GOLDENS, assert_near, scene
 
 
 def covariance(splats: Splats) -> np.ndarray:
-    axes = (
-        rotation_matrix(splats.rotation) * np.exp(splats.log_scale.astype(float))[:, None]
-    )
+    axes = rotation_matrix(splats.rotation) * np.exp(splats.log_scale.astype(float))[:, None]
     return axes @ axes.swapaxes(1, 2)
 
 
@@ -85,9 +83,7 @@ def test_the_file_is_what_the_extension_says(tmp_path):
     sizes = values(f"{NAME}:SCALE", 3)
     np.testing.assert_allclose(sizes, np.exp(splats.log_scale), rtol=1e-5)
     np.testing.assert_allclose(
-        values(f"{NAME}:OPACITY", 1)[:, 0],
-        1 / (1 + np.exp(-splats.logit_opacity)),
-        rtol=1e-5,
+        values(f"{NAME}:OPACITY", 1)[:, 0], 1 / (1 + np.exp(-splats.logit_opacity)), rtol=1e-5
     )
     names = [name for name in primitive["attributes"] if "SH" in name]
     wanted = [(0, 0), (1, 0), (1, 1), (1, 2)]
@@ -99,10 +95,7 @@ def test_the_file_is_what_the_extension_says(tmp_path):
     axes = rotation_matrix(turns[:, [3, 0, 1, 2]]) * sizes[:, None]
     mirror = np.diag([-1, -1, 1])
     np.testing.assert_allclose(
-        axes @ axes.swapaxes(1, 2),
-        mirror @ covariance(splats) @ mirror,
-        rtol=1e-4,
-        atol=1e-9,
+        axes @ axes.swapaxes(1, 2), mirror @ covariance(splats) @ mirror, rtol=1e-4, atol=1e-9
     )
 
 
@@ -127,9 +120,7 @@ def spun(node: dict) -> np.ndarray:
     """The matrix of a node of translation, rotation and scale."""
     x, y, z, w = node.get("rotation", [0, 0, 0, 1])
     made = np.eye(4)
-    made[:3, :3] = rotation_matrix(np.array([[w, x, y, z]]))[0] * node.get(
-        "scale", [1, 1, 1]
-    )
+    made[:3, :3] = rotation_matrix(np.array([[w, x, y, z]]))[0] * node.get("scale", [1, 1, 1])
     made[:3, 3] = node.get("translation", [0, 0, 0])
     return made
 
@@ -171,9 +162,7 @@ def test_a_matrix_does_what_its_parts_do(tmp_path):
 def test_a_mesh_may_be_shown_twice_and_not_at_all(tmp_path):
     splats = scene(3, 1)
     nodes = [{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}, {"mesh": 0}]
-    both = with_nodes(
-        tmp_path / "a.glb", splats, nodes, scenes=[{}, {"nodes": [1, 0]}], scene=1
-    )
+    both = with_nodes(tmp_path / "a.glb", splats, nodes, scenes=[{}, {"nodes": [1, 0]}], scene=1)
     assert len(both) == 6
     np.testing.assert_allclose(both.position[:3], splats.position - [5, 0, 0], atol=1e-6)
     np.testing.assert_array_equal(both.position[3:], splats.position)
@@ -202,9 +191,7 @@ STORED = {
     ("name", "kind", "code", "largest"),
     [(name, *one) for name, kinds in STORED.items() for one in kinds],
 )
-def test_whole_numbers_are_shares_where_they_are_normalised(
-    tmp_path, name, kind, code, largest
-):
+def test_whole_numbers_are_shares_where_they_are_normalised(tmp_path, name, kind, code, largest):
     write_glb(tmp_path / "a.glb", scene(5, 0))
     document, binary = parts((tmp_path / "a.glb").read_bytes())
     attribute = document["meshes"][0]["primitives"][0]["attributes"][f"{NAME}:{name}"]
@@ -236,18 +223,8 @@ def test_whole_numbers_are_shares_where_they_are_normalised(
 @pytest.mark.parametrize(
     "place",
     [
-        {
-            NAME: {
-                "extensions": {
-                    "KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}
-                }
-            }
-        },
-        {
-            NAME: {
-                "extensions": {"KHR_gaussian_splatting_compression_spz": {"bufferView": 0}}
-            }
-        },
+        {NAME: {"extensions": {"KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}}}},
+        {NAME: {"extensions": {"KHR_gaussian_splatting_compression_spz": {"bufferView": 0}}}},
         {"KHR_spz_gaussian_splats_compression": {"bufferView": 0}},
     ],
 )
@@ -280,9 +257,7 @@ def test_attributes_of_the_first_draft_are_read(tmp_path):
     view = {"buffer": 0, "byteOffset": len(binary), "byteLength": 16}
     document["bufferViews"].append(view)
     accessor = {"componentType": 5121, "count": 4, "type": "VEC4", "normalized": True}
-    document["accessors"].append(
-        accessor | {"bufferView": len(document["bufferViews"]) - 1}
-    )
+    document["accessors"].append(accessor | {"bufferView": len(document["bufferViews"]) - 1})
     primitive["attributes"] = {
         "POSITION": old["POSITION"],
         "_ROTATION": old[f"{NAME}:ROTATION"],

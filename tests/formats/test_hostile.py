@@ -47,9 +47,7 @@ def test_mutants_are_read_or_refused(tmp_path, name):
     assert len(kinds) > 2, "the mutants are not of many kinds"
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in WHOLE if name not in (ANY, "ply", "npz")]
-)
+@pytest.mark.parametrize("name", [name for name in WHOLE if name not in (ANY, "ply", "npz")])
 def test_every_truncated_file_is_refused(tmp_path, name):
     file = tmp_path / "short"
     for content in WHOLE[name]:
@@ -74,9 +72,7 @@ def huge_counts() -> dict[str, tuple[str, bytes]]:
     spz = struct.pack("<4sIIBBBB", b"NGSP", 3, 2**31 - 1, 4, 12, 0, 0) + bytes(64)
     zstd = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 2**31 - 1, 4, 12, 0, 6, 32) + bytes(96)
     header = b"element vertex 99999999999\nproperty float x\n"
-    words = b"".join(
-        b"property uint packed_%s\n" % word for word in (b"position", b"rotation")
-    )
+    words = b"".join(b"property uint packed_%s\n" % word for word in (b"position", b"rotation"))
     sections = bytearray(ksplat(scene(3, 0), 1))
     sections[4:8] = b"\xff" * 4
     splats = bytearray(ksplat(scene(3, 0), 0))
@@ -86,10 +82,7 @@ def huge_counts() -> dict[str, tuple[str, bytes]]:
     return {
         "spz in gzip": ("spz", gzip.compress(spz)),
         "spz in zstd": ("spz", zstd),
-        "ply": (
-            "ply",
-            b"ply\nformat binary_little_endian 1.0\n" + header + b"end_header\n",
-        ),
+        "ply": ("ply", b"ply\nformat binary_little_endian 1.0\n" + header + b"end_header\n"),
         "compressed ply": (
             "ply",
             b"ply\nformat binary_little_endian 1.0\nelement vertex 99999999999\n"

@@ -30,9 +30,7 @@ LEVELS = [0, 1, 2]
     count=st.integers(1, 20),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_what_was_written_value_by_value_is_read(
-    tmp_path_factory, level, degree, count, seed
-):
+def test_what_was_written_value_by_value_is_read(tmp_path_factory, level, degree, count, seed):
     splats = scene(count, degree, seed)
     file = tmp_path_factory.getbasetemp() / "a.ksplat"
     file.write_bytes(ksplat(splats, level))
@@ -41,9 +39,7 @@ def test_what_was_written_value_by_value_is_read(
     half = 50 / 2 / 32767 / 2 * 1.01 if level else 0  # half a step of the buckets
     assert np.abs(back.position - splats.position).max() <= half
     relative = 1 / 1024 if level else 1e-6  # of a float16
-    np.testing.assert_allclose(
-        np.exp(back.log_scale), np.exp(splats.log_scale), rtol=relative
-    )
+    np.testing.assert_allclose(np.exp(back.log_scale), np.exp(splats.log_scale), rtol=relative)
     assert turn_between(back.rotation, splats.rotation) <= relative
     assert np.abs(opacity(back) - opacity(splats)).max() <= 1 / 509
     cut = np.clip(splats.sh[:, 0], -0.5 / C0, 0.5 / C0)
@@ -105,12 +101,7 @@ FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
         (0, b"\x01", NotRecognised, "first bytes: 01 01 00 00\n"),
         (1, b"\x02", NotSupported, "byte 1: version 0.2\nexpected 0.1"),
         (20, b"\x03", HeaderMalformed, "byte 20: compression level 3\nexpected 0, 1 or 2"),
-        (
-            4,
-            b"\xff\xff\xff\xff",
-            FileTruncated,
-            "section headers: 4398046510080 bytes needed",
-        ),
+        (4, b"\xff\xff\xff\xff", FileTruncated, "section headers: 4398046510080 bytes needed"),
         (COUNT, b"\x00", ValueInvalid, "sections: 0 splats\nexpected at least one"),
         (
             COUNT,
@@ -119,37 +110,12 @@ FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
             "section 0, byte 4096: 13 of 12 splats\nexpected at most 12",
         ),
         (MOST, b"\xff\xff\xff\x7f", FileTruncated, "section 0, byte 4096: 90194313218"),
-        (
-            PARTIAL,
-            b"\xff\xff\xff\x7f",
-            HeaderMalformed,
-            "section 0, byte 4096: 3 buckets of",
-        ),
-        (
-            PARTIAL,
-            b"\x00",
-            HeaderMalformed,
-            "section 0, byte 4096: 12 splats in 1 full and 0",
-        ),
+        (PARTIAL, b"\xff\xff\xff\x7f", HeaderMalformed, "section 0, byte 4096: 3 buckets of"),
+        (PARTIAL, b"\x00", HeaderMalformed, "section 0, byte 4096: 12 splats in 1 full and 0"),
         (4096 + 40, b"\x03", HeaderMalformed, "section 0, byte 4096: SH degree 3\n"),
-        (
-            BLOCK,
-            b"\0\0\xc0\x7f",
-            HeaderMalformed,
-            "section 0, byte 4096: 3 buckets of 12 byt",
-        ),
-        (
-            5120,
-            b"\x09",
-            HeaderMalformed,
-            "bucket lengths, byte 5120: a bucket of 9 splats\n",
-        ),
-        (
-            5120,
-            b"\x01",
-            HeaderMalformed,
-            "bucket lengths, byte 5120: 12 splats, 11 in buckets",
-        ),
+        (BLOCK, b"\0\0\xc0\x7f", HeaderMalformed, "section 0, byte 4096: 3 buckets of 12 byt"),
+        (5120, b"\x09", HeaderMalformed, "bucket lengths, byte 5120: a bucket of 9 splats\n"),
+        (5120, b"\x01", HeaderMalformed, "bucket lengths, byte 5120: 12 splats, 11 in buckets"),
     ],
 )
 def test_a_file_that_cannot_be_is_refused(tmp_path, at, value, kind, text):

@@ -205,9 +205,7 @@ def test_a_file_that_is_no_archive_is_not_recognised(tmp_path):
 
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
     file = tmp_path / "bomb.npz"
-    np.savez_compressed(
-        file, gaussians=np.zeros((100_000, 10), "f4"), appearance=APPEARANCE
-    )
+    np.savez_compressed(file, gaussians=np.zeros((100_000, 10), "f4"), appearance=APPEARANCE)
     assert file.stat().st_size < 10_000
     with pytest.raises(SizeExceeded) as caught:
         read_npz(file, max_bytes=1_000_000)
@@ -277,10 +275,7 @@ def test_too_little_memory_is_no_crash(tmp_path, monkeypatch):
 
     file = saved(tmp_path / "frame.npz", gaussians=GAUSSIANS, appearance=APPEARANCE)
     monkeypatch.setattr(np.lib.format, "read_array", exhausted)
-    assert (
-        refusal(file, SizeExceeded)
-        == "array gaussians: takes more memory than is available"
-    )
+    assert refusal(file, SizeExceeded) == "array gaussians: takes more memory than is available"
 
 
 def test_damage_inside_an_array_is_noticed(tmp_path):
@@ -329,9 +324,7 @@ def test_every_truncated_archive_is_refused(tmp_path, content):
         max_size=4,
     ),
 )
-def test_a_mutated_archive_is_read_or_refused_but_never_crashes(
-    tmp_path_factory, content, edits
-):
+def test_a_mutated_archive_is_read_or_refused_but_never_crashes(tmp_path_factory, content, edits):
     for at, gone, put in edits:
         content = content[:at] + put + content[at + gone :]
     read_or_refuse(tmp_path_factory.getbasetemp() / "mutated.npz", content)

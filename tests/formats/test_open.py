@@ -132,9 +132,7 @@ def test_a_file_that_cannot_be_opened_is_refused(tmp_path, read):
     missing = "cannot be read: No such file or directory"
     assert unreadable(tmp_path / "missing", read) == missing
     assert unreadable(tmp_path, read) == "is a folder\nexpected a file"
-    assert unreadable(pipe, read) == (
-        "is a device, pipe or socket\nexpected a regular file"
-    )
+    assert unreadable(pipe, read) == ("is a device, pipe or socket\nexpected a regular file")
     assert unreadable(empty, read) == (
         "is empty\nwrite it again: the program that wrote it may have failed"
     )
@@ -165,22 +163,14 @@ def test_splats_agree_with_the_same_scene_in_another_format():
     """The 32-byte records beside it: position, linear scale, colour, quaternion."""
     splats = open_splats(SHARED / "data/twins/test-splat.3-points-from-train.ply")
     assert isinstance(splats, Splats)
-    record = [
-        ("position", "<f4", 3),
-        ("scale", "<f4", 3),
-        ("rgba", "u1", 4),
-        ("q", "u1", 4),
-    ]
+    record = [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("q", "u1", 4)]
     twin = np.fromfile(SHARED / "data/twins/test-splat.3-points-from-train.splat", record)
     splats_at = [
-        int(np.argmin(np.abs(splats.position - place).sum(axis=1)))
-        for place in twin["position"]
+        int(np.argmin(np.abs(splats.position - place).sum(axis=1))) for place in twin["position"]
     ]
     assert sorted(splats_at) == [0, 1, 2]
     np.testing.assert_array_equal(twin["position"], splats.position[splats_at])
-    np.testing.assert_allclose(
-        twin["scale"], np.exp(splats.log_scale[splats_at]), rtol=1e-5
-    )
+    np.testing.assert_allclose(twin["scale"], np.exp(splats.log_scale[splats_at]), rtol=1e-5)
     opacity = 1 / (1 + np.exp(-splats.logit_opacity[splats_at]))
     np.testing.assert_allclose(twin["rgba"][:, 3] / 255, opacity, atol=1 / 255)
     rotation = splats.rotation[splats_at]

@@ -32,9 +32,7 @@ def naive_read(files: dict[str, bytes]) -> Splats:
 
     def pixels(name: str) -> list[tuple[int, ...]]:
         image = Image.open(BytesIO(files[name])).convert("RGBA")
-        return [
-            image.getpixel((x, y)) for y in range(image.height) for x in range(image.width)
-        ]
+        return [image.getpixel((x, y)) for y in range(image.height) for x in range(image.width)]
 
     low, high = (pixels(name) for name in meta["means"]["files"])
     turns, sizes = pixels("quats.webp"), pixels("scales.webp")
@@ -105,14 +103,10 @@ def test_a_tag_that_is_none_means_no_rotation(tmp_path):
     np.testing.assert_array_equal(read_sog(file).rotation, [[1, 0, 0, 0]] * 4)
 
 
-def refusal(
-    tmp_path, files: dict[str, bytes], kind: type[FormatError], **meta: object
-) -> str:
+def refusal(tmp_path, files: dict[str, bytes], kind: type[FormatError], **meta: object) -> str:
     """The text of the error over a SOG of ``files``, with ``meta`` changed."""
     if meta:
-        files = files | {
-            "meta.json": json.dumps(json.loads(files["meta.json"]) | meta).encode()
-        }
+        files = files | {"meta.json": json.dumps(json.loads(files["meta.json"]) | meta).encode()}
     file = tmp_path / "bad.sog"
     file.write_bytes(zipped(files))
     with pytest.raises(FormatError) as caught:
@@ -130,42 +124,22 @@ MEANS = {"mins": [-1, -2, -3], "maxs": [1, 2, 3], "files": ["l.webp", "u.webp"]}
     [
         ({"version": 1}, NotSupported, "meta.json: version '1'\nexpected 2"),
         ({"lodLevels": 3}, NotSupported, "meta.json: a streamed SOG of several levels"),
-        (
-            {"count": 0},
-            HeaderMalformed,
-            "meta.json, count: '0'\nexpected a whole number from 1",
-        ),
+        ({"count": 0}, HeaderMalformed, "meta.json, count: '0'\nexpected a whole number from 1"),
         ({"count": "x"}, HeaderMalformed, "meta.json, count: 'x'\n"),
         ({"count": True}, HeaderMalformed, "meta.json, count: 'True'\n"),
         ({"count": 10**30}, HeaderMalformed, "meta.json, count: "),
         ({"count": 10**9}, SizeExceeded, "1000000000 splats of some 236 bytes\n"),
         ({"count": 10**7}, FileTruncated, "meta.json, count: 10000000 splats, whose posi"),
-        (
-            {"count": 1000},
-            FileTruncated,
-            "means: an image of 4 × 3 pixels\nexpected 1000 pix",
-        ),
+        ({"count": 1000}, FileTruncated, "means: an image of 4 × 3 pixels\nexpected 1000 pix"),
         ({"means": 3}, HeaderMalformed, "meta.json: no means\nexpected an object"),
-        (
-            {"means": MEANS | {"files": ["l.webp"]}},
-            HeaderMalformed,
-            "meta.json, means.files",
-        ),
+        ({"means": MEANS | {"files": ["l.webp"]}}, HeaderMalformed, "meta.json, means.files"),
         ({"means": MEANS | {"files": [1, 2]}}, HeaderMalformed, "meta.json, means.files: "),
         ({"means": MEANS | {"files": ["x", "y"]}}, PropertyMissing, "archive: no 'x'"),
         ({"means": MEANS | {"mins": [0, 0]}}, HeaderMalformed, "meta.json, means.mins: "),
-        (
-            {"means": MEANS | {"mins": [0, 0, "a"]}},
-            HeaderMalformed,
-            "meta.json, means.mins:",
-        ),
+        ({"means": MEANS | {"mins": [0, 0, "a"]}}, HeaderMalformed, "meta.json, means.mins:"),
         ({"shN": {"count": 70000}}, HeaderMalformed, "meta.json, shN.count: '70000'\n"),
         ({"shN": {"count": 1, "bands": 4}}, HeaderMalformed, "meta.json, shN.bands: '4'\n"),
-        (
-            {"sh0": {"codebook": [1], "files": ["sh0.webp"]}},
-            HeaderMalformed,
-            "meta.json, sh0.",
-        ),
+        ({"sh0": {"codebook": [1], "files": ["sh0.webp"]}}, HeaderMalformed, "meta.json, sh0."),
     ],
 )
 def test_a_meta_that_cannot_be_is_refused(tmp_path, meta, kind, text):
@@ -190,31 +164,11 @@ def test_a_meta_that_is_none_is_not_recognised(tmp_path, content, kind, text):
 @pytest.mark.parametrize(
     ("name", "content", "kind", "text"),
     [
-        (
-            "quats.webp",
-            b"RIFF....WEBPVP8L",
-            ArchiveDamaged,
-            "quats: an image cannot be unp",
-        ),
+        ("quats.webp", b"RIFF....WEBPVP8L", ArchiveDamaged, "quats: an image cannot be unp"),
         ("quats.webp", b"", ArchiveDamaged, "quats: an image cannot be unpacked (Unident"),
-        (
-            "sh0.webp",
-            webp(np.zeros((9, 4)), 3),
-            FileTruncated,
-            "sh0: an image of 3 × 3 pix",
-        ),
-        (
-            "sh0.webp",
-            webp(np.zeros((90_000, 4)), 300),
-            HeaderMalformed,
-            "sh0: an image of 300",
-        ),
-        (
-            "centroids.webp",
-            webp(np.zeros((640, 4)), 64),
-            HeaderMalformed,
-            "shN: an image of 64",
-        ),
+        ("sh0.webp", webp(np.zeros((9, 4)), 3), FileTruncated, "sh0: an image of 3 × 3 pix"),
+        ("sh0.webp", webp(np.zeros((90_000, 4)), 300), HeaderMalformed, "sh0: an image of 300"),
+        ("centroids.webp", webp(np.zeros((640, 4)), 64), HeaderMalformed, "shN: an image of 64"),
         (
             "labels.webp",
             webp(np.full((10, 4), 255), 4),

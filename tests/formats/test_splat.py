@@ -54,9 +54,7 @@ def test_what_is_written_again_is_the_same_file(tmp_path):
     one, other = tmp_path / "one", tmp_path / "other"
     write_splat(one, scene(50, 0))
     write_splat(other, read_splat(one))
-    a, b = (
-        np.frombuffer(file.read_bytes(), np.uint8).reshape(-1, 32) for file in (one, other)
-    )
+    a, b = (np.frombuffer(file.read_bytes(), np.uint8).reshape(-1, 32) for file in (one, other))
     np.testing.assert_array_equal(a[:, :12], b[:, :12])
     np.testing.assert_array_equal(a[:, 24:28], b[:, 24:28])
     assert np.abs(a[:, 28:].astype(int) - b[:, 28:]).max() <= 1

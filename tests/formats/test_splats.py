@@ -15,9 +15,7 @@ def splats_of(count: int, coefficients: int, **changed: object) -> Splats:
     return Splats(**(arrays | changed))
 
 
-@pytest.mark.parametrize(
-    ("coefficients", "degree"), [(1, 0), (4, 1), (9, 2), (16, 3), (25, 4)]
-)
+@pytest.mark.parametrize(("coefficients", "degree"), [(1, 0), (4, 1), (9, 2), (16, 3), (25, 4)])
 def test_degree_follows_from_the_number_of_coefficients(coefficients, degree):
     assert splats_of(2, coefficients).degree == degree
 
@@ -34,23 +32,11 @@ def test_splats_refuse_coefficients_of_no_degree(coefficients):
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        (
-            "position",
-            np.zeros((2, 4), np.float32),
-            "float32 [2, 4]\nexpected float32 [n, 3]",
-        ),
+        ("position", np.zeros((2, 4), np.float32), "float32 [2, 4]\nexpected float32 [n, 3]"),
         ("position", np.zeros(2, np.float32), "float32 [2]\nexpected float32 [n, 3]"),
-        (
-            "rotation",
-            np.zeros((3, 4), np.float32),
-            "float32 [3, 4]\nexpected float32 [2, 4]",
-        ),
+        ("rotation", np.zeros((3, 4), np.float32), "float32 [3, 4]\nexpected float32 [2, 4]"),
         ("log_scale", np.zeros((2, 3)), "float64 [2, 3]\nexpected float32 [2, 3]"),
-        (
-            "logit_opacity",
-            np.zeros((2, 1), np.float32),
-            "float32 [2, 1]\nexpected float32 [2]",
-        ),
+        ("logit_opacity", np.zeros((2, 1), np.float32), "float32 [2, 1]\nexpected float32 [2]"),
         ("sh", [[0.0]], "a list\nexpected float32 [2, k, 3]"),
         ("sh", np.zeros((2, 3), np.float32), "float32 [2, 3]\nexpected float32 [2, k, 3]"),
     ],
@@ -76,9 +62,7 @@ def test_packed_rows_keep_two_data_types():
 def test_packed_rows_refuse_doubles():
     with pytest.raises(ValueInvalid) as caught:
         PackedRows(np.zeros((2, 10)), np.zeros((2, 3), np.float32))
-    assert str(caught.value) == (
-        "gaussians: float64 [2, 10]\nexpected float16 or float32 [n, 10]"
-    )
+    assert str(caught.value) == ("gaussians: float64 [2, 10]\nexpected float16 or float32 [n, 10]")
 
 
 def test_an_invalid_value_is_both_a_format_error_and_a_value_error():

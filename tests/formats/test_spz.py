@@ -136,12 +136,7 @@ def test_twins_of_four_splats(name):
     np.testing.assert_array_equal(splats.log_scale, np.full((4, 3), -2.3125))
 
 
-ROTATION_STEP = {
-    1: 1 / 127.5,
-    2: 1 / 127.5,
-    3: 1 / 511 / math.sqrt(2),
-    4: 1 / 511 / math.sqrt(2),
-}
+ROTATION_STEP = {1: 1 / 127.5, 2: 1 / 127.5, 3: 1 / 511 / math.sqrt(2), 4: 1 / 511 / math.sqrt(2)}
 
 
 @settings(max_examples=25, deadline=None)
@@ -152,9 +147,7 @@ ROTATION_STEP = {
     flag=st.booleans(),
     bits=st.tuples(st.integers(1, 8), st.integers(1, 8)),
 )
-def test_what_comes_back_is_within_half_a_step(
-    tmp_path_factory, version, degree, seed, flag, bits
-):
+def test_what_comes_back_is_within_half_a_step(tmp_path_factory, version, degree, seed, flag, bits):
     splats = scene(6, degree, seed, antialiased=flag)
     file = tmp_path_factory.getbasetemp() / "round.spz"
     write_spz(file, splats, version=version, sh_bits=bits)
@@ -293,11 +286,7 @@ def plain_file(**change: int) -> bytes:
         ({"version": 4}, HeaderMalformed, "byte 4: version 4 in gzip\nexpected 1, 2 or 3"),
         ({"count": 0}, ValueInvalid, "byte 8: 0 splats\nexpected at least one"),
         ({"degree": 5}, HeaderMalformed, "byte 12: SH degree 5\nexpected 0 to 4"),
-        (
-            {"fraction": 25},
-            HeaderMalformed,
-            "byte 13: 25 fractional bits\nexpected 0 to 24",
-        ),
+        ({"fraction": 25}, HeaderMalformed, "byte 13: 25 fractional bits\nexpected 0 to 24"),
         (
             {"count": 3},
             FileTruncated,
@@ -319,9 +308,7 @@ def test_a_header_that_cannot_be_is_refused(tmp_path, change, kind, text):
 def test_a_count_beyond_what_gzip_can_hold_is_refused_before_unpacking(tmp_path):
     bomb = plain_file(count=2**31)
     text = refusal(tmp_path, bomb, FileTruncated)
-    assert text.startswith(
-        f"byte 8: {2**31} splats in a file of {len(bomb)} bytes\nexpected "
-    )
+    assert text.startswith(f"byte 8: {2**31} splats in a file of {len(bomb)} bytes\nexpected ")
 
 
 def test_what_unpacks_to_more_than_allowed_is_refused(tmp_path):
@@ -332,9 +319,7 @@ def test_what_unpacks_to_more_than_allowed_is_refused(tmp_path):
 
 
 def test_other_files_are_not_recognised(tmp_path):
-    assert refusal(tmp_path, gzip.compress(bytes(99)), NotRecognised).startswith(
-        "first bytes"
-    )
+    assert refusal(tmp_path, gzip.compress(bytes(99)), NotRecognised).startswith("first bytes")
     assert refusal(tmp_path, b"abcd" + bytes(60), NotRecognised).startswith("first bytes")
 
 
@@ -395,9 +380,7 @@ def test_a_table_of_contents_that_cannot_be_is_refused(tmp_path, at, value, text
 
 def test_what_readers_would_refuse_is_not_written(tmp_path):
     splat = scene(1, 0)
-    alike = Splats(
-        **{name: np.repeat(getattr(splat, name), 200_000, axis=0) for name in FIELDS}
-    )
+    alike = Splats(**{name: np.repeat(getattr(splat, name), 200_000, axis=0) for name in FIELDS})
     with pytest.raises(FileTruncated, match="200000 splats in a file of"):
         write_spz(tmp_path / "a.spz", alike, version=4)
     assert not list(tmp_path.iterdir())

@@ -47,9 +47,7 @@ def main() -> int:
                 _keep(given.seed, result, folder)
                 bar.console.print(f"case {result['case']}: {result['failures'][0][-300:]}")
             bar.update(task, advance=1, description=f"{failed} failed")
-    return _sum_up(
-        [one for index, one in done.items() if index < given.count], given, folder
-    )
+    return _sum_up([one for index, one in done.items() if index < given.count], given, folder)
 
 
 def _arguments() -> argparse.Namespace:
@@ -59,9 +57,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=90, help="stop after so long")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--folder", type=Path, default=Path("out/fuzz"))
-    parser.add_argument(
-        "--only", type=int, help="judge one case, and say what became of it"
-    )
+    parser.add_argument("--only", type=int, help="judge one case, and say what became of it")
     return parser.parse_args()
 
 

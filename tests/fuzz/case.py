@@ -90,9 +90,7 @@ def _mutate_manifest(model: ModelProto, rng: random.Random, names: list[str]) ->
         one = rng.choice(mutate_manifest.MUTATIONS)
         text = one(text, rng)
         names.append(f"manifest.{one.__name__}")
-    entry.value = text.encode(
-        "utf-8", "replace"
-    ).decode()  # protobuf has no lone surrogates
+    entry.value = text.encode("utf-8", "replace").decode()  # protobuf has no lone surrogates
 
 
 def _try(

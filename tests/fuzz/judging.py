@@ -54,9 +54,7 @@ def judge(case: Case, path: Path, registry: Registry | None = None) -> Verdict:
     if case.command and registry is None:
         return _by_command(case, path)
     settings = Settings(
-        level=case.level,
-        target=load_target(case.target),
-        limits=Limits(_SECONDS, _MEMORY),
+        level=case.level, target=load_target(case.target), limits=Limits(_SECONDS, _MEMORY)
     )
     ended: list[int | None] = []
     entry: Entry
@@ -110,19 +108,9 @@ def _faults(report: Report, ended: list[int | None]) -> Iterator[str]:
 
 def _by_command(case: Case, path: Path) -> Verdict:
     """Judge as a user does."""
-    words = [
-        sys.executable,
-        "-m",
-        "gsgen.cli",
-        "validate",
-        str(path),
-        "--level",
-        case.level.word,
-    ]
+    words = [sys.executable, "-m", "gsgen.cli", "validate", str(path), "--level", case.level.word]
     words += ["--target", case.target, "--format", "json", "--timeout", str(_SECONDS)]
-    done = subprocess.run(
-        words, capture_output=True, text=True, errors="replace", check=False
-    )
+    done = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False)
     failures = []
     if done.returncode not in (0, 1, 4):
         failures.append(f"exit code {done.returncode}: {done.stderr[-2000:]}")

@@ -18,25 +18,7 @@ Mutation = Callable[[bytes, random.Random], bytes]
 
 _SIZES = (0, 1, 2, 255, 256, 0x7FFF, 0xFFFF, 10**6, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
 _VALUES = (
-    *(
-        None,
-        True,
-        [],
-        {},
-        "",
-        "x",
-        -1,
-        0,
-        0.5,
-        1,
-        7,
-        255,
-        65536,
-        2**31,
-        2**53,
-        2**64,
-        10**400,
-    ),
+    *(None, True, [], {}, "", "x", -1, 0, 0.5, 1, 7, 255, 65536, 2**31, 2**53, 2**64, 10**400),
     *(1e39, -1e308, float("nan"), float("inf"), [0] * 3, ["x"], {"x": 1}, "../x"),
 )
 
@@ -119,16 +101,7 @@ def _lines(content: bytes, rng: random.Random) -> bytes:
     return b"\n".join(lines) + sign + body
 
 
-_PLAIN: tuple[Mutation, ...] = (
-    _flip,
-    _flip,
-    _resize,
-    _resize,
-    _number,
-    _cut,
-    _repeat,
-    _lines,
-)
+_PLAIN: tuple[Mutation, ...] = (_flip, _flip, _resize, _resize, _number, _cut, _repeat, _lines)
 
 
 def _inside_gzip(content: bytes, rng: random.Random) -> bytes:

@@ -43,10 +43,7 @@ def test_what_is_read_and_what_is_refused_is_told_apart(tmp_path, monkeypatch):
         (RuntimeWarning("divide by zero"), "RuntimeWarning: divide by zero"),
         (FileTruncated("too short"), "names no file: too short"),
         (FileTruncated("a\nb\nc\nd"), "names no file: a\nb\nc\nd"),
-        (
-            SizeExceeded("takes more memory than is available"),
-            "memory ran out: takes more memory",
-        ),
+        (SizeExceeded("takes more memory than is available"), "memory ran out: takes more memory"),
     ],
 )
 def test_what_goes_wrong_is_a_failure(tmp_path, monkeypatch, error, failure):
@@ -109,12 +106,7 @@ def test_a_worker_tells_of_memory(monkeypatch, capsys):
     monkeypatch.setattr(formats, "MEMORY", 1000)
     formats._tell(3, formats.Trial("read"), 2 << 20)
     told = json.loads(capsys.readouterr().out)
-    assert told == {
-        "case": 3,
-        "kind": "read",
-        "failure": "2 MiB of memory",
-        "peak": 2 << 20,
-    }
+    assert told == {"case": 3, "kind": "read", "failure": "2 MiB of memory", "peak": 2 << 20}
 
 
 def test_every_format_has_whole_files():

@@ -36,11 +36,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 
 
 def registry_with(*rules):
-    kept = (
-        one
-        for one in installed_rules().rules.values()
-        if one.id not in {r.id for r in rules}
-    )
+    kept = (one for one in installed_rules().rules.values() if one.id not in {r.id for r in rules})
     return Registry.of([*kept, *rules])
 
 
@@ -60,9 +56,7 @@ def test_mutants_differ_from_their_models_and_from_each_other(corpus):
     assert len({case.base.name for case in cases}) > 100
 
 
-def test_the_validator_stands_the_first_mutants_and_a_run_goes_on(
-    tmp_path, monkeypatch, capsys
-):
+def test_the_validator_stands_the_first_mutants_and_a_run_goes_on(tmp_path, monkeypatch, capsys):
     words = ["fuzz", "--count", "25", "--jobs", "1", "--folder", str(tmp_path)]
     monkeypatch.setattr("sys.argv", words)
     assert command.main() == 0
@@ -135,9 +129,7 @@ def test_a_child_that_dies_unseen_is_seen(good, tmp_path, monkeypatch):
     assert (told.word, told.failures) == ("invalid", ())  # GV025 says so
     blind = registry_with(made_up("GV025", over="execution"))
     verdict = judging.judge(good, path, blind)
-    assert any(
-        "ended with [-9], and the report does not" in one for one in verdict.failures
-    )
+    assert any("ended with [-9], and the report does not" in one for one in verdict.failures)
 
 
 def test_a_forked_child_gives_the_same_report_as_a_fresh_one(good, tmp_path):

@@ -180,9 +180,7 @@ def _bytes(data: bytes, rng: np.random.Generator) -> bytes:
         body[at:at] = rng.bytes(int(rng.integers(1, 64)))
     elif choice < 0.6:
         at = int(rng.integers(min(len(body), 64)))
-        body[at : at + 4] = int(rng.choice([0, 1, 2**31 - 1, 2**32 - 1])).to_bytes(
-            4, "little"
-        )
+        body[at : at + 4] = int(rng.choice([0, 1, 2**31 - 1, 2**32 - 1])).to_bytes(4, "little")
     else:
         for _ in range(int(rng.integers(1, 8))):
             body[int(rng.integers(len(body)))] ^= 1 << int(rng.integers(8))

@@ -20,9 +20,7 @@ Acme = Callable[..., "subprocess.CompletedProcess[str]"]
 
 def run(*command: str | Path, cwd: Path) -> "subprocess.CompletedProcess[str]":
     clean = {
-        k: v
-        for k, v in os.environ.items()
-        if not k.startswith(("PYTHON", "COVERAGE", "COV_"))
+        k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "COVERAGE", "COV_"))
     }
     return subprocess.run(
         [str(word) for word in command],
@@ -36,16 +34,7 @@ def run(*command: str | Path, cwd: Path) -> "subprocess.CompletedProcess[str]":
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    command = [
-        sys.executable,
-        "-m",
-        "build",
-        "--wheel",
-        "--no-isolation",
-        "--outdir",
-        folder,
-        ROOT,
-    ]
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT]
     done = run(*command, cwd=folder)
     assert done.returncode == 0, done.stderr
     (made,) = folder.glob("*.whl")
@@ -94,9 +83,7 @@ def test_the_wheel_holds_every_room_and_its_data(wheel: Path) -> None:
 
 
 def test_without_extras_models_are_validated(fresh: Path, tmp_path: Path) -> None:
-    listed = run(
-        fresh / "python", "-m", "pip", "list", "--format", "json", cwd=tmp_path
-    ).stdout
+    listed = run(fresh / "python", "-m", "pip", "list", "--format", "json", cwd=tmp_path).stdout
     installed = {entry["name"].lower() for entry in json.loads(listed)}
     assert "gsgen" in installed
     assert not installed & {"torch", "wgpu", "onnxscript", "onnx-ir", "onnx_ir", "scipy"}
@@ -124,9 +111,7 @@ def test_packed_rows_export_without_torch(fresh: Path, tmp_path: Path) -> None:
 def test_a_missing_extra_is_named_with_the_line_that_installs_it(
     fresh: Path, tmp_path: Path
 ) -> None:
-    script = (
-        "import numpy as np; np.savez('c.npz', points=np.eye(3), colors=np.ones((3, 3)))"
-    )
+    script = "import numpy as np; np.savez('c.npz', points=np.eye(3), colors=np.ones((3, 3)))"
     assert run(fresh / "python", "-c", script, cwd=tmp_path).returncode == 0
     ran = run(fresh / "gsgen", "export", "static", "c.npz", "-o", "m.onnx", cwd=tmp_path)
     assert ran.returncode == 2
@@ -185,15 +170,11 @@ def test_a_third_party_s_tests_run_by_pytest_alone(acme: Acme) -> None:
     quiet = ("-q", "-rA", "-p", "no:cacheprovider")
     own = acme("pytest", "check_acme.py", *quiet)
     assert own.returncode == 0, own.stdout
-    assert (
-        "PASSED check_acme.py::TestRow::test_basic[acme/AC001-small-enough]" in own.stdout
-    )
+    assert "PASSED check_acme.py::TestRow::test_basic[acme/AC001-small-enough]" in own.stdout
     (known,) = [line for line in own.stdout.splitlines() if line.startswith("XFAIL")]
     assert "test_a_long_row[long-basic-acme/AC001-small-enough]" in known
     assert "acme/AC001 (Acme draws three.)" in known
-    assert (
-        "PASSED check_acme.py::test_the_rule_s_example_breaks_it_and_no_other" in own.stdout
-    )
+    assert "PASSED check_acme.py::test_the_rule_s_example_breaks_it_and_no_other" in own.stdout
     assert "FAILED" not in own.stdout
     model = acme("pytest", "--gsgen", "long.onnx", "--gsgen-target", "acme", *quiet)
     assert model.returncode == 1

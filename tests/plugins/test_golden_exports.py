@@ -56,9 +56,7 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     generator = BUILD[name](shared(f"data/checkpoints/{name}/ckpt"))
     path = tmp_path_factory.mktemp(name) / f"{name}.onnx"
     settings = Settings(level=Level.LIVE)
-    return Case(
-        name, generator, export(generator, path, target="webgpu", settings=settings)
-    )
+    return Case(name, generator, export(generator, path, target="webgpu", settings=settings))
 
 
 def test_the_model_agrees_with_the_method_three_times_better_than_asked(case: Case) -> None:
@@ -75,9 +73,7 @@ def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
 def test_the_manifest_says_which_weights_it_was_made_of(case: Case) -> None:
     folder = shared(f"data/checkpoints/{case.name}/ckpt")
     files = [
-        path
-        for path in folder.rglob("iteration_*/*")
-        if path.suffix in (".ply", ".pt", ".pth")
+        path for path in folder.rglob("iteration_*/*") if path.suffix in (".ply", ".pt", ".pth")
     ]
     contents = b"".join(path.read_bytes() for path in sorted(files))
     producer = case.exported.manifest.producer
@@ -93,22 +89,14 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     live = case.name == "hexplane_dnerf"  # once is enough: arithmetic is the same
     settings = Settings(level=Level.LIVE if live else Level.STATIC)
     path = tmp_path / "half.onnx"
-    exported = export(
-        case.generator, path, dtype="float16", target="webgpu", settings=settings
-    )
+    exported = export(case.generator, path, dtype="float16", target="webgpu", settings=settings)
     if live:
         assert_captured(exported.report)
     assert all(agrees for agrees, _ in judge(case.name, path))
     assert exported.halved is not None
-    retained = weights_of(
-        path, {weight.node for weight in exported.halved.retained_weights}
-    )
-    assert all(
-        size < 4 * LEAST_ELEMENTS for size in retained
-    )  # all large tables are halved
-    assert stored(path) - sum(retained) <= 0.52 * (
-        stored(case.exported.path) - sum(retained)
-    )
+    retained = weights_of(path, {weight.node for weight in exported.halved.retained_weights})
+    assert all(size < 4 * LEAST_ELEMENTS for size in retained)  # all large tables are halved
+    assert stored(path) - sum(retained) <= 0.52 * (stored(case.exported.path) - sum(retained))
 
 
 def test_the_file_holds_weights_and_little_else(case: Case) -> None:
@@ -134,12 +122,7 @@ def test_a_user_exports_for_a_viewer_and_is_told_what_was_found(tmp_path: Path) 
     words += ["--dtype", "float16", "--level", "static"]
     ran = CliRunner().invoke(build([find_commands()["export"]]), words)
     assert ran.exit_code == 0, ran.output
-    for text in (
-        "iteration 40000",
-        "20 anchors × 5 Gaussians",
-        "feature bank",
-        "progressive",
-    ):
+    for text in ("iteration 40000", "20 anchors × 5 Gaussians", "feature bank", "progressive"):
         assert text in ran.stderr
     assert "3 appearances of 4" in ran.stderr
     settings = Settings(level=Level.STATIC, target=load_target("visionary"))

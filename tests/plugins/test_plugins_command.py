@@ -36,10 +36,7 @@ def test_every_plugin_says_what_it_reads_and_what_its_models_take() -> None:
 
 
 def test_some_can_be_asked_for() -> None:
-    assert [plugin["name"] for plugin in listed("static", "octree-gs")] == [
-        "octree-gs",
-        "static",
-    ]
+    assert [plugin["name"] for plugin in listed("static", "octree-gs")] == ["octree-gs", "static"]
     with pytest.raises(UnknownName, match="unknown plugin 'octree'"):
         command.plugins(["octree"])
 
@@ -48,9 +45,7 @@ def test_one_that_lacks_something_says_what(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     point = EntryPoint("ghost", "no.such.module:PLUGIN", "gsgen.generators")
-    monkeypatch.setattr(
-        command, "find_plugins", lambda: {"ghost": Command("ghost", point, ("x",))}
-    )
+    monkeypatch.setattr(command, "find_plugins", lambda: {"ghost": Command("ghost", point, ("x",))})
     command.plugins()
     assert "lacks x: pip install" in capsys.readouterr().out
 

@@ -11,11 +11,7 @@ def installed(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
         if name in names:
             return Check(name=name, state="ok", detail="1.0", remedy="", purpose=purpose)
         return Check(
-            name=name,
-            state="missing",
-            detail="not installed",
-            remedy=remedy,
-            purpose=purpose,
+            name=name, state="missing", detail="not installed", remedy=remedy, purpose=purpose
         )
 
     monkeypatch.setattr(doctor, "check_package", package)
@@ -46,9 +42,7 @@ def test_a_screen_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("there", [(), ("glfw",), ("rendercanvas",)])
-def test_windows_need_two_packages(
-    monkeypatch: pytest.MonkeyPatch, there: tuple[str, ...]
-) -> None:
+def test_windows_need_two_packages(monkeypatch: pytest.MonkeyPatch, there: tuple[str, ...]) -> None:
     installed(monkeypatch, *there)
     for name in ("glfw", "rendercanvas"):
         check = named(name)

@@ -13,13 +13,7 @@ from gsgen.sdk.exporting import verification
 from gsgen.sdk.exporting.eager_reference import Reference, run_eager
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
 from gsgen.sdk.exporting.verification import _nudged, check_parity
-from gsgen.sdk.parity import (
-    ModelOutput,
-    Parity,
-    compare,
-    fibonacci_directions,
-    references_equal,
-)
+from gsgen.sdk.parity import ModelOutput, Parity, compare, fibonacci_directions, references_equal
 from support.models.generators import Drift
 
 
@@ -47,9 +41,7 @@ def against(
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16])
-def test_rounding_to_the_storage_dtype_is_allowed(
-    reference: Reference, dtype: type
-) -> None:
+def test_rounding_to_the_storage_dtype_is_allowed(reference: Reference, dtype: type) -> None:
     assert against(reference, reference.gaussians, dtype).holds
 
 
@@ -134,17 +126,13 @@ def culled(n: int, gone: list[int]) -> Reference:
     opacity[gone] = 0
     upper = np.tile([0.01, 0, 0, 0.01, 0, 0.01], (n, 1))
     made = layout.DecodedGaussians(
-        position=rng.normal(size=(n, 3)),
-        opacity=opacity,
-        covariance=upper,
-        rgb=rng.random((n, 3)),
+        position=rng.normal(size=(n, 3)), opacity=opacity, covariance=upper, rgb=rng.random((n, 3))
     )
     return Reference(Probe(label="p", inputs={"time": np.float32([0.5])}), made, n)
 
 
 @pytest.mark.parametrize(
-    ("n", "gone", "holds"),
-    [(100, [5], True), (100, [5, 6], False), (30_000, [5, 9, 20_000], True)],
+    ("n", "gone", "holds"), [(100, [5], True), (100, [5, 6], False), (30_000, [5, 9, 20_000], True)]
 )
 def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
     n: int, gone: list[int], holds: bool
@@ -170,9 +158,7 @@ def test_a_row_that_torch_never_has_is_no_jump() -> None:
 
 
 def test_inputs_are_moved_to_both_sides_and_by_a_hair() -> None:
-    probe = Probe(
-        label="p", inputs={"view": np.eye(4, dtype=np.float32), "frame": np.int32([3])}
-    )
+    probe = Probe(label="p", inputs={"view": np.eye(4, dtype=np.float32), "frame": np.int32([3])})
     moved = list(_nudged(probe))
     assert len(moved) == 6
     for one, other in zip(moved[::2], moved[1::2], strict=True):
@@ -193,9 +179,7 @@ class Threshold(Drift):
         made = super().forward(time)
         edge = self.rest[7, :1] + 0.2 * self.velocity[7, :1]
         mask = (made.position[:, :1] <= edge).float()
-        return Gaussians(
-            made.position, made.opacity * mask, made.scale, made.rotation, sh=made.sh
-        )
+        return Gaussians(made.position, made.opacity * mask, made.scale, made.rotation, sh=made.sh)
 
 
 def test_a_model_that_jumps_a_little_sooner_than_torch_agrees_with_it(monkeypatch) -> None:
@@ -227,10 +211,7 @@ def with_cells(seen: np.ndarray) -> Reference:
     upper = np.tile([0.04, 0, 0, 0.04, 0, 0.04], (n, 1))
     opacity = np.full(n, 0.8)
     rows = layout.DecodedGaussians(
-        position=rng.normal(size=(n, 3)),
-        opacity=opacity,
-        covariance=upper,
-        rgb=rng.random((n, 3)),
+        position=rng.normal(size=(n, 3)), opacity=opacity, covariance=upper, rgb=rng.random((n, 3))
     )
     cells = layout.Cells(rng.normal(size=(100, 3)), seen, upper[::3])
     return Reference(Probe(label="p", inputs={}), rows, n, cells)
@@ -243,12 +224,9 @@ def packed_cells(cells: layout.Cells, dtype: type = np.float32) -> np.ndarray:
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16])
 @pytest.mark.parametrize(
-    ("column", "field"),
-    [(1, "cell position"), (3, "cell visibility"), (7, "cell covariance")],
+    ("column", "field"), [(1, "cell position"), (3, "cell visibility"), (7, "cell covariance")]
 )
-def test_an_error_in_one_cell_is_found_and_placed(
-    column: int, field: str, dtype: type
-) -> None:
+def test_an_error_in_one_cell_is_found_and_placed(column: int, field: str, dtype: type) -> None:
     known = with_cells(np.full(100, 0.5))
     assert known.cells is not None
     cells = packed_cells(known.cells, dtype)

@@ -36,9 +36,7 @@ class Ran:
     seconds: float = 0.0
 
 
-def gsgen(
-    *words: str | Path, cwd: Path | None = None, env: dict[str, str] | None = None
-) -> Ran:
+def gsgen(*words: str | Path, cwd: Path | None = None, env: dict[str, str] | None = None) -> Ran:
     """Run the command line in a process of its own, as a user does."""
     began = _children_seconds()
     done = subprocess.run(
@@ -74,9 +72,7 @@ def gsgen_here(
     gc.set_threshold(*threshold)
     code = ended.value.code
     return Ran(
-        code if isinstance(code, int) else int(code is not None),
-        out.getvalue(),
-        err.getvalue(),
+        code if isinstance(code, int) else int(code is not None), out.getvalue(), err.getvalue()
     )
 
 

@@ -77,9 +77,7 @@ def close(one: np.ndarray, other: np.ndarray, most: float) -> None:
 KSPLAT_RECORDS = ("<f4", "<f2", "<f2"), ("<f4", "<f2", "u1")
 
 
-def ksplat(
-    splats: Splats, level: int, *, bucket_size: int = 8, block: float = 50.0
-) -> bytes:
+def ksplat(splats: Splats, level: int, *, bucket_size: int = 8, block: float = 50.0) -> bytes:
     """A KSPLAT file of one section, written value by value.
 
     Above level 0 the first splats fill a bucket; the others are in buckets of one or two.
@@ -92,8 +90,7 @@ def ksplat(
     sizes = [bucket_size] * full + lengths
     starts = np.cumsum([0, *sizes])[:-1]
     middles = [
-        splats.position[at : at + size].mean(axis=0)
-        for at, size in zip(starts, sizes, strict=True)
+        splats.position[at : at + size].mean(axis=0) for at, size in zip(starts, sizes, strict=True)
     ]
     body = b"".join(struct.pack("<I", length) for length in lengths)
     body += b"".join(struct.pack("<3f", *middle) for middle in middles)
@@ -104,9 +101,7 @@ def ksplat(
     header = struct.pack("<BBHIIIIHH", 0, 1, 0, 1, 1, count, count, level, 0)
     header += struct.pack("<3f2f", 0, 0, 0, -1.5, 1.5)
     section = struct.pack("<4If", count, count, bucket_size, len(sizes), block)
-    section += struct.pack(
-        "<HHIIII", 12, 0, 32767 if level else 1, len(body), full, len(lengths)
-    )
+    section += struct.pack("<HHIIII", 12, 0, 32767 if level else 1, len(body), full, len(lengths))
     section += struct.pack("<H", degree)
     return header.ljust(4096, b"\0") + section.ljust(1024, b"\0") + body
 
@@ -150,9 +145,7 @@ def webp(pixels: np.ndarray, width: int) -> bytes:
     return stream.getvalue()
 
 
-def sog_files(
-    count: int = 10, bands: int = 1, seed: int = 0, width: int = 4
-) -> dict[str, bytes]:
+def sog_files(count: int = 10, bands: int = 1, seed: int = 0, width: int = 4) -> dict[str, bytes]:
     """The files of a SOG of random bytes, whose harmonics come from a palette of 65."""
     rng = np.random.default_rng(seed)
 
@@ -230,8 +223,6 @@ def samples(folder: Path) -> dict[str, list[bytes]]:
 def _npz() -> bytes:
     stream = BytesIO()
     np.savez_compressed(
-        stream,
-        gaussians=np.ones((4, 10), np.float32),
-        appearance=np.ones((4, 3), np.float32),
+        stream, gaussians=np.ones((4, 10), np.float32), appearance=np.ones((4, 3), np.float32)
     )
     return stream.getvalue()

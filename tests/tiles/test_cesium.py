@@ -25,15 +25,9 @@ def signpost(
 ) -> Splats:
     """Green ground, a red tower up (+z), and a blue arrow to the east (+x)."""
     rng = np.random.default_rng(seed)
-    ground = np.column_stack(
-        [rng.uniform(-1.8, 1.8, (_EACH, 2)), rng.normal(-1.5, 0.02, _EACH)]
-    )
-    tower = np.column_stack(
-        [rng.normal(0, 0.15, (_EACH, 2)), rng.uniform(-1.4, 1.6, _EACH)]
-    )
-    arrow = np.column_stack(
-        [rng.uniform(0.2, 1.8, _EACH), rng.normal([0, -1.3], 0.06, (_EACH, 2))]
-    )
+    ground = np.column_stack([rng.uniform(-1.8, 1.8, (_EACH, 2)), rng.normal(-1.5, 0.02, _EACH)])
+    tower = np.column_stack([rng.normal(0, 0.15, (_EACH, 2)), rng.uniform(-1.4, 1.6, _EACH)])
+    arrow = np.column_stack([rng.uniform(0.2, 1.8, _EACH), rng.normal([0, -1.3], 0.06, (_EACH, 2))])
     colors = np.repeat([[0.1, 0.8, 0.1], [0.9, 0.1, 0.1], [0.1, 0.2, 1.0]], _EACH, axis=0)
     count = 3 * _EACH
     sh = np.zeros((count, (degree + 1) ** 2, 3))
@@ -78,9 +72,7 @@ def test_every_tile_loads_and_the_scene_stands_upright(
 
 def test_a_missing_tile_is_seen_to_fail(tmp_path: Path) -> None:
     """The test above would notice a tile that does not load."""
-    sketch = sketches.explicit_sketch(
-        transform=east_north_up(2.2945, 48.8584, 35.0), record=False
-    )
+    sketch = sketches.explicit_sketch(transform=east_north_up(2.2945, 48.8584, 35.0), record=False)
     sketch.write(tmp_path / "tileset.json")
     name = sketch.document["root"]["children"][0]["content"]["uri"]
     (tmp_path / name).unlink()

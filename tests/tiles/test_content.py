@@ -73,9 +73,7 @@ def test_a_lower_quality_is_smaller_and_worse() -> None:
     assert sizes[0] > 1.5 * sizes[-1]
     assert errors == sorted(errors)
     small = np.exp(np.quantile(splats.log_scale.max(axis=1), 0.1))
-    assert (
-        errors[-1] < small
-    )  # half a step is a quarter of σ of a small splat, along an axis
+    assert errors[-1] < small  # half a step is a quarter of σ of a small splat, along an axis
     assert errors[0] < 1 / 4096
 
 
@@ -137,9 +135,7 @@ def test_morton_is_that_of_bits_one_by_one() -> None:
     rng = np.random.default_rng(0)
     for cell in rng.integers(0, 1 << 12, (50, 3)).tolist():
         bits = [
-            (cell[axis] >> bit & 1) << (3 * bit + axis)
-            for bit in range(12)
-            for axis in range(3)
+            (cell[axis] >> bit & 1) << (3 * bit + axis) for bit in range(12) for axis in range(3)
         ]
         assert morton(tuple(cell)) == sum(bits)
 
@@ -153,10 +149,7 @@ def test_rotating_agrees_with_colours_and_ellipsoids() -> None:
     assert np.abs(sigma(turned) - matrix @ sigma(splats) @ matrix.T).max() < 1e-6
     direction = rng.normal(size=(20, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    before, after = (
-        evaluate(splats.sh, direction),
-        evaluate(turned.sh, direction @ matrix.T),
-    )
+    before, after = (evaluate(splats.sh, direction), evaluate(turned.sh, direction @ matrix.T))
     assert np.abs(before - after).max() < 1e-5
 
 

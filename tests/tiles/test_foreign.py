@@ -94,8 +94,7 @@ def test_ecef_with_harmonics_and_nested_transforms(tmp_path: Path, spz: bool) ->
     }
     extensions = foreign.SPZ if spz else foreign.GLTF
     path = foreign.write(
-        tmp_path,
-        {"tileset.json": foreign.tileset(root, extensions), "a b/one.glb": content},
+        tmp_path, {"tileset.json": foreign.tileset(root, extensions), "a b/one.glb": content}
     )
     at = foreign.turned_up(foreign.moved(cloud["position"], node))
     expected = foreign.moved(foreign.moved(at, inner), globe)
@@ -121,10 +120,7 @@ def test_positions_in_ecef_without_a_root_transform(tmp_path: Path) -> None:
     }
     path = foreign.write(
         tmp_path,
-        {
-            "tileset.json": foreign.tileset(root),
-            "one.glb": foreign.gltf(cloud, matrix=node),
-        },
+        {"tileset.json": foreign.tileset(root), "one.glb": foreign.gltf(cloud, matrix=node)},
     )
     expected = foreign.moved(foreign.turned_up(cloud["position"]), globe)
     assert float(np.abs(on_globe(path) - expected).max()) < 0.005
@@ -153,9 +149,7 @@ def test_implicit_trees(tmp_path: Path, scheme: str, branching: int) -> None:
     files = {}
     child, leaf = ((1, 1, 0), (2, 3, 0)) if octree else ((1, 1), (2, 3))
     root_sub = named(subs, 0, (0, 0, 0))
-    files[root_sub] = foreign.subtree(
-        2, branching, {0, 1 + 3}, {1 + 3}, {3 * branching + 2}
-    )
+    files[root_sub] = foreign.subtree(2, branching, {0, 1 + 3}, {1 + 3}, {3 * branching + 2})
     files[named(subs, 2, leaf)] = foreign.subtree(2, branching, {0}, {0}, set())
     center = np.array([-100 + 50 * (v + 0.5) for v in leaf[:2]] + [0.0])
     if octree:
@@ -163,9 +157,7 @@ def test_implicit_trees(tmp_path: Path, scheme: str, branching: int) -> None:
     cloud = foreign.cloud(8)
     x, y, z = center
     cloud["position"] = np.asarray(cloud["position"] + [x, z, -y], np.float32).astype(float)
-    files[named(name, 1, child)] = foreign.gltf(
-        {key: value[::2] for key, value in cloud.items()}
-    )
+    files[named(name, 1, child)] = foreign.gltf({key: value[::2] for key, value in cloud.items()})
     files[named(name, 2, leaf)] = foreign.gltf(cloud)
     files["tileset.json"] = foreign.tileset(
         {
@@ -272,9 +264,7 @@ def test_names_of_drafts_are_read_with_a_notice(tmp_path: Path) -> None:
         "content": {"uri": "a.glb"},
     }
     content = foreign.gltf(cloud, drafts=True)
-    path = foreign.write(
-        tmp_path, {"tileset.json": foreign.tileset(root), "a.glb": content}
-    )
+    path = foreign.write(tmp_path, {"tileset.json": foreign.tileset(root), "a.glb": content})
     with pytest.warns(FormatWarning, match="_ROTATION, _SCALE"):
         leaves = read_leaves(path)
     assert np.abs(leaves.position - foreign.turned_up(cloud["position"])).max() < 1e-5

@@ -70,10 +70,7 @@ def test_a_tree_of_all_tiles_is_refused_by_their_number(tmp_path: Path) -> None:
         files[f"{level}.json"] = json.dumps(full | last).encode()
     path = foreign.write(tmp_path, files | {"t.glb": foreign.gltf(foreign.cloud(0))})
     few = Limits(tiles=5000)
-    with (
-        FolderStore(tmp_path) as store,
-        pytest.raises(TilesetInvalid, match="more than 5,000"),
-    ):
+    with FolderStore(tmp_path) as store, pytest.raises(TilesetInvalid, match="more than 5,000"):
         load_tileset(store, path.name, limits=few)
 
 
@@ -94,10 +91,7 @@ def test_external_tilesets_that_double_are_refused(tmp_path: Path) -> None:
     files["30.json"] = foreign.tileset(leaf("x.glb"))
     path = foreign.write(tmp_path, files | {"x.glb": foreign.gltf(foreign.cloud(0))})
     few = Limits(documents=500)
-    with (
-        FolderStore(tmp_path) as store,
-        pytest.raises(TilesetInvalid, match="more than 500"),
-    ):
+    with FolderStore(tmp_path) as store, pytest.raises(TilesetInvalid, match="more than 500"):
         load_tileset(store, path.name, limits=few)
 
 

@@ -62,13 +62,9 @@ def test_the_index_is_sorted_and_always_the_same(tmp_path: Path) -> None:
     transform = np.eye(4)
     transform[0, 3] = 1e6 + 1 / 3
     for _ in range(2):
-        write_tileset(
-            path, record(0, (0, 0, 0)), source_splats=1, sh_degree=0, transform=transform
-        )
+        write_tileset(path, record(0, (0, 0, 0)), source_splats=1, sh_degree=0, transform=transform)
     text = path.read_text()
-    assert (
-        text == json.dumps(json.loads(text), sort_keys=True, separators=(",", ":")) + "\n"
-    )
+    assert text == json.dumps(json.loads(text), sort_keys=True, separators=(",", ":")) + "\n"
     assert np.array_equal(open_tileset(path).transform, transform)
 
 
@@ -95,12 +91,8 @@ def test_an_implicit_octree_says_what_its_records_say(tmp_path: Path) -> None:
 def test_oversized_tiles_stand_beside_the_tree(tmp_path: Path) -> None:
     wide = ContentRecord(uri="w.glb", size=1, low=corner(-9, 0, 0), high=corner(9, 1, 1))
     large = record(0, (0, 0, 0), oversized=True, contents=(wide,), splats=1)
-    tree = ContentRecord(
-        uri="t/0/0_0_0-q0.glb", size=1, low=corner(0, 0, 0), high=corner(1, 1, 1)
-    )
-    root = record(
-        0, (0, 0, 0), contents=(tree,), children=(replace(large, geometric_error=0),)
-    )
+    tree = ContentRecord(uri="t/0/0_0_0-q0.glb", size=1, low=corner(0, 0, 0), high=corner(1, 1, 1))
+    root = record(0, (0, 0, 0), contents=(tree,), children=(replace(large, geometric_error=0),))
     path = tmp_path / "tileset.json"
     write_implicit_tileset(path, root, source_splats=2, sh_degree=0)
     tileset = open_tileset(path)

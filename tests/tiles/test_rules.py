@@ -36,9 +36,7 @@ def judge(tmp_path_factory: pytest.TempPathFactory):
 @pytest.mark.parametrize("fixture", BROKEN, ids=named)
 def test_a_broken_tileset_breaks_its_rule_and_no_other(fixture: Fixture, judge) -> None:
     report = judge(fixture)
-    told = [
-        (finding.rule, str(finding.where), finding.message) for finding in report.findings
-    ]
+    told = [(finding.rule, str(finding.where), finding.message) for finding in report.findings]
     assert {finding.rule for finding in report.findings} == {fixture.rule}, told
     warns = installed_rules().rules[fixture.rule].severity is Severity.WARNING
     assert report.verdict == ("conforms" if warns else "invalid")
@@ -73,9 +71,7 @@ def test_a_silent_rule_is_noticed(rule: Rule, tmp_path: Path) -> None:
         replace(entry, check=silent) if entry.id == rule.id else entry
         for entry in installed_rules().rules.values()
     ]
-    report = validate(
-        fixture.write(tmp_path), fixture.settings, registry=Registry.of(rules)
-    )
+    report = validate(fixture.write(tmp_path), fixture.settings, registry=Registry.of(rules))
     assert rule.id not in {finding.rule for finding in report.findings}
 
 
@@ -94,9 +90,7 @@ def test_a_fixture_is_always_the_same(fixture: Fixture, tmp_path: Path) -> None:
         }
         for folder in (tmp_path / "a", tmp_path / "b")
     )
-    assert [key.split("/", 1)[1] for key in first] == [
-        key.split("/", 1)[1] for key in second
-    ]
+    assert [key.split("/", 1)[1] for key in first] == [key.split("/", 1)[1] for key in second]
     assert list(first.values()) == list(second.values())
 
 

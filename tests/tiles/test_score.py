@@ -32,27 +32,14 @@ def test_all_leaves_look_like_the_scene_and_the_root_does_less(tmp_path: Path) -
     explicit_sketch().write(folder / "tileset.json")
     scene, picture = tmp_path / "scene.ply", tmp_path / "out" / "levels.png"
     write_ply(scene, read_leaves(folder))
-    words = (
-        "tiles",
-        "score",
-        folder,
-        scene,
-        "-o",
-        picture,
-        "--width",
-        "96",
-        "--height",
-        "64",
-    )
+    words = ("tiles", "score", folder, scene, "-o", picture, "--width", "96", "--height", "64")
     done = gsgen(*words, "--json")
     assert done.code == 0, done.err
     told = json.loads(done.out)
     root, leaves = told["levels"]
     assert (root["tiles"], root["splats"]) == (1, 16)
     assert (leaves["tiles"], leaves["splats"]) == (2, 48)
-    assert leaves["bytes"] == sum(
-        file.stat().st_size for file in (folder / "t/1").iterdir()
-    )
+    assert leaves["bytes"] == sum(file.stat().st_size for file in (folder / "t/1").iterdir())
     for distance in DISTANCES:
         assert leaves["ssim"][distance] > 0.99999
         assert root["ssim"][distance] < leaves["ssim"][distance]

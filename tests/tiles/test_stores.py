@@ -196,9 +196,7 @@ def test_rate_and_latency_are_those_asked_for() -> None:
         waits.append(seconds)
         now[0] += seconds
 
-    faults = NetworkFaults(
-        bytes_per_second=1000.0, latency=0.25, clock=lambda: now[0], sleep=sleep
-    )
+    faults = NetworkFaults(bytes_per_second=1000.0, latency=0.25, clock=lambda: now[0], sleep=sleep)
     faults.wait_to_begin()
     for size in (500, 1500, 0):
         faults.wait_to_send(size)
@@ -212,9 +210,7 @@ def test_shares_of_failures_are_those_asked_for() -> None:
     assert abs(drawn.count("cut") / len(drawn) - 0.3) < 0.015
 
 
-@pytest.mark.parametrize(
-    "text", ["", "404", "200:0.1", "404:2", "cut:x", "404:1.0.0", "::"]
-)
+@pytest.mark.parametrize("text", ["", "404", "200:0.1", "404:2", "cut:x", "404:1.0.0", "::"])
 def test_a_failure_that_cannot_be_meant_is_refused(text: str) -> None:
     with pytest.raises(ConfigInvalid):
         parse_failure(text)

@@ -30,8 +30,7 @@ def test_files_folders_archives_and_contents_are_judged(good: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("name", "code"),
-    [("tiles_good", 0), ("tiles_child_outside", 1), ("tiles_draft_names", 0)],
+    ("name", "code"), [("tiles_good", 0), ("tiles_child_outside", 1), ("tiles_draft_names", 0)]
 )
 def test_exit_codes_are_those_of_models(name: str, code: int, tmp_path: Path) -> None:
     path = find(name).write(tmp_path)

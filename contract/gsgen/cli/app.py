@@ -119,10 +119,7 @@ def _epilog(commands: list[Command]) -> str | None:
     missing = [command for command in commands if command.missing]
     if not missing:
         return None
-    lines = [
-        f"{command.name} needs {command.requirement}: {command.remedy}"
-        for command in missing
-    ]
+    lines = [f"{command.name} needs {command.requirement}: {command.remedy}" for command in missing]
     return escape_markup("Not installed here: " + "; ".join(lines))
 
 
@@ -136,10 +133,7 @@ def _root(
     version: Annotated[
         bool,
         typer.Option(
-            "--version",
-            help="Show the version and exit.",
-            callback=_show_version,
-            is_eager=True,
+            "--version", help="Show the version and exit.", callback=_show_version, is_eager=True
         ),
     ] = False,
 ) -> None:

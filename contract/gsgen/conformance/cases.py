@@ -62,10 +62,7 @@ def settle(
         return Case(rule=rule, suite=suite, status="crashed", text=text, findings=findings)
     if outcome.status in ("skipped", "not-applicable"):
         return Case(
-            rule=rule,
-            suite=suite,
-            status="skipped",
-            text=f"{outcome.status}: {outcome.reason}",
+            rule=rule, suite=suite, status="skipped", text=f"{outcome.status}: {outcome.reason}"
         )
     status, text = _judged(report, findings, foreseen)
     return Case(rule=rule, suite=suite, status=status, text=text, findings=findings)

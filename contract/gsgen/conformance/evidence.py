@@ -44,9 +44,7 @@ class Evidence:
             lines.append(f"    inputs and outputs: {self.dump}")
         if self.withheld:
             size = format_mebibytes(self.withheld, 0)
-            lines.append(
-                f"    inputs and outputs: {size}, kept only where a folder is given"
-            )
+            lines.append(f"    inputs and outputs: {size}, kept only where a folder is given")
         return "\n".join(lines)
 
 
@@ -95,9 +93,7 @@ def gather(
         return by_rule
     probes = list(
         {
-            id(probe): probe
-            for rule_probes in probes_by_rule.values()
-            for probe in rule_probes
+            id(probe): probe for rule_probes in probes_by_rule.values() for probe in rule_probes
         }.values()
     )
     index_by_probe = {id(probe): number for number, probe in enumerate(probes)}
@@ -111,19 +107,12 @@ def gather(
 
 
 def _keep(
-    dumps: Dumps | None,
-    path: Path,
-    settings: Settings,
-    case: Case,
-    command: str,
-    runs: Runs,
+    dumps: Dumps | None, path: Path, settings: Settings, case: Case, command: str, runs: Runs
 ) -> Evidence:
     if dumps is None:
         return Evidence(command)
     arrays = (
-        array
-        for probe, outputs in runs
-        for array in (*probe.inputs.values(), *outputs.values())
+        array for probe, outputs in runs for array in (*probe.inputs.values(), *outputs.values())
     )
     size = sum(array.nbytes for array in arrays)
     if dumps.most is not None and size > dumps.most:
@@ -138,9 +127,7 @@ def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
     """Return the probes of the findings, the first one first; at least one probe."""
     text = " ".join(finding.message for finding in findings)
     labels = {example.probe for finding in findings for example in finding.examples[:1]}
-    matches = [
-        probe for probe in plan.probes if probe.label in labels or repr(probe.label) in text
-    ]
+    matches = [probe for probe in plan.probes if probe.label in labels or repr(probe.label) in text]
     for role, (base, variants) in plan.variants.items():
         if any(finding.where.subject == f"role {role}" for finding in findings):
             matches += [plan.probes[base], *(plan.probes[variant] for variant in variants)]

@@ -47,9 +47,7 @@ class ExpectedFailure:
     def matches(self, rule: str, path: PurePath) -> bool:
         """Return whether the entry names this rule of the model at ``path``."""
         names = (path.as_posix(), path.name)
-        model_matches = not self.model or any(
-            fnmatchcase(name, self.model) for name in names
-        )
+        model_matches = not self.model or any(fnmatchcase(name, self.model) for name in names)
         return model_matches and rule == self.rule
 
 
@@ -77,9 +75,7 @@ def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]
     )
 
 
-def _entry(
-    table: dict[str, Any], where: str, source: str, registry: Registry
-) -> ExpectedFailure:
+def _entry(table: dict[str, Any], where: str, source: str, registry: Registry) -> ExpectedFailure:
     _refuse_strange_keys(table, _KEYS, where)
     for key, value in table.items():
         if not (isinstance(value, str) and value.strip()):
@@ -91,9 +87,7 @@ def _entry(
     return ExpectedFailure(rule, table["reason"], table.get("model", ""), source)
 
 
-def _refuse_strange_keys(
-    table: Mapping[str, Any], known: tuple[str, ...], where: str
-) -> None:
+def _refuse_strange_keys(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
     for key in table:
         if key not in known:
             raise UnknownName.among("key", key, known, where)

@@ -97,11 +97,7 @@ def reproduce(
     return Reproduction(rule, (), labels, ())
 
 
-_SUBJECTS = {
-    "model": "the file",
-    "runs": "several runs compared",
-    "report": "the whole report",
-}
+_SUBJECTS = {"model": "the file", "runs": "several runs compared", "report": "the whole report"}
 
 
 def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
@@ -111,9 +107,7 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
     report = validate(path, settings, registry=part)
     outcome = report.outcome(rule.id)
     blocked = [
-        outcome.rule.id
-        for outcome in report.outcomes
-        if outcome.status in ("fail", "crashed")
+        outcome.rule.id for outcome in report.outcomes if outcome.status in ("fail", "crashed")
     ]
     if settings.level < rule.level and outcome.status == "skipped":
         needs = [name for name in blocked if name in part.rules and name != rule.id]
@@ -127,18 +121,10 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
 
 
 def _look(
-    path: Path,
-    rule: Rule,
-    settings: Settings,
-    findings: tuple[Finding, ...],
-    dump: Path | None,
+    path: Path, rule: Rule, settings: Settings, findings: tuple[Finding, ...], dump: Path | None
 ) -> tuple[Row, ...]:
     """Run the probes of the findings once more, and return (and dump) the rows."""
-    if (
-        not findings
-        or rule.scope in ("model", "report")
-        or not (dump or rule.scope == "rows")
-    ):
+    if not findings or rule.scope in ("model", "report") or not (dump or rule.scope == "rows"):
         return ()
     subject, plan = plan_for(path, settings)
     with replay(subject, suspects(plan, findings), settings) as rerun:
@@ -159,9 +145,7 @@ def _rows(rerun: Replay, number: int, findings: Sequence[Finding]) -> tuple[Row,
     emission, label = rerun.emission(number), rerun.probes[number].label
     if emission.gaussians is None:
         return ()
-    shown = [
-        e.row for finding in findings for e in finding.examples if e.probe in ("", label)
-    ]
+    shown = [e.row for finding in findings for e in finding.examples if e.probe in ("", label)]
     rows = []
     for row in dict.fromkeys(row for row in shown if row is not None):
         packed = tuple(emission.gaussians[row].tolist())

@@ -63,9 +63,7 @@ class Replay:
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
         """Return the findings of ``rule`` for one probe alone."""
         alone = Registry.of([replace(rule, needs=())])
-        board = ResultCollector(
-            registry=alone, settings=self.settings, kind=self.subject.kind
-        )
+        board = ResultCollector(registry=alone, settings=self.settings, kind=self.subject.kind)
         for subject, start in self._seen(rule, probe):
             board.check(rule, subject, self.probes[probe].label, start)
         board.settle(alone.rules.values())
@@ -89,9 +87,7 @@ def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
     """
-    subject = inspect_model(
-        open_model(path), settings.target, settings.limits, settings.tolerances
-    )
+    subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
     return subject, make_plan(subject, level, settings.seed)
 

@@ -47,9 +47,7 @@ class ModelRun:
     def text(self, case: Case) -> str:
         """Return the text of a case: its findings, and the means to reproduce it."""
         evidence = self.evidence.get(case.rule.id)
-        return (
-            f"{case.text}\n{evidence}" if evidence and case.status in FAILING else case.text
-        )
+        return f"{case.text}\n{evidence}" if evidence and case.status in FAILING else case.text
 
     @property
     def suites(self) -> dict[str, list[Case]]:
@@ -66,9 +64,7 @@ def suites_of(path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
     """
-    subject = inspect_model(
-        open_model(path), settings.target, settings.limits, settings.tolerances
-    )
+    subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     rules = installed_rules().rules.values()
     return plan_suites(rules, Declared.by(subject), settings.target)
 

@@ -115,12 +115,7 @@ SUITES: tuple[Suite, ...] = (
             *("GV014", "GV022", "TV102", "TV104"),
         ),
     ),
-    Suite(
-        "post-process",
-        "Images in, images out.",
-        _kind(POST_PROCESS),
-        _of_tensors,
-    ),
+    Suite("post-process", "Images in, images out.", _kind(POST_PROCESS), _of_tensors),
     Suite(
         "trajectory",
         "Camera states in, camera states with uncertainty out.",
@@ -162,9 +157,7 @@ def plan_suites(
         if _concerns(rule, declared.kind, target):
             suite = next(suite for suite in applying if suite.claims(rule))
             by_suite[suite.name].append(rule)
-    return {
-        name: tuple(suite_rules) for name, suite_rules in by_suite.items() if suite_rules
-    }
+    return {name: tuple(suite_rules) for name, suite_rules in by_suite.items() if suite_rules}
 
 
 def _concerns(rule: Rule, kind: str, target: Target) -> bool:

@@ -100,9 +100,7 @@ def _model(entry: Entry) -> dict[str, Any]:
             {"name": name, "cases": [_case(entry, case) for case in cases]}
             for name, cases in entry.suites.items()
         ],
-        "findings": [
-            finding for finding in document["findings"] if finding["rule"] in tested
-        ],
+        "findings": [finding for finding in document["findings"] if finding["rule"] in tested],
     }
 
 

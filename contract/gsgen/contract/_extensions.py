@@ -72,9 +72,7 @@ class Command:
 def _refusing(summary: str, reason: str, code: ExitCode) -> Callable[..., Any]:
     """Return a command that takes any arguments and fails with ``reason``."""
 
-    def refuse(
-        words: Annotated[list[str] | None, typer.Argument(hidden=True)] = None,
-    ) -> None:
+    def refuse(words: Annotated[list[str] | None, typer.Argument(hidden=True)] = None) -> None:
         typer.echo(f"gsgen: {reason}", err=True)
         raise typer.Exit(code)
 

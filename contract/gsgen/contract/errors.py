@@ -111,19 +111,13 @@ class UnknownName(ConfigInvalid):
     """No rule, target, role or plugin has the given name."""
 
     @classmethod
-    def among(
-        cls, noun: str, name: str, known: Iterable[str], where: str = ""
-    ) -> "UnknownName":
+    def among(cls, noun: str, name: str, known: Iterable[str], where: str = "") -> "UnknownName":
         """Return the error for an unknown ``name``, with the nearest known name as its hint."""
-        from difflib import (
-            get_close_matches,  # imported on failure only: start-up time counts
-        )
+        from difflib import get_close_matches  # imported on failure only: start-up time counts
 
         names = sorted(known)
         close = get_close_matches(name, names, n=1, cutoff=0.5)
         short = len(names) <= _MOST_LISTED
-        listed = (
-            f"Known: {', '.join(names) or 'none'}." if short else f"{len(names)} are known."
-        )
+        listed = f"Known: {', '.join(names) or 'none'}." if short else f"{len(names)} are known."
         hint = f"Did you mean {close[0]!r}?" if close else listed
         return cls(f"unknown {noun} {name!r}", where=where, hint=hint)

@@ -37,18 +37,6 @@ from gsgen.contract.probing.run_comparison import Behaviour, Comparison, ProbeRu
 from gsgen.contract.rules.catalogue import builtin_rules, installed_rules
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Location, Violation
-from gsgen.contract.validation.level_backend import (
-    LevelBackend,
-    LevelContext,
-    LevelUnavailable,
-)
-from gsgen.contract.validation.rule import (
-    Check,
-    Registry,
-    Rule,
-    Scope,
-    backends_in,
-    rule,
-    rules_in,
-)
+from gsgen.contract.validation.level_backend import LevelBackend, LevelContext, LevelUnavailable
+from gsgen.contract.validation.rule import Check, Registry, Rule, Scope, backends_in, rule, rules_in
 from gsgen.contract.validation.waivers import Review

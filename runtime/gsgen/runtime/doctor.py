@@ -13,7 +13,9 @@ _TIMEOUT = 60  # seconds
 _PURPOSE = "draw; graph capture"
 _WINDOW = "windows of `gsgen view`"
 _NOTEBOOK = "`gsgen.runtime.view` in notebooks"
-_DRIVERS = "install a Vulkan driver; without a GPU, `make drivers` in the project, or Mesa 25 or newer"
+_DRIVERS = (
+    "install a Vulkan driver; without a GPU, `make drivers` in the project, or Mesa 25 or newer"
+)
 _RUNTIME = "pip install 'gsgen[runtime]'"
 
 # These run in a child process: a driver that crashes must not end the doctor.
@@ -39,9 +41,7 @@ def checks() -> Iterator[Check]:
     yield wgpu
     if wgpu.state == "ok":
         yield from _adapters()
-    windows = [
-        check_package(name, _RUNTIME, purpose=_WINDOW) for name in ("glfw", "rendercanvas")
-    ]
+    windows = [check_package(name, _RUNTIME, purpose=_WINDOW) for name in ("glfw", "rendercanvas")]
     yield from windows
     if all(check.state == "ok" for check in windows):
         yield _screen()
@@ -80,9 +80,7 @@ def _screen() -> Check:
     if isinstance(problem, Check):
         return problem
     if problem is None:
-        return Check(
-            name="screen", state="ok", detail="windows can be opened", purpose=_WINDOW
-        )
+        return Check(name="screen", state="ok", detail="windows can be opened", purpose=_WINDOW)
     return Check(
         name="screen",
         state="missing",
@@ -112,10 +110,7 @@ def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
     """Return the JSON that ``code`` prints in a child process, or a failed check."""
     try:
         completed = subprocess.run(
-            [sys.executable, "-P", "-c", code],
-            capture_output=True,
-            text=True,
-            timeout=_TIMEOUT,
+            [sys.executable, "-P", "-c", code], capture_output=True, text=True, timeout=_TIMEOUT
         )
     except subprocess.TimeoutExpired:
         return Check(
@@ -126,11 +121,7 @@ def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
             purpose=purpose,
         )
     if completed.returncode != 0:
-        tail = completed.stderr.strip().splitlines()[-1:] or [
-            f"exit status {completed.returncode}"
-        ]
-        return Check(
-            name=name, state="broken", detail=tail[0], remedy=remedy, purpose=purpose
-        )
+        tail = completed.stderr.strip().splitlines()[-1:] or [f"exit status {completed.returncode}"]
+        return Check(name=name, state="broken", detail=tail[0], remedy=remedy, purpose=purpose)
     result: object = json.loads(completed.stdout.strip().splitlines()[-1])
     return result

@@ -176,9 +176,7 @@ def tileset_document(
     neural = [NEURAL] if _has_neural(root) else []
     return {
         "asset": {"version": "1.1", "generator": "gsgen"},
-        "extensions": {
-            GLTF_EXTENSION: {"extensionsRequired": needed, "extensionsUsed": needed}
-        },
+        "extensions": {GLTF_EXTENSION: {"extensionsRequired": needed, "extensionsUsed": needed}},
         "extensionsRequired": [GLTF_EXTENSION],
         "extensionsUsed": [GLTF_EXTENSION, *neural],
         "geometricError": max(diagonal, root.geometric_error),
@@ -201,10 +199,7 @@ def _has_neural(tile: TileRecord) -> bool:
 
 def _tile(tile: TileRecord, quality: int) -> _Written:
     children = [_tile(child, quality) for child in tile.children]
-    low, high = (
-        np.asarray(tile.low, np.float64),
-        np.asarray(tile.high, np.float64),
-    )
+    low, high = (np.asarray(tile.low, np.float64), np.asarray(tile.high, np.float64))
     document: JsonDict = {"geometricError": float(tile.geometric_error)}
     if tile.contents:
         content = tile.contents[min(quality, len(tile.contents) - 1)]
@@ -241,11 +236,7 @@ def box_numbers(low: Corner, high: Corner) -> list[float]:
 
 
 def write_build_record(
-    path: Path,
-    *,
-    key: str,
-    source_splats: int,
-    files: Mapping[str, bytes | tuple[int, str]],
+    path: Path, *, key: str, source_splats: int, files: Mapping[str, bytes | tuple[int, str]]
 ) -> None:
     """Write the record of a build: the size and SHA-256 of every file, which the validator compares.
 

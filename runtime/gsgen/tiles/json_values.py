@@ -22,9 +22,7 @@ MAX_JSON: Final = 128 << 20
 """How many bytes of JSON are parsed."""
 
 
-def parse_object(
-    data: bytes, location: str, *, fault: Fault = Fault.SCHEMA
-) -> "JsonObject":
+def parse_object(data: bytes, location: str, *, fault: Fault = Fault.SCHEMA) -> "JsonObject":
     """Parse a JSON document whose root is an object.
 
     Raises:
@@ -77,12 +75,8 @@ class JsonObject:
 
     def refuse(self, key: str, expected: str) -> Never:
         """Raise TilesetInvalid with the value at ``key`` as the actual value."""
-        actual = (
-            shorten(self.values[key]) if key in self.values else "the member is missing"
-        )
-        raise TilesetInvalid(
-            actual, location=self.at(key), expected=expected, fault=self.fault
-        )
+        actual = shorten(self.values[key]) if key in self.values else "the member is missing"
+        raise TilesetInvalid(actual, location=self.at(key), expected=expected, fault=self.fault)
 
     def at(self, key: str) -> str:
         """Return the location of a member."""
@@ -109,10 +103,7 @@ class JsonObject:
             location = f"{self.at(key)}[{index}]"
             if not isinstance(entry, dict):
                 raise TilesetInvalid(
-                    shorten(entry),
-                    location=location,
-                    expected="an object",
-                    fault=self.fault,
+                    shorten(entry), location=location, expected="an object", fault=self.fault
                 )
             yield JsonObject(entry, location, self.fault)
 
@@ -147,11 +138,7 @@ class JsonObject:
     def numbers(self, key: str, count: int) -> Float64[np.ndarray, " n"]:
         """Return the ``count`` finite numbers of the array at ``key``."""
         value = self.values.get(key)
-        if (
-            not isinstance(value, list)
-            or len(value) != count
-            or not all(map(_is_number, value))
-        ):
+        if not isinstance(value, list) or len(value) != count or not all(map(_is_number, value)):
             self.refuse(key, f"{count} finite numbers")
         return np.array(value, np.float64)
 

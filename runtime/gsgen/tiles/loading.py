@@ -171,11 +171,7 @@ class _Loader:
         return replace(tile, contents=contents, children=tuple(children))
 
     def _append_tile(
-        self,
-        children: list[Tile],
-        entry: JsonObject,
-        document: Document,
-        parent: _Parent,
+        self, children: list[Tile], entry: JsonObject, document: Document, parent: _Parent
     ) -> None:
         children.append(self._tile(entry, document, parent))
 
@@ -190,9 +186,7 @@ class _Loader:
         self._tiles += tiles
         if self._tiles > self._limits.tiles:
             raise TilesetInvalid(
-                f"more than {self._limits.tiles:,} tiles",
-                location=location,
-                expected="fewer",
+                f"more than {self._limits.tiles:,} tiles", location=location, expected="fewer"
             )
 
     def _refine(self, entry: JsonObject, parent: _Parent) -> Refine:
@@ -285,9 +279,7 @@ class _Loader:
         volume = read_volume(bounds) if bounds else None
         contents.append(Content(uri=uri, volume=volume, location=entry.at(key)))
 
-    def _external(
-        self, uri: str, location: str, document: Document, below: _Parent
-    ) -> Tile:
+    def _external(self, uri: str, location: str, document: Document, below: _Parent) -> Tile:
         if uri in document.above:
             raise TilesetInvalid(
                 f"{uri} within itself",
@@ -319,12 +311,7 @@ class _Loader:
     def _implicit(self, entry: JsonObject, tile: Tile, document: Document) -> Tile:
         self._count(-1, entry.location)
         tree = read_implicit(
-            entry,
-            tile.volume,
-            tile.geometric_error,
-            tile.refine,
-            document.path,
-            document.classes,
+            entry, tile.volume, tile.geometric_error, tile.refine, document.path, document.classes
         )
 
         def load(tree: ImplicitTree, origin: TileCoordinates) -> Subtree | None:
@@ -337,9 +324,7 @@ class _Loader:
         return expand_implicit(tree, tile, load, self._count)
 
     def _subtree(self, tree: ImplicitTree, origin: TileCoordinates) -> Subtree:
-        uri = tree.uri(
-            tree.subtree_uri, origin, f"{tree.location}.implicitTiling.subtrees.uri"
-        )
+        uri = tree.uri(tree.subtree_uri, origin, f"{tree.location}.implicitTiling.subtrees.uri")
         data = self._store.read(uri, limit=_MAX_SUBTREE)
         self._documents.spend(len(data), uri)
 

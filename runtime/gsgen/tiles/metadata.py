@@ -62,10 +62,7 @@ def metadata_schema() -> JsonDict:
     }
     return {
         "id": "gsgen_tiles",
-        "classes": {
-            TILE_CLASS: {"properties": required},
-            TILESET_CLASS: {"properties": tileset},
-        },
+        "classes": {TILE_CLASS: {"properties": required}, TILESET_CLASS: {"properties": tileset}},
     }
 
 

@@ -70,14 +70,10 @@ def read_neural_tile(extension: JsonObject, base: str) -> NeuralTile:
     if "time_range" in members:
         first, last = map(float, members.numbers("time_range", 2))
         if first > last:
-            members.refuse(
-                "time_range", "the first time, then a last one that is not before it"
-            )
+            members.refuse("time_range", "the first time, then a last one that is not before it")
         span = first, last
     if ("time" in inputs) != (span is not None):
-        members.refuse(
-            "time_range", "a range where the inputs have a time, and none otherwise"
-        )
+        members.refuse("time_range", "a range where the inputs have a time, and none otherwise")
     return NeuralTile(
         uri=resolve_uri(base, members.text("uri"), members.at("uri")),
         contract=contract,

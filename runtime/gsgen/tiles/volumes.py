@@ -149,10 +149,7 @@ class Region:
         middle = self.west + self.width / 2
         apart = np.abs((longitude - middle + np.pi) % (2 * np.pi) - np.pi)
         east = np.maximum(apart - self.width / 2, 0) * np.cos(latitude) * _EQUATOR
-        north = (
-            np.maximum(np.maximum(self.south - latitude, latitude - self.north), 0)
-            * _EQUATOR
-        )
+        north = np.maximum(np.maximum(self.south - latitude, latitude - self.north), 0) * _EQUATOR
         up = np.maximum(np.maximum(self.minimum - height, height - self.maximum), 0)
         return np.asarray(np.maximum(np.maximum(east, north), up))
 
@@ -200,9 +197,7 @@ def read_volume(volume: JsonObject) -> Volume:
             and low <= high
         ):
             volume.refuse("region", "west, south, east, north in radians, and two heights")
-        return Region(
-            west=west, south=south, east=east, north=north, minimum=low, maximum=high
-        )
+        return Region(west=west, south=south, east=east, north=north, minimum=low, maximum=high)
     volume.refuse("box", "a box, a sphere or a region")
 
 
@@ -217,11 +212,7 @@ def ecef(
     radius = _EQUATOR / np.sqrt(cosine**2 + squeeze * sine**2)
     ring = (radius + height) * cosine
     return np.column_stack(
-        [
-            ring * np.cos(longitude),
-            ring * np.sin(longitude),
-            (squeeze * radius + height) * sine,
-        ]
+        [ring * np.cos(longitude), ring * np.sin(longitude), (squeeze * radius + height) * sine]
     )
 
 

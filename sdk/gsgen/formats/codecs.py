@@ -4,14 +4,7 @@ Help texts, hints, error messages and the documentation read this table. A new f
 that reads it, an entry of the table, and a sample in ``tests/support/splat_files.py``.
 """
 
-__all__ = [
-    "CODECS",
-    "Codec",
-    "codec_named",
-    "codec_of_suffix",
-    "format_titles",
-    "recognised",
-]
+__all__ = ["CODECS", "Codec", "codec_named", "codec_of_suffix", "format_titles", "recognised"]
 
 import zipfile
 from collections.abc import Callable

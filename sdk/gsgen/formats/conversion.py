@@ -84,9 +84,7 @@ def convert(
     if isinstance(content, PointCloud):
         return _convert_points(source, target, codec, content, before)
     splats = splats_of_rows(content) if isinstance(content, PackedRows) else content
-    reduced = _with_degree(
-        splats, min(codec.most_degree, 4 if sh_degree is None else sh_degree)
-    )
+    reduced = _with_degree(splats, min(codec.most_degree, 4 if sh_degree is None else sh_degree))
     step(f"writing {target}")
     make_folder(target)
     writer(target, reduced)

@@ -13,12 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, contents, require_room, take
-from gsgen.formats.shared.errors import (
-    HeaderMalformed,
-    NotRecognised,
-    NotSupported,
-    ValueInvalid,
-)
+from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.joined import joined
 from gsgen.formats.shared.quantities import SH_C0, log, logit, unit
@@ -101,16 +96,12 @@ def decode_ksplat(data: Data) -> Splats:
     major, minor, sections, _, _, _, level, _, _, _, sh_low, sh_high = fields
     if major or data[2:4] != b"\0\0":
         raise NotRecognised(
-            data[:4].hex(" "),
-            where="first bytes",
-            expected="00 01 00 00, the start of KSPLAT 0.1",
+            data[:4].hex(" "), where="first bytes", expected="00 01 00 00, the start of KSPLAT 0.1"
         )
     if minor != 1:
         raise NotSupported(f"version 0.{minor}", where="byte 1", expected="0.1")
     if level > 2:
-        raise HeaderMalformed(
-            f"compression level {level}", where="byte 20", expected="0, 1 or 2"
-        )
+        raise HeaderMalformed(f"compression level {level}", where="byte 20", expected="0, 1 or 2")
     # The number of used sections (byte 8) is not read: writers leave it 0, and the others empty.
     require_room(data, HEADER, sections * SECTION, "section headers")
     sh_range = (sh_low or _SH_RANGE[0], sh_high or _SH_RANGE[1])
@@ -140,20 +131,14 @@ def _section(data: Data, index: int, start: int, level: int) -> _Section:
     if degree > _MOST_DEGREE:
         raise HeaderMalformed(f"SH degree {degree}", where=where, expected="0, 1 or 2")
     if count > most:
-        raise HeaderMalformed(
-            f"{count} of {most} splats", where=where, expected=f"at most {most}"
-        )
+        raise HeaderMalformed(f"{count} of {most} splats", where=where, expected=f"at most {most}")
     if level and not count <= full * size + partial * size:
         raise HeaderMalformed(
             f"{count} splats in {full} full and {partial} other buckets of {size}",
             where=where,
             expected=f"at most {full * size + partial * size}",
         )
-    if (
-        level
-        and count
-        and (full + partial > buckets or storage < 12 or not np.isfinite(block))
-    ):
+    if level and count and (full + partial > buckets or storage < 12 or not np.isfinite(block)):
         raise HeaderMalformed(
             f"{buckets} buckets of {storage} bytes and {block:g} units",
             where=where,
@@ -180,9 +165,7 @@ def _record(level: int, degree: int) -> np.dtype:
     return np.dtype(fields)
 
 
-def _splats(
-    data: Data, section: _Section, level: int, sh_range: tuple[float, float]
-) -> Splats:
+def _splats(data: Data, section: _Section, level: int, sh_range: tuple[float, float]) -> Splats:
     record = _record(level, section.degree)
     rows = take(data, record, (section.count,), section.rows, "splats")
     rgba = rows["rgba"] / np.float32(255)

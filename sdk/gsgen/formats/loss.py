@@ -57,10 +57,7 @@ def differences(before: Splats, after: Splats) -> tuple[Difference, ...]:
         counts[name] += difference.size
     return tuple(
         Difference(
-            name,
-            units.get(name, ""),
-            largest[name],
-            math.sqrt(squares[name] / counts[name]),
+            name, units.get(name, ""), largest[name], math.sqrt(squares[name] / counts[name])
         )
         for name in names
         if counts[name]

@@ -54,14 +54,10 @@ def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | Pack
         first = file.read(len(ZIP_MAGIC))
         if first != ZIP_MAGIC:
             raise NotRecognised(
-                first.hex(" "),
-                where="first bytes",
-                expected="50 4b 03 04, the start of an .npz",
+                first.hex(" "), where="first bytes", expected="50 4b 03 04, the start of an .npz"
             )
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
-            keys = _choose(
-                [name[:-4] for name in archive.namelist() if name[-4:] == ".npy"]
-            )
+            keys = _choose([name[:-4] for name in archive.namelist() if name[-4:] == ".npy"])
             arrays = read_arrays(archive, keys, max_bytes)
         return _packed(*arrays) if keys == _PACKED else _cloud(keys[0], *arrays)
 
@@ -123,9 +119,7 @@ def _triples(
     if not typed or array.shape[1:] != (3,):
         dtypes = f"{np.dtype(also).name} or float" if also else "float"
         raise ValueInvalid(
-            f"{array.dtype} {list(array.shape)}",
-            where=f"array {key}",
-            expected=f"{dtypes} [n, 3]",
+            f"{array.dtype} {list(array.shape)}", where=f"array {key}", expected=f"{dtypes} [n, 3]"
         )
     # A double beyond float32 becomes infinite, which the check of values refuses.
     with np.errstate(over="ignore", invalid="ignore"):

@@ -25,9 +25,7 @@ class SplatReader(Protocol):
         ...
 
 
-def open_splats(
-    path: FilePath, *, drop_invalid: bool = False
-) -> Splats | PointCloud | PackedRows:
+def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointCloud | PackedRows:
     """Read the splats of a file whose format its content shows, not its name.
 
     ``CODECS`` lists the formats. SPLAT has no header: it is a number of plausible records that

@@ -23,9 +23,7 @@ def splats_of_rows(rows: PackedRows) -> Splats:
     rows64 = rows.gaussians.astype(np.float64)
     if not np.isfinite(rows64).all():
         row = int(np.argmin(np.isfinite(rows64).all(axis=1)))
-        raise ValueInvalid(
-            f"row {row} is not finite", where="gaussians", expected="finite numbers"
-        )
+        raise ValueInvalid(f"row {row} is not finite", where="gaussians", expected="finite numbers")
     variances, axes = np.linalg.eigh(symmetric(rows64[:, 4:]))
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
     return Splats(

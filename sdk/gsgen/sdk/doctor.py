@@ -28,11 +28,7 @@ def _adapter() -> Check:
         survey_result = survey()
     except LevelUnavailable as error:
         return Check(
-            name="webgpu",
-            state="missing",
-            detail=error.message,
-            remedy=error.hint,
-            purpose=_LIVE,
+            name="webgpu", state="missing", detail=error.message, remedy=error.hint, purpose=_LIVE
         )
     except RuntimeError as error:
         return Check(

@@ -1,12 +1,6 @@
 """Exceptions raised when a model cannot be exported or rewritten."""
 
-__all__ = [
-    "ExportFailed",
-    "ExportRejected",
-    "GeneratorInvalid",
-    "ParityFailed",
-    "RewriteFailed",
-]
+__all__ = ["ExportFailed", "ExportRejected", "GeneratorInvalid", "ParityFailed", "RewriteFailed"]
 
 from typing import TYPE_CHECKING
 
@@ -33,12 +27,7 @@ class ParityFailed(GsgenError):
     """
 
     def __init__(
-        self,
-        message: str,
-        *,
-        where: str = "",
-        hint: str = "",
-        parity: "Parity | None" = None,
+        self, message: str, *, where: str = "", hint: str = "", parity: "Parity | None" = None
     ) -> None:
         super().__init__(message, where=where, hint=hint)
         self.parity = parity
@@ -51,9 +40,7 @@ class ExportRejected(GsgenError):
         report: The validator's report.
     """
 
-    def __init__(
-        self, message: str, report: "Report", *, where: str = "", hint: str = ""
-    ) -> None:
+    def __init__(self, message: str, report: "Report", *, where: str = "", hint: str = "") -> None:
         super().__init__(message, where=where, hint=hint)
         self.report = report
 

@@ -126,8 +126,7 @@ class Parity:
     def describe(self) -> str:
         """Return the largest error of each field as one line of text."""
         parts = [
-            f"{f.field} {f.error:.2g} ({100 * f.excess:.3g} % of allowed)"
-            for f in self.fields
+            f"{f.field} {f.error:.2g} ({100 * f.excess:.3g} % of allowed)" for f in self.fields
         ]
         if self.rows_at_threshold:
             parts.append(
@@ -215,9 +214,7 @@ def _compare_probe(
     if (output.cells is None) != (reference.cells is None):
         return [_failure("cells", 1.0, label)], 0
     near = [
-        neighbour
-        for neighbour in near
-        if neighbour.count == n and len(neighbour.gaussians) >= n
+        neighbour for neighbour in near if neighbour.count == n and len(neighbour.gaussians) >= n
     ]
     measured_fields: list[FieldParity] = []
     excused = 0
@@ -291,11 +288,7 @@ _Fields = Callable[[Reference, slice, ModelOutput, Tolerances, int], Iterator[Me
 
 
 def _fields(
-    reference: Reference,
-    part: slice,
-    output: ModelOutput,
-    tolerances: Tolerances,
-    roundings: int,
+    reference: Reference, part: slice, output: ModelOutput, tolerances: Tolerances, roundings: int
 ) -> Iterator[Measured]:
     """Yield each field's error and tolerance, row by row."""
     expected = reference.gaussians
@@ -311,11 +304,7 @@ def _fields(
 
 
 def _cell_fields(
-    reference: Reference,
-    part: slice,
-    output: ModelOutput,
-    tolerances: Tolerances,
-    roundings: int,
+    reference: Reference, part: slice, output: ModelOutput, tolerances: Tolerances, roundings: int
 ) -> Iterator[Measured]:
     """Yield the errors and tolerances of cells, cell by cell."""
     expected = reference.cells

@@ -55,12 +55,7 @@ def test_figures_are_those_of_the_film(
     message: list[str] = []
     cost = measure(film, message.append)
     drawn = [film.draw(number) for number in range(4)]
-    assert (cost.frames, cost.size, cost.gaussians, cost.capacity) == (
-        4,
-        (48, 32),
-        205,
-        205,
-    )
+    assert (cost.frames, cost.size, cost.gaussians, cost.capacity) == (4, (48, 32), 205, 205)
     assert cost.visible == int(np.median([frame.visible for frame in drawn]))
     assert cost.pairs == int(np.median([frame.pairs for frame in drawn]))
     words = -(-205 * 40 // 16)  # buffers have whole ones
@@ -78,15 +73,11 @@ def test_figures_are_those_of_the_film(
         source.close()
 
 
-def test_what_the_rasteriser_draws_is_a_stage(
-    scenes: list[Path], renderer: Renderer
-) -> None:
+def test_what_the_rasteriser_draws_is_a_stage(scenes: list[Path], renderer: Renderer) -> None:
     if not renderer.device.has_clock:
         pytest.skip("this device has no timestamps")
     source = open_source(scenes[0])
-    triangle = MeshData(
-        np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.int32([[0, 1, 2]])
-    )
+    triangle = MeshData(np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.int32([[0, 1, 2]]))
     source.meshes = (Mesh(triangle),)
     quads = Renderer(renderer.device, rasteriser="quads")
     film = FrameSequence([source], viewpoint(None, 48, 32), frames=2, renderer=quads)

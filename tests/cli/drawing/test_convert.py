@@ -23,9 +23,7 @@ def test_a_conversion_says_what_was_lost(source, tmp_path):
     ran = gsgen("convert", source, target, "--sh-degree", "1")
     assert (ran.code, ran.err) == (0, "")
     lines = ran.out.splitlines()
-    assert lines[0].startswith(
-        f"{target}: 50 splats of SH degree 1, spz, 0.01 MiB → 0.00 MiB"
-    )
+    assert lines[0].startswith(f"{target}: 50 splats of SH degree 1, spz, 0.01 MiB → 0.00 MiB")
     assert lines[1] == "lost: harmonics above degree 1"
     assert [line.split()[0] for line in lines[3:]] == [
         *("position", "rotation", "scale", "opacity", "color", "harmonics")
@@ -61,17 +59,9 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (
-            ("a.sog",),
-            2,
-            "a.sog: SOG can only be read\n  Use one of .ply, .compressed.ply, ",
-        ),
+        (("a.sog",), 2, "a.sog: SOG can only be read\n  Use one of .ply, .compressed.ply, "),
         (("a",), 2, "a: has the unknown suffix (none)\n"),
-        (
-            ("a", "--format", "splt"),
-            2,
-            "--format: unknown format 'splt'\n  Did you mean 'splat'?",
-        ),
+        (("a", "--format", "splt"), 2, "--format: unknown format 'splt'\n  Did you mean 'splat'?"),
         (
             ("a.ply", "--spz-version", "4"),
             2,
@@ -82,11 +72,7 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
             2,
             "--encoding: applies to ply, but the output is spz\n",
         ),
-        (
-            ("/dev/null/no/a.ply",),
-            1,
-            "/dev/null/no/a.ply: cannot be written: Not a directory\n",
-        ),
+        (("/dev/null/no/a.ply",), 1, "/dev/null/no/a.ply: cannot be written: Not a directory\n"),
     ],
 )
 def test_what_cannot_be_done_is_said_with_a_code(source, tmp_path, words, code, message):
@@ -101,9 +87,7 @@ def test_a_source_that_cannot_be_read_exits_4(tmp_path):
     invalid.write_bytes(b"ply\nnonsense\nend_header\n")
     ran = gsgen("convert", invalid, tmp_path / "a.spz")
     assert ran.code == 4
-    assert ran.err.startswith(
-        f"gsgen: {invalid}: header line 2: 'nonsense'\nexpected format, "
-    )
+    assert ran.err.startswith(f"gsgen: {invalid}: header line 2: 'nonsense'\nexpected format, ")
 
 
 @pytest.fixture
@@ -140,9 +124,7 @@ def test_rows_that_cannot_be_drawn_are_left_out_where_asked(trained: Path) -> No
 
 
 @pytest.mark.parametrize("command", ["render", "export"])
-def test_a_few_rows_do_not_keep_a_scene_from_being_used(
-    trained: Path, command: str
-) -> None:
+def test_a_few_rows_do_not_keep_a_scene_from_being_used(trained: Path, command: str) -> None:
     words = {
         "render": ("render", trained, "-o", trained.with_name("a.png"), "--width", "64"),
         "export": ("export", "static", trained, "-o", trained.with_name("a.onnx")),

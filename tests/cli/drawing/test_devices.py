@@ -15,15 +15,7 @@ SMALL = ("--width", "64", "--height", "48")
 TILES = ("--rasteriser", "tiles")
 DRAWING = {
     "render": ("render", "cloud.npz", "-o", "out.gif", "--frames", "3", *SMALL, *TILES),
-    "bench-render": (
-        "bench-render",
-        "cloud.npz",
-        "-o",
-        "out.json",
-        "--frames",
-        "3",
-        *SMALL,
-    ),
+    "bench-render": ("bench-render", "cloud.npz", "-o", "out.json", "--frames", "3", *SMALL),
 }
 ROWS = 3000
 ENOUGH = 1_720_000  # bytes for the picture and compact rows, and not for others
@@ -88,9 +80,7 @@ def test_a_level_that_a_device_fails_at_is_skipped_with_the_reason(
     with device:
         ran = gsgen_here("validate", model, "--level", "render", "--format", "json")
     assert ran.code == 0, ran.err
-    (level,) = (
-        entry for entry in json.loads(ran.out)["levels"] if entry["level"] == "render"
-    )
+    (level,) = (entry for entry in json.loads(ran.out)["levels"] if entry["level"] == "render")
     assert level["status"] == "skipped"
     assert reason in level["reason"]
 

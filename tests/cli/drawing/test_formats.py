@@ -58,9 +58,7 @@ def test_other_formats_leave_the_summary_page_alone(nan: Path, tmp_path: Path) -
     assert not summary.exists()
 
 
-def test_a_summary_page_that_cannot_be_written_is_trouble(
-    nan: Path, tmp_path: Path
-) -> None:
+def test_a_summary_page_that_cannot_be_written_is_trouble(nan: Path, tmp_path: Path) -> None:
     env = {"GITHUB_STEP_SUMMARY": str(tmp_path)}
     ran = gsgen_here("validate", nan, "--format", "github", env=env)
     assert ran.code == 2
@@ -91,8 +89,7 @@ def test_a_baseline_forgives_what_it_lists_and_no_more(
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
-    [(None, "cannot be read"), ("{", "is not JSON"), ("{}", "is not a report")],
+    ("text", "message"), [(None, "cannot be read"), ("{", "is not JSON"), ("{}", "is not a report")]
 )
 def test_a_baseline_that_is_none_exits_2(
     good: Path, tmp_path: Path, text: str | None, message: str
@@ -111,9 +108,7 @@ def test_a_waiver_is_shown_with_its_reason(nan: Path) -> None:
     config.write_text('[[waive]]\nrule = "rows-finite"\nreason = "Row 7 is a marker."\n')
     ran = gsgen_here("validate", nan, cwd=nan.parent)
     assert ran.code == 0
-    assert (
-        "  GV001 waived: rows-finite\n    output gaussians: Row 7 is a marker.\n" in ran.out
-    )
+    assert "  GV001 waived: rows-finite\n    output gaussians: Row 7 is a marker.\n" in ran.out
     config.write_text('[[waive]]\nrule = "GV001"\n')
     ran = gsgen_here("validate", nan, cwd=nan.parent)
     assert ran.code == 2
@@ -127,6 +122,4 @@ def test_a_path_that_is_no_text_reaches_every_format(nan: Path) -> None:
         ran = gsgen("validate", odd, "--level", "static", "--format", name)
         assert ran.code == 0, ran.err
         assert "Traceback" not in ran.err
-    assert json.loads(gsgen("validate", odd, "--format", "json").out)["subject"][
-        "uri"
-    ] == str(odd)
+    assert json.loads(gsgen("validate", odd, "--format", "json").out)["subject"]["uri"] == str(odd)

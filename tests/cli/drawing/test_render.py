@@ -58,9 +58,7 @@ def places(file: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, st
     folder = tmp_path_factory.mktemp("places")
     names = {"MODEL": "drift", "POST": "post_process", "BODY": "avatar"}
     result = {word: str(find(name).write(folder)) for word, name in names.items()}
-    opened = driven(
-        "float[J,3] pose", Input(name="pose", role="pose"), "shift = ReduceMean (pose)"
-    )
+    opened = driven("float[J,3] pose", Input(name="pose", role="pose"), "shift = ReduceMean (pose)")
     opened.write(folder / "open.onnx")
     return result | {"FILE": str(file), "OPEN": str(folder / "open.onnx")}
 
@@ -100,9 +98,7 @@ def ran(*words: str) -> tuple[int, str, str]:
     app = typer.Typer()
     app.command()(render)
     finished = CliRunner().invoke(app, list(words))
-    if isinstance(
-        finished.exception, GsgenError
-    ):  # which the program turns into exit code 2
+    if isinstance(finished.exception, GsgenError):  # which the program turns into exit code 2
         return 2, finished.stdout, str(finished.exception)
     assert finished.exception is None or isinstance(finished.exception, SystemExit)
     return finished.exit_code, finished.stdout, finished.stderr
@@ -128,17 +124,9 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
         (("FILE", "--time", "0.5"), 2, "--time: is 0.5, but no scene has a time"),
         (("FILE", "--background", "puce"), 2, "'puce' is not a colour"),
         (("FILE", "--fov", "180"), 2, "--fov: is 180.0 degrees"),
-        (
-            ("FILE", "--turn", "nan"),
-            2,
-            "--turn: is nan, expected a finite number of degrees",
-        ),
+        (("FILE", "--turn", "nan"), 2, "--turn: is nan, expected a finite number of degrees"),
         (("MODEL", "--post", "nowhere.onnx"), 4, "nowhere.onnx"),
-        (
-            ("MODEL", "--post", "MODEL"),
-            2,
-            "is a gaussian-generator, expected a post-process",
-        ),
+        (("MODEL", "--post", "MODEL"), 2, "is a gaussian-generator, expected a post-process"),
         (("MODEL", "--post", "POST", "--mode", "alpha", "--input", "x=1"), 2, "input 'x'"),
         (
             ("MODEL", "--post", "POST", "--mode", "depth"),
@@ -150,11 +138,7 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
         (("MODEL", "--size", "J"), 2, "--size: is 'J', expected SYMBOL=SIZE, such as J=24"),
         (("OPEN",), 2, "Give its size: `--size J=24`"),
         (("MODEL", "--input", "tme=1"), 2, "unknown input 'tme'\n  Did you mean 'time'?"),
-        (
-            ("MODEL", "--input", "time"),
-            2,
-            "--input: 'time' has no name or no value\n  Give",
-        ),
+        (("MODEL", "--input", "time"), 2, "--input: 'time' has no name or no value\n  Give"),
         (("MODEL", "--input", "time=x"), 2, "'time=x': could not convert"),
         (("MODEL", "--input", "time=no.npy"), 2, "no.npy: cannot be read: No such file"),
         (
@@ -163,16 +147,8 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
             "--pose no.npy: needs the input 'pose', which no scene has",
         ),
         (("BODY", "--pose", "no.npy"), 2, "no.npy: cannot be read: No such file"),
-        (
-            ("MODEL", "--wsr", "published"),
-            2,
-            "drift.onnx is not blended by weighted sums",
-        ),
-        (
-            ("BODY", "--input", "pose=1,2"),
-            2,
-            "has shape [2], expected [4, 3] or [frames, 4, 3]",
-        ),
+        (("MODEL", "--wsr", "published"), 2, "drift.onnx is not blended by weighted sums"),
+        (("BODY", "--input", "pose=1,2"), 2, "has shape [2], expected [4, 3] or [frames, 4, 3]"),
     ],
 )
 def test_mistakes(
@@ -246,9 +222,7 @@ def test_a_film_has_every_frame(renderer: Renderer, file: Path, tmp_path: Path) 
 @pytest.mark.parametrize("mode", ["depth", "median-depth", "normal", "alpha"])
 def test_modes(renderer: Renderer, file: Path, mode: str) -> None:
     source = open_source(file)
-    result = FrameSequence(
-        [source], viewpoint(None, width=48, height=32), mode, renderer=renderer
-    )
+    result = FrameSequence([source], viewpoint(None, width=48, height=32), mode, renderer=renderer)
     frame = result.draw(0)
     floats, picture = array_of(frame, mode), picture_of(frame, mode)
     assert floats.shape[:2] == picture.shape[:2] == (32, 48)
@@ -287,11 +261,7 @@ def test_inputs_are_fed_frame_by_frame(renderer: Renderer, places: dict[str, str
     assert np.array_equal(second_run.draw(0).rgba, visible[2])
     assert not np.array_equal(visible[0], visible[2])
     longer, third = film(
-        renderer,
-        Path(places["BODY"]),
-        tracks=[Track("pose", poses, "x")],
-        frames=4,
-        camera=FRONT,
+        renderer, Path(places["BODY"]), tracks=[Track("pose", poses, "x")], frames=4, camera=FRONT
     )
     assert np.array_equal(longer.draw(3).rgba, visible[0])  # poses begin anew
     for entry in (source, second, third):
@@ -308,9 +278,7 @@ def test_a_film_on_disk_is_what_its_frames_are_one_by_one(
     source.close()
 
 
-def test_an_orbit_goes_around_what_the_whole_film_shows(
-    renderer: Renderer, moving: Path
-) -> None:
+def test_an_orbit_goes_around_what_the_whole_film_shows(renderer: Renderer, moving: Path) -> None:
     result, source = film(renderer, moving, frames=5)
     center, reach = source.extent()
     visited = []
@@ -324,21 +292,15 @@ def test_an_orbit_goes_around_what_the_whole_film_shows(
     alone.close()
 
 
-def test_an_orbit_turns_where_the_time_stands_still(
-    renderer: Renderer, moving: Path
-) -> None:
+def test_an_orbit_turns_where_the_time_stands_still(renderer: Renderer, moving: Path) -> None:
     result, source = film(renderer, moving, frames=4, time=0.5)
     views = [result.draw(number).rgba for number in range(4)]
     assert not np.array_equal(views[0], views[2])
     source.close()
 
 
-def test_frame_numbers_count_where_there_is_no_time(
-    renderer: Renderer, tmp_path: Path
-) -> None:
-    result, source = film(
-        renderer, find("frame_table").write(tmp_path), frames=9, camera=FRONT
-    )
+def test_frame_numbers_count_where_there_is_no_time(renderer: Renderer, tmp_path: Path) -> None:
+    result, source = film(renderer, find("frame_table").write(tmp_path), frames=9, camera=FRONT)
     visible = [result.draw(number).rgba for number in range(9)]
     assert not np.array_equal(visible[0], visible[1])
     assert np.array_equal(visible[0], visible[8])  # there are eight
@@ -355,9 +317,7 @@ def test_everything_at_once(places: dict[str, str], tmp_path: Path) -> None:
     )  # fmt: skip
     assert finished.code == 0, finished.err
     assert json.loads(finished.out)["frames"] == 3
-    pictures = [
-        np.asarray(Image.open(entry)) for entry in sorted((tmp_path / out).iterdir())
-    ]
+    pictures = [np.asarray(Image.open(entry)) for entry in sorted((tmp_path / out).iterdir())]
     assert len(pictures) == 3
     assert not np.array_equal(pictures[0], pictures[1])
     assert pictures[0][..., :3].max() == 64  # white, twice half as bright
@@ -370,9 +330,7 @@ def test_an_orbit_goes_around_a_moving_model_where_it_stands(
     location[:3, 3] = 5, 0, -2
     reference, source = film(renderer, moving, frames=3)
     placed = PlacedSource(open_source(moving), location)
-    FrameSequence(
-        [placed], viewpoint(None, width=48, height=32), frames=3, renderer=renderer
-    )
+    FrameSequence([placed], viewpoint(None, width=48, height=32), frames=3, renderer=renderer)
     (center, reach), (expected, as_far) = placed.extent(), source.extent()
     np.testing.assert_allclose(center, expected + location[:3, 3])
     assert reach == as_far
@@ -431,20 +389,9 @@ def test_both_forms_of_weighted_sums_are_drawn(tmp_path: Path) -> None:
     result = {}
     for form in ("contract", "published"):
         result[form] = tmp_path / f"{form}.npy"
-        words = (
-            str(model),
-            "-o",
-            str(result[form]),
-            "--wsr",
-            form,
-            "--camera",
-            FRONT,
-            *SMALL,
-        )
+        words = (str(model), "-o", str(result[form]), "--wsr", form, "--camera", FRONT, *SMALL)
         assert ran(*words, "--background", "0.9,0.6,0.3")[0] == 0
-        expected = oracle.render(
-            scene, visited, background=behind, published=form == "published"
-        )
+        expected = oracle.render(scene, visited, background=behind, published=form == "published")
         np.testing.assert_allclose(
             np.load(result[form])[..., :3], expected.rgba[..., :3], atol=2e-5
         )

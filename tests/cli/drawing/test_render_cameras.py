@@ -45,10 +45,7 @@ def picture(folder: Path) -> np.ndarray:
 def test_a_camera_is_picked_by_the_name_of_its_picture(folder: Path) -> None:
     finished = drawn(folder, "--camera", "transforms.json#near")
     assert finished.code == 0, finished.err
-    assert (
-        "note: transforms.json: the lens distortion of 2 of 2 frames is left out"
-        in finished.err
-    )
+    assert "note: transforms.json: the lens distortion of 2 of 2 frames is left out" in finished.err
     image = picture(folder)
     assert image.shape == (30, 40, 3)
     assert image.max() > 100
@@ -63,9 +60,7 @@ def test_a_panorama_is_twice_as_wide_as_high(folder: Path) -> None:
     assert finished.code == 0, finished.err
     image = picture(folder)
     assert image.shape == (32, 64, 3)
-    assert (
-        image.max(axis=(0, 2)) > 30
-    ).all()  # from the middle of the cloud: something all around
+    assert (image.max(axis=(0, 2)) > 30).all()  # from the middle of the cloud: something all around
 
 
 def test_a_panorama_in_a_jpeg_says_so_to_viewers(folder: Path) -> None:

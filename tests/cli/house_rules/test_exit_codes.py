@@ -46,9 +46,7 @@ def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         *(pytest.param(words, ".ply", id=f"{name} ply") for name, words in SCENES.items()),
     ],
 )
-def test_a_file_that_cannot_be_read_is_4(
-    words: tuple[str, ...], suffix: str, file: str
-) -> None:
+def test_a_file_that_cannot_be_read_is_4(words: tuple[str, ...], suffix: str, file: str) -> None:
     Path(f"text{suffix}").write_text("this is nothing of the sort")
     by_name = f"{file}{suffix}"
     ran = gsgen_here(*(by_name if word == "MODEL" else word for word in words))

@@ -21,9 +21,7 @@ BUSY = 0.3  # processor seconds of a thread that is not the first: a frame is be
 def interrupted(*words: str | Path) -> tuple[int, str]:
     """Run a command until it computes, press Ctrl-C, and return its code and what it said."""
     with subprocess.Popen(
-        [sys.executable, "-m", "gsgen.cli", *map(str, words)],
-        stderr=subprocess.PIPE,
-        text=True,
+        [sys.executable, "-m", "gsgen.cli", *map(str, words)], stderr=subprocess.PIPE, text=True
     ) as running:
         try:
             end = time.monotonic() + LONG

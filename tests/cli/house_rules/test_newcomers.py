@@ -30,9 +30,7 @@ def logits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ],
     ids=" ".join,
 )
-def test_no_report_and_no_model_replaces_what_is_read(
-    logits: Path, words: tuple[str, ...]
-) -> None:
+def test_no_report_and_no_model_replaces_what_is_read(logits: Path, words: tuple[str, ...]) -> None:
     Path("link.txt").symlink_to(logits)
     head = "ply\nformat ascii 1.0\nelement vertex 1\n"
     names = ("x", "y", "z", "red", "green", "blue")
@@ -60,9 +58,7 @@ def test_a_file_is_no_folder_for_dumps(logits: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["validate", "conformance"])
-def test_json_is_an_option_of_every_command_that_reports(
-    command: str, logits: Path
-) -> None:
+def test_json_is_an_option_of_every_command_that_reports(command: str, logits: Path) -> None:
     short = gsgen_here(command, logits, "--level", "static", "--json")
     long = gsgen_here(command, logits, "--level", "static", "--format", "json")
     assert short.code == long.code == 0
@@ -79,9 +75,7 @@ def test_a_model_without_inputs_has_one_vector(logits: Path) -> None:
     assert (ran.code, "2 vectors, but the model has only 1 probe\n" in ran.err) == (2, True)
     model = find("still_rgb").write(Path())
     assert gsgen_here("vectors", model).code == 0
-    assert [path.name for path in Path("still_rgb-vectors").glob("test*")] == [
-        "test_data_set_0"
-    ]
+    assert [path.name for path in Path("still_rgb-vectors").glob("test*")] == ["test_data_set_0"]
 
 
 def test_several_rules_are_explained() -> None:
@@ -118,9 +112,7 @@ def test_python_m_gsgen_is_gsgen() -> None:
         (b"\x80\x05\x95\x00\x00", "a pickle"),
     ],
 )
-def test_a_file_of_another_kind_is_named(
-    content: bytes, visited: str, tmp_path: Path
-) -> None:
+def test_a_file_of_another_kind_is_named(content: bytes, visited: str, tmp_path: Path) -> None:
     path = tmp_path / "some.onnx"
     path.write_bytes(content)
     ran = gsgen_here("validate", path)
@@ -154,9 +146,7 @@ def test_a_folder_of_models_says_what_it_holds(logits: Path) -> None:
 def test_a_setting_outside_of_its_table_is_sent_there(logits: Path) -> None:
     Path("gsgen.toml").write_text('target = "webgpu"\n')
     ran = gsgen_here("validate", logits)
-    assert (
-        ran.err == "gsgen: gsgen.toml: unknown key 'target'\n  Put it under [validate].\n"
-    )
+    assert ran.err == "gsgen: gsgen.toml: unknown key 'target'\n  Put it under [validate].\n"
 
 
 def test_what_is_to_be_typed_can_be_pasted(logits: Path, tmp_path: Path) -> None:
@@ -167,8 +157,7 @@ def test_what_is_to_be_typed_can_be_pasted(logits: Path, tmp_path: Path) -> None
     assert f"`gsgen validate '{folder}/still_rgb-vectors/model.onnx'` runs them" in ran.out
     unlabelled = find("no_manifest").write(folder)
     assert (
-        f"`gsgen inspect '{unlabelled}' --emit-manifest`"
-        in gsgen_here("vectors", unlabelled).err
+        f"`gsgen inspect '{unlabelled}' --emit-manifest`" in gsgen_here("vectors", unlabelled).err
     )
 
 
@@ -177,8 +166,7 @@ def test_rules_are_found_by_family_and_word() -> None:
     cells = json.loads(gsgen_here("rules", "GV03", "cells", "--json").out)
     assert {"GV030", "GV031", "GO020"} <= {entry["id"] for entry in cells}
     assert all(
-        entry["id"].startswith("GV03")
-        or "cells" in f"{entry['slug']} {entry['statement']}".lower()
+        entry["id"].startswith("GV03") or "cells" in f"{entry['slug']} {entry['statement']}".lower()
         for entry in cells
     )
     assert len(gsgen_here("rules", "gv").out) < len(all_entries) / 2

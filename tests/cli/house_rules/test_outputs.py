@@ -80,9 +80,7 @@ def test_a_folder_is_no_file(name: str) -> None:
     assert not list(Path(f"out{WRITING[name][1]}").iterdir())
 
 
-@pytest.mark.parametrize(
-    "name", [entry for entry in WRITING if entry.startswith(("ren", "exp"))]
-)
+@pytest.mark.parametrize("name", [entry for entry in WRITING if entry.startswith(("ren", "exp"))])
 def test_a_full_disk_is_one_line_and_leaves_nothing(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,9 +131,7 @@ def test_a_full_disk_behind_stdout_is_one_line(words: tuple[str, ...]) -> None:
             text=True,
         )
     assert finished.returncode == 2
-    assert finished.stderr.startswith(
-        "gsgen: output, or a temporary file, cannot be written: "
-    )
+    assert finished.stderr.startswith("gsgen: output, or a temporary file, cannot be written: ")
     assert len(finished.stderr.splitlines()) == 2
 
 
@@ -152,9 +148,7 @@ def test_a_device_stays_what_it_is(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["/dev/stdout", "/dev/fd/1"])
 @pytest.mark.parametrize("kind", ["a pipe", "a file"])
-def test_a_report_to_stdout_by_a_name_of_it_takes_nobodys_place(
-    name: str, kind: str
-) -> None:
+def test_a_report_to_stdout_by_a_name_of_it_takes_nobodys_place(name: str, kind: str) -> None:
     code = (
         "import sys; from pathlib import Path; from gsgen.contract.commands.output import "
         "write_text; write_text(Path(sys.argv[1]), 'a report')"
@@ -183,8 +177,6 @@ def test_a_report_to_a_device_leaves_it_there() -> None:
     assert not Path("/dev/null").is_file()
 
 
-def test_what_is_wrong_with_a_file_that_is_read_is_not_told_of_the_output(
-    tmp_path: Path,
-) -> None:
+def test_what_is_wrong_with_a_file_that_is_read_is_not_told_of_the_output(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "out"):
         (tmp_path / "gone").read_bytes()

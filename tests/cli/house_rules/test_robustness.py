@@ -52,9 +52,7 @@ def nested(depth: int) -> bytes:
     graph = field(2, b"innermost")
     for _ in range(depth):
         branch = field(1, b"then_branch") + field(6, graph) + b"\xa0\x01\x05"
-        graph = field(1, field(1, b"c") + field(4, b"If") + field(5, branch)) + field(
-            2, b"g"
-        )
+        graph = field(1, field(1, b"c") + field(4, b"If") + field(5, branch)) + field(2, b"g")
     return b"\x08\x08" + field(7, graph) + field(8, b"\x10\x12")
 
 
@@ -91,9 +89,7 @@ FILES: dict[str, Callable[[], bytes]] = {
     "json": lambda: b'{"ir_version": 8}',
     "zip": lambda: b"PK\x03\x04" + bytes(200),
     "ply": lambda: b"ply\nformat ascii 1.0\n",
-    "pointer": lambda: (
-        b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"
-    ),
+    "pointer": lambda: b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n",
     "zeros": lambda: bytes(100_000),
     "ones": lambda: b"\xff" * 100_000,
     "random": lambda: np.random.default_rng(1).bytes(200_000),

@@ -16,16 +16,12 @@ def imported(*words: str, whole: bool = False) -> set[str]:
         env=os.environ | {"COLUMNS": "200"},
     )
     assert finished.returncode == 0, finished.stderr[-2000:]
-    lines = [
-        line for line in finished.stderr.splitlines() if line.startswith("import time:")
-    ]
+    lines = [line for line in finished.stderr.splitlines() if line.startswith("import time:")]
     names = {line.rpartition("|")[2].strip() for line in lines}
     return names if whole else {name.partition(".")[0] for name in names}
 
 
-@pytest.mark.parametrize(
-    "words", [("--help",), ("--version",), ("rules",), ("export", "--help")]
-)
+@pytest.mark.parametrize("words", [("--help",), ("--version",), ("rules",), ("export", "--help")])
 def test_light_commands_import_nothing_heavy(words: tuple[str, ...]) -> None:
     assert imported(*words) & (HEAVY | {"onnxruntime"}) == set()
 

@@ -47,9 +47,7 @@ def test_what_is_declared_and_how_it_is_built_are_compared(tmp_path: Path) -> No
     sketch = find("drift").draw()
     a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
     sketch.write(a)
-    sketch.declaring(family="4d").reworded("Mul (speed, time)", "Add (speed, time)").write(
-        b
-    )
+    sketch.declaring(family="4d").reworded("Mul (speed, time)", "Add (speed, time)").write(b)
     facts = json.loads(gsgen_here("diff", a, b, "--json").out)["facts"]
     listed = {(fact["kind"], fact["what"]): fact["second"] for fact in facts}
     assert listed[("contract", "family")] == "4d"
@@ -79,9 +77,7 @@ def test_cells_are_compared_as_rows_are(tmp_path: Path) -> None:
     sketch = find("weighted_sum").draw()
     a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
     sketch.write(a)
-    sketch.altered(
-        "cell_rows", np.s_[1, 4], 0.25 + sketch.weights["cell_rows"][1, 4]
-    ).write(b)
+    sketch.altered("cell_rows", np.s_[1, 4], 0.25 + sketch.weights["cell_rows"][1, 4]).write(b)
     ran = gsgen_here("diff", a, b)
     assert ran.code == 1
     assert "output  cells: differ by up to 0.25, in 1 rows" in ran.out

@@ -82,9 +82,7 @@ def test_doctor_finds_the_software_driver_that_tests_need() -> None:
     """A missing driver fails here, and is not skipped: `make drivers` installs it."""
     ran = gsgen("doctor", "--json")
     rooms = json.loads(ran.out)
-    adapters = [
-        c for c in rooms["runtime"] if c["name"] == "adapter" and c["state"] == "ok"
-    ]
+    adapters = [c for c in rooms["runtime"] if c["name"] == "adapter" and c["state"] == "ok"]
     vulkan = [c["detail"] for c in adapters if "Vulkan" in c["detail"]]
     assert vulkan, f"no Vulkan adapter: {rooms['runtime']}"
     assert ran.code == 0
@@ -92,8 +90,7 @@ def test_doctor_finds_the_software_driver_that_tests_need() -> None:
 
 def test_doctor_names_the_command_that_repairs(tmp_path: Path) -> None:
     ran = gsgen(
-        "doctor",
-        env={"VK_DRIVER_FILES": str(tmp_path / "none.json"), "WGPU_BACKEND": "Vulkan"},
+        "doctor", env={"VK_DRIVER_FILES": str(tmp_path / "none.json"), "WGPU_BACKEND": "Vulkan"}
     )
     assert "contract" in ran.out
     assert "sandbox" in ran.out
@@ -122,9 +119,7 @@ def test_export_static_passes_packed_rows_through(tmp_path: Path, dtype: str) ->
 
 def test_export_static_says_when_packed_rows_do_not_conform(tmp_path: Path) -> None:
     packed = np.full((4, 10), np.nan, np.float32)
-    np.savez(
-        tmp_path / "rows.npz", gaussians=packed, appearance=np.zeros((4, 3), np.float32)
-    )
+    np.savez(tmp_path / "rows.npz", gaussians=packed, appearance=np.zeros((4, 3), np.float32))
     ran = gsgen("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
     assert "does NOT conform" in ran.out
     assert "GV001" in ran.out

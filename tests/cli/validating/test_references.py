@@ -178,9 +178,6 @@ def test_cameras_are_those_that_were_asked_for(renderer: Renderer, tmp_path: Pat
     )
     with pytest.raises(SceneInvalid, match="of kind panorama"):
         record_references(
-            source,
-            tmp_path / "b.onnx",
-            camera=str(tmp_path / "round.json"),
-            renderer=renderer,
+            source, tmp_path / "b.onnx", camera=str(tmp_path / "round.json"), renderer=renderer
         )
     assert not (tmp_path / "b.onnx").exists()

@@ -70,9 +70,7 @@ def test_an_unreadable_file_exits_4_and_the_others_are_still_judged(
         (("--fail-on", "info", "--severity", "GV004=info"), 1),
     ],
 )
-def test_what_fails_is_for_the_user_to_say(
-    dim: Path, options: tuple[str, ...], code: int
-) -> None:
+def test_what_fails_is_for_the_user_to_say(dim: Path, options: tuple[str, ...], code: int) -> None:
     assert gsgen_here("validate", dim, *options).code == code
 
 

@@ -67,9 +67,7 @@ def test_written_vectors_are_reproduced_until_a_weight_changes(tmp_path: Path) -
     invalid = gsgen("validate", "changed.onnx", cwd=tmp_path)
     assert invalid.out.count("GM012 warning (possible) test-vectors-reproduce") == 1
     assert invalid.out.count("    manifest test_vectors") == 3
-    assert (
-        "manifest test_vectors.0" not in invalid.out
-    )  # while time is zero, speed is not felt
+    assert "manifest test_vectors.0" not in invalid.out  # while time is zero, speed is not felt
     for index in (1, 2, 3):
         assert f"manifest test_vectors.{index}: sha256" in invalid.out
 
@@ -146,15 +144,11 @@ def test_external_weights_and_foreign_fields_come_along(tmp_path: Path) -> None:
     assert told_of_vectors(result.model) == []
 
 
-def test_a_copy_is_whole_or_not_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_copy_is_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights in a folder of their own are written beside their place, as the model is."""
     sketch = find("weights_beside").draw()
     (retained,) = sketch.beside.values()
-    where = {
-        name: replace(entry, location="w/c.bin") for name, entry in sketch.external.items()
-    }
+    where = {name: replace(entry, location="w/c.bin") for name, entry in sketch.external.items()}
     (tmp_path / "w").mkdir()
     moved = replace(sketch, external=where, beside={"w/c.bin": retained})
     moved.write(tmp_path / "m.onnx")
@@ -189,9 +183,7 @@ def test_what_cannot_be_promised_is_refused_and_leaves_nothing(tmp_path: Path) -
         record_vectors(written(tmp_path, "drift"), out, count=10)
 
 
-def test_what_only_bears_the_name_of_a_vector_goes_and_links_lose_nothing(
-    tmp_path: Path,
-) -> None:
+def test_what_only_bears_the_name_of_a_vector_goes_and_links_lose_nothing(tmp_path: Path) -> None:
     source, out, retained = written(tmp_path, "drift"), tmp_path / "out", tmp_path / "kept"
     retained.mkdir()
     out.mkdir()

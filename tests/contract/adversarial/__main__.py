@@ -7,9 +7,7 @@ from contract.adversarial.case import all_faults, all_right_models
 from contract.adversarial.runner import as_json, measure, table
 
 parser = argparse.ArgumentParser(prog="python -m contract.adversarial")
-parser.add_argument(
-    "word", nargs="?", default="", help="only models with this in their name"
-)
+parser.add_argument("word", nargs="?", default="", help="only models with this in their name")
 parser.add_argument("--write", type=Path, help="write counts and verdicts as JSON")
 parser.add_argument("--texts", action="store_true", help="show first findings")
 options = parser.parse_args()

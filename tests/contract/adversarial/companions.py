@@ -54,11 +54,7 @@ def cell_model(
         packed[np.repeat(seen == 0, PER_CELL), 3] = 0
     low, high = packed[:live, :3].min(0), packed[:live, :3].max(0)
     manifest = declare(source.count, low, high, degree=1, semantics="upper-bound")
-    manifest["outputs"]["cells"] = {
-        "name": "cells",
-        "per_cell": per_cell,
-        "dtype": cells_dtype,
-    }
+    manifest["outputs"]["cells"] = {"name": "cells", "per_cell": per_cell, "dtype": cells_dtype}
     manifest["blend"] = blend
     manifest["weighted_sum"] = {"background": 0.15, "depth_range": 12.5}
     graph.output("gaussians", graph.constant(packed), packed.shape)
@@ -104,13 +100,7 @@ def post_process(
         graph.input("strength", [1])
         detail = graph.op("Mul", detail, "strength")
         entries.append(
-            {
-                "name": "strength",
-                "role": "control",
-                "shape": [1],
-                "range": [0, 1],
-                "default": 1.0,
-            }
+            {"name": "strength", "role": "control", "shape": [1], "range": [0, 1], "default": 1.0}
         )
     sharp = graph.op("Add", image, detail)
     if noise:

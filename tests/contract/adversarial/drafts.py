@@ -45,12 +45,7 @@ def declare(
         "name": name,
         "version": "1.0.0",
         "producer": {"tool": "exporter 1.0", "license": "CC0-1.0"},
-        "space": {
-            "handedness": "right",
-            "up": "-y",
-            "unit": "metre",
-            "matrix_order": "column",
-        },
+        "space": {"handedness": "right", "up": "-y", "unit": "metre", "matrix_order": "column"},
         "bounds": {"min": [float(v) for v in low], "max": [float(v) for v in high]},
         "inputs": inputs or [],
         "outputs": {

@@ -50,9 +50,7 @@ def directions(graph: GraphBuilder, positions: str, centre: str) -> str:
     ray = graph.op("Sub", positions, centre)
     square = graph.op("Mul", ray, ray)
     length = graph.op("ReduceSum", square, graph.constant([1], "int64"), keepdims=1)
-    return graph.op(
-        "Div", ray, graph.op("Sqrt", graph.op("Add", length, graph.constant(1e-8)))
-    )
+    return graph.op("Div", ray, graph.op("Sqrt", graph.op("Add", length, graph.constant(1e-8))))
 
 
 def colors_by_direction(graph: GraphBuilder, source: Scene, direction: str) -> str:
@@ -95,9 +93,7 @@ def rodrigues(graph: GraphBuilder, vectors: str) -> str:
     skew = graph.reshape(graph.op("MatMul", axis, graph.constant(cross)), -1, 3, 3)
     sine = graph.reshape(graph.op("Sin", angle), -1, 1, 1)
     versine = graph.op("Sub", graph.constant(1.0), graph.op("Cos", angle))
-    squared = graph.op(
-        "Mul", graph.reshape(versine, -1, 1, 1), graph.op("MatMul", skew, skew)
-    )
+    squared = graph.op("Mul", graph.reshape(versine, -1, 1, 1), graph.op("MatMul", skew, skew))
     turn = graph.op("Add", graph.op("Mul", sine, skew), squared)
     return graph.op("Add", turn, graph.constant(np.eye(3)))
 

@@ -5,14 +5,7 @@ __all__ = ["GraphBuilder"]
 from collections.abc import Sequence
 
 import numpy as np
-from onnx import (
-    AttributeProto,
-    ModelProto,
-    NodeProto,
-    TensorProto,
-    ValueInfoProto,
-    numpy_helper,
-)
+from onnx import AttributeProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, numpy_helper
 
 _DTYPES = {
     "float32": TensorProto.FLOAT,
@@ -81,9 +74,7 @@ class GraphBuilder:
         **attributes: object,
     ) -> NodeProto:
         """Add a node."""
-        node = self.proto.graph.node.add(
-            op_type=kind, input=inputs, output=outputs, domain=domain
-        )
+        node = self.proto.graph.node.add(op_type=kind, input=inputs, output=outputs, domain=domain)
         node.name = f"{kind}_{len(self.proto.graph.node)}"
         for key, value in attributes.items():
             node.attribute.append(attribute(key, value))

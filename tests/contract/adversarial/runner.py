@@ -1,14 +1,6 @@
 """Builds every model of the set, judges it, and sums up in a table."""
 
-__all__ = [
-    "Measured",
-    "Measurement",
-    "as_json",
-    "measure",
-    "summary",
-    "table",
-    "write_model",
-]
+__all__ = ["Measured", "Measurement", "as_json", "measure", "summary", "table", "write_model"]
 
 import json
 import re
@@ -107,9 +99,7 @@ def measure(
     return Measurement(tuple(measured))
 
 
-def _sum_up(
-    case: Fault | RightModel, judgement: Judgement, promises: list[str]
-) -> Measured:
+def _sum_up(case: Fault | RightModel, judgement: Judgement, promises: list[str]) -> Measured:
     findings = judgement.findings
     cause = case.cause if isinstance(case, Fault) else ()
     names_cause = [any(re.search(c, f.text, re.I) for c in cause) for f in findings]
@@ -126,14 +116,11 @@ def _sum_up(
         first_text=findings[0].text if findings else "",
         cause_first=bool(names_cause) and names_cause[0],
         cause_named=any(names_cause),
-        errors=[
-            f.rule for f in findings if f.severity == "error" and f.certainty == "confirmed"
-        ],
+        errors=[f.rule for f in findings if f.severity == "error" and f.certainty == "confirmed"],
         warnings=[
             f.rule
             for f in findings
-            if f.severity == "warning"
-            or (f.severity == "error" and f.certainty != "confirmed")
+            if f.severity == "warning" or (f.severity == "error" and f.certainty != "confirmed")
         ],
         broken_promises=promises,
     )
@@ -206,9 +193,7 @@ def table(measurement: Measurement) -> str:
         refused = sum(model.refused for model in models)
         first = sum(model.cause_first for model in models)
         named = sum(model.cause_named for model in models)
-        lines.append(
-            f"{family:<22}{sort:<11}{len(models):>7}{refused:>9}{first:>13}{named:>7}"
-        )
+        lines.append(f"{family:<22}{sort:<11}{len(models):>7}{refused:>9}{first:>13}{named:>7}")
     counts = summary(measurement)
     share = _share(counts)
     return "\n".join([*lines, "", *share])

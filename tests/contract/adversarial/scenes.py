@@ -104,8 +104,7 @@ def _harmonics(position: Array, statistics: str, random: np.random.Generator) ->
     span = max(np.ptp(position, axis=0).max(), 1e-3)
     phase = np.array([0.0, 1.3, 2.1])
     waves = np.sin(
-        3 * position @ np.array([[1, 0.4, -0.7], [0.3, 1, 0.2], [-0.5, 0.6, 1]]) / span
-        + phase
+        3 * position @ np.array([[1, 0.4, -0.7], [0.3, 1, 0.2], [-0.5, 0.6, 1]]) / span + phase
     )
     sh = np.zeros((n, 16, 3))
     sh[:, 0] = 1.1 * waves
@@ -199,10 +198,4 @@ def _avatar(n: int, random: np.random.Generator) -> tuple[Array, ...]:
     return position, normal, np.tile([0.06, 0.05, 0.008], (n, 1)), joint
 
 
-_SHAPES = {
-    "surface": _surface,
-    "hair": _hair,
-    "cloud": _cloud,
-    "room": _room,
-    "avatar": _avatar,
-}
+_SHAPES = {"surface": _surface, "hair": _hair, "cloud": _cloud, "room": _room, "avatar": _avatar}

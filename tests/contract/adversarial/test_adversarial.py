@@ -35,9 +35,7 @@ def test_every_fault_says_what_a_finding_should_name() -> None:
         assert case.cause, case.name
         assert case.mistake.endswith("."), case.name
         for expression in case.cause:
-            assert not re.search(expression, ""), (
-                f"{case.name}: {expression} matches anything"
-            )
+            assert not re.search(expression, ""), f"{case.name}: {expression} matches anything"
 
 
 @pytest.mark.parametrize(
@@ -48,17 +46,13 @@ def test_the_violated_sentence_is_in_the_specification(case) -> None:
     assert " ".join(case.sentence.text.split()) in " ".join(page.split())
 
 
-def test_models_load_and_pass_the_checker_where_they_claim_to(
-    measurement: Measurement,
-) -> None:
+def test_models_load_and_pass_the_checker_where_they_claim_to(measurement: Measurement) -> None:
     broken = [promise for model in measurement.models for promise in model.broken_promises]
     assert not broken, "\n".join(broken)
 
 
 def test_no_rule_crashes(measurement: Measurement) -> None:
-    crashed = [
-        model.name for model in measurement.models if model.verdict == "internal-error"
-    ]
+    crashed = [model.name for model in measurement.models if model.verdict == "internal-error"]
     assert not crashed
 
 
@@ -79,10 +73,7 @@ def test_the_verdict_is_at_least_as_true_as_at_first(
         ("heuristic_named", "heuristic"),
     ):
         assert now[key] / now[whole] >= first[key] / first[whole], key
-    assert (
-        now["warnings_on_right"] / now["right"]
-        <= first["warnings_on_right"] / first["right"]
-    )
+    assert now["warnings_on_right"] / now["right"] <= first["warnings_on_right"] / first["right"]
 
 
 def test_the_first_measurement_counts_what_it_lists() -> None:

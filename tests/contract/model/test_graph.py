@@ -38,10 +38,7 @@ chain (float[2] x, float[2] unused) => (float[2] y, float[2] z) <float[2] w = {1
 
 def test_inputs_outputs_and_weights_have_dtypes_and_shapes(graph_of):
     graph = graph_of(model(CHAIN))
-    assert graph.inputs == (
-        Tensor("x", "float32", (2,)),
-        Tensor("unused", "float32", (2,)),
-    )
+    assert graph.inputs == (Tensor("x", "float32", (2,)), Tensor("unused", "float32", (2,)))
     assert graph.outputs == (Tensor("y", "float32", (2,)), Tensor("z", "float32", (2,)))
     assert graph.initializers == {"w": Tensor("w", "float32", (2,))}
     assert graph.output_names == ("y", "z")
@@ -163,10 +160,7 @@ def test_operators_whose_shapes_do_not_fit_are_an_inference_fault(graph_of):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (
-            "m (float[3] x) => (float[3] y) { y = Add (x, b) b = Neg (y) }",
-            "topologically sorted",
-        ),
+        ("m (float[3] x) => (float[3] y) { y = Add (x, b) b = Neg (y) }", "topologically sorted"),
         ("m (float[3] x) => (float[3] y) { y = Add (x, ghost) }", "ghost"),
         ("m (float[3] x) => (float[3] y) { y = Concat (x, x) }", "axis"),
     ],
@@ -223,8 +217,7 @@ def test_a_constant_may_be_an_output_of_the_graph(graph_of):
 
 
 @pytest.mark.parametrize(
-    ("array", "dims"),
-    [(np.float32(0), ()), (np.zeros(0, np.float32), (0,)), (LARGE, (1000,))],
+    ("array", "dims"), [(np.float32(0), ()), (np.zeros(0, np.float32), (0,)), (LARGE, (1000,))]
 )
 def test_a_constant_that_was_not_read_keeps_its_rank(graph_of, array, dims):
     proto = model("m () => (float y) { y = Identity (w) }")
@@ -303,9 +296,7 @@ def test_a_sparse_constant_is_no_fault(graph_of, size):
     proto = model("m (float[1] x) => (float[N] y) { y = Add (x, w) }")
     value = AttributeProto(name="sparse_value", type=AttributeProto.SPARSE_TENSOR)
     value.sparse_tensor.CopyFrom(sparse(np.ones(size, np.float32)))
-    proto.graph.node.insert(
-        0, NodeProto(op_type="Constant", output=["w"], attribute=[value])
-    )
+    proto.graph.node.insert(0, NodeProto(op_type="Constant", output=["w"], attribute=[value]))
     graph = graph_of(proto)
     assert faults(graph) == SOUND
     assert graph.outputs == (Tensor("y", "float32", (2 * size,)),)
@@ -340,7 +331,5 @@ def test_a_tensor_is_written_as_dtype_and_dims(tensor, text):
 
 
 def test_a_sequence_output_has_no_dtype(graph_of):
-    graph = graph_of(
-        model("m (float[3] x) => (seq(float[3]) y) { y = SequenceConstruct (x) }")
-    )
+    graph = graph_of(model("m (float[3] x) => (seq(float[3]) y) { y = SequenceConstruct (x) }"))
     assert graph.outputs == (Tensor("y", None, None),)

@@ -39,9 +39,7 @@ def test_a_length_of_thousands_of_digits_is_more_than_any_file_has(tmp_path, len
     (tmp_path / "colors.bin").write_bytes(bytes(60))
     path = with_colors_at(tmp_path / "a.onnx", location="colors.bin", length=length)
     message = finding_of(path, "GS001").message
-    assert message.endswith(
-        "has 60 bytes (weight 'colors'); expected at least 9223372036854775807"
-    )
+    assert message.endswith("has 60 bytes (weight 'colors'); expected at least 9223372036854775807")
 
 
 def test_a_name_that_no_file_can_have_is_a_finding(tmp_path):

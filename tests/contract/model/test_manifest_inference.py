@@ -3,12 +3,7 @@ import pytest
 from gsgen.contract.model.graph import Graph, Tensor, read_graph, static_dims
 from gsgen.contract.model.manifest_inference import infer_manifest
 from gsgen.contract.model.model_file import open_model
-from gsgen.contract.spec.manifest import (
-    AppearanceOutput,
-    CountOutput,
-    GaussiansOutput,
-    Input,
-)
+from gsgen.contract.spec.manifest import AppearanceOutput, CountOutput, GaussiansOutput, Input
 from gsgen.contract.spec.manifest_io import dumps
 from support.models.small_models import model, save
 
@@ -82,9 +77,7 @@ def test_parts_of_a_name_are_no_sign_of_a_role(name):
 
 
 def test_upper_and_lower_case_are_the_same():
-    candidate = infer_manifest(
-        graph_with(inputs=[Tensor("ViewMatrix", "float32", (4, 4))]), "a"
-    )
+    candidate = infer_manifest(graph_with(inputs=[Tensor("ViewMatrix", "float32", (4, 4))]), "a")
     assert [i.role for i in candidate.manifest.inputs] == ["view"]
 
 
@@ -104,9 +97,7 @@ def rows(name, *dims):
         ([rows("a")], None),
     ],
 )
-def test_gaussians_are_the_output_of_that_name_or_the_only_one_that_ends_in_ten(
-    outputs, found
-):
+def test_gaussians_are_the_output_of_that_name_or_the_only_one_that_ends_in_ten(outputs, found):
     assert infer_manifest(graph_with(outputs), "a").manifest.outputs.gaussians == found
 
 

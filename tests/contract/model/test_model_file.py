@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from onnx import (
-    AttributeProto,
-    ModelProto,
-    SparseTensorProto,
-    TensorProto,
-    TrainingInfoProto,
-)
+from onnx import AttributeProto, ModelProto, SparseTensorProto, TensorProto, TrainingInfoProto
 
 import gsgen.contract.model.model_file as module
 from gsgen.contract.errors import ManifestInvalid, ModelUnreadable
@@ -28,9 +22,7 @@ from gsgen.contract.spec.manifest_io import dumps, loads
 from support.models.small_models import good_rows, manifest_of, model, moving, save, weight
 
 SMALL = model("tiny (float[2] x) => (float[2] y) <float[2] w = {1, 2}> { y = Add (x, w) }")
-AGAIN = (
-    "\n  Write the file again; a partial download or an interrupted export looks like this."
-)
+AGAIN = "\n  Write the file again; a partial download or an interrupted export looks like this."
 
 
 def refusal(path):
@@ -151,9 +143,7 @@ def test_every_point_of_truncation_gives_a_model_or_an_error(tmp_path):
 
 @settings(max_examples=300)
 @given(
-    edits=st.lists(
-        st.tuples(st.integers(0, 2**16), st.integers(0, 255)), min_size=1, max_size=4
-    )
+    edits=st.lists(st.tuples(st.integers(0, 2**16), st.integers(0, 255)), min_size=1, max_size=4)
 )
 def test_flipped_bytes_give_a_model_or_an_error(tmp_path_factory, edits):
     content = bytearray(SMALL.SerializeToString())
@@ -246,9 +236,7 @@ def test_external_data_is_found_wherever_it_hides(tmp_path, place):
         ({"offset": "²", "length": ""}, 0, None),
     ],
 )
-def test_the_place_of_external_data_is_read_as_whole_numbers(
-    tmp_path, entries, offset, length
-):
+def test_the_place_of_external_data_is_read_as_whole_numbers(tmp_path, entries, offset, length):
     proto = hidden("initializer")
     proto.graph.initializer[0].CopyFrom(external("w", **entries))
     opened = open_model(save(tmp_path / "a.onnx", proto))
@@ -355,9 +343,7 @@ def test_a_folder_that_does_not_exist_is_not_made(tmp_path):
 
 def test_weights_survive_bit_by_bit(tmp_path):
     values = np.random.default_rng(0).integers(0, 256, 3 << 20, np.uint8)
-    proto = model(
-        "m () => (uint8[SIZE] y) { y = Identity (w) }".replace("SIZE", str(values.size))
-    )
+    proto = model("m () => (uint8[SIZE] y) { y = Identity (w) }".replace("SIZE", str(values.size)))
     proto.graph.initializer.append(weight("w", values))
     path = save(tmp_path / "a.onnx", proto)
     write_manifest(path, manifest_of(1), path)
@@ -391,9 +377,7 @@ def weights_at(*ranges):
         ([("absent.bin", 0, 100), ("", 0, 1), ("x" * 5000, 0, 1), ("a\0b", 0, 1)], 0),
     ],
 )
-def test_weights_count_as_far_as_there_are_bytes_and_each_byte_once(
-    tmp_path, ranges, beside
-):
+def test_weights_count_as_far_as_there_are_bytes_and_each_byte_once(tmp_path, ranges, beside):
     (tmp_path / "w.bin").write_bytes(bytes(1000))
     (tmp_path / "v.bin").write_bytes(bytes(50))
     path = save(tmp_path / "m.onnx", weights_at(*ranges))

@@ -38,8 +38,7 @@ PATHS = st.lists(PIECES | BYTES | st.text(max_size=4), min_size=1, max_size=6).m
 def test_every_format_survives(reports, name, path):
     report = named(reports["broken"], name, path)
     encoded = [
-        form([report]).encode()
-        for form in (to_json, to_sarif, to_junit, to_markdown, to_github)
+        form([report]).encode() for form in (to_json, to_sarif, to_junit, to_markdown, to_github)
     ]
     document, log, suites = json.loads(encoded[0]), json.loads(encoded[1]), encoded[2]
     JSON_SCHEMA.validate(document)

@@ -15,14 +15,7 @@ from onnx import (
 )
 
 from gsgen.contract.model import protobuf_scan
-from gsgen.contract.model.protobuf_scan import (
-    STUB,
-    Field,
-    WireFault,
-    scan,
-    skeleton,
-    varint,
-)
+from gsgen.contract.model.protobuf_scan import STUB, Field, WireFault, scan, skeleton, varint
 
 PAYLOAD = {
     "float_data": (TensorProto.FLOAT, 0.5),
@@ -51,9 +44,7 @@ def tensors(draw):
     return made
 
 
-sparse = st.builds(
-    SparseTensorProto, values=tensors(), indices=tensors(), dims=st.just([9])
-)
+sparse = st.builds(SparseTensorProto, values=tensors(), indices=tensors(), dims=st.just([9]))
 
 
 def attributes(graphs):
@@ -159,22 +150,16 @@ def test_a_payload_in_several_pieces_is_left_out_whole():
     assert made.raw_data == STUB
 
 
-@pytest.mark.parametrize(
-    ("count", "kept"), [(300, True), (100_000, True), (200_000, False)]
-)
+@pytest.mark.parametrize(("count", "kept"), [(300, True), (100_000, True), (200_000, False)])
 def test_integers_are_kept_up_to_a_mebibyte_for_shape_inference(count, kept):
     values = np.arange(count, dtype=np.int64).tobytes()
-    weight = TensorProto(
-        name="w", data_type=TensorProto.INT64, dims=[count], raw_data=values
-    )
+    weight = TensorProto(name="w", data_type=TensorProto.INT64, dims=[count], raw_data=values)
     made = ModelProto.FromString(skeleton(with_weights(weight)).data).graph.initializer[0]
     assert (made == weight) is kept
 
 
 def test_a_small_tensor_is_kept_whole():
-    weight = TensorProto(
-        name="w", data_type=TensorProto.FLOAT, dims=[400], raw_data=b"1234" * 400
-    )
+    weight = TensorProto(name="w", data_type=TensorProto.FLOAT, dims=[400], raw_data=b"1234" * 400)
     data = with_weights(weight)
     bones = skeleton(data)
     assert (bones.data, bones.stripped) == (data, 0)

@@ -34,9 +34,7 @@ def test_only_what_depends_on_inputs_and_is_needed_runs_every_frame(opened):
 
 
 def test_a_draw_runs_every_frame_though_nothing_feeds_it(opened):
-    graph, _ = opened(
-        "m () => (float[2] y) { d = RandomNormal <shape = [2]> () y = Neg (d) }"
-    )
+    graph, _ = opened("m () => (float[2] y) { d = RandomNormal <shape = [2]> () y = Neg (d) }")
     assert [node.output[0] for node in frame_nodes(graph)] == ["d", "y"]
 
 
@@ -60,9 +58,7 @@ def test_a_node_that_is_not_captured_has_one_cause(opened, body):
 
 
 def test_a_finding_tells_the_releases_apart(opened):
-    found = placements(
-        *opened("m (float[2] x) => (float[2] y) { y = Max (x, x) }"), (NATIVE, JSEP)
-    )
+    found = placements(*opened("m (float[2] x) => (float[2] y) { y = Max (x, x) }"), (NATIVE, JSEP))
     assert [(one.cause, one.outcomes) for one in found] == [
         ("operator", {"onnxruntime-web 1.22.0 (JSEP)": "cpu"})
     ]

@@ -15,9 +15,7 @@ SHAPES = {"view": (4, 4), "lens": (4, 4), "time": (1,), "frame": (1,), "pose": (
 
 def trials(*inputs, order="column"):
     manifest = replace(manifest_of(1), inputs=inputs, space=Space(matrix_order=order))
-    dtypes = {
-        one.name: "int32" if one.role == "frame_index" else "float32" for one in inputs
-    }
+    dtypes = {one.name: "int32" if one.role == "frame_index" else "float32" for one in inputs}
     first = default_probes(manifest, SHAPES, dtypes)
     return first[1], dict(trial_probes(manifest, first[1], first))
 
@@ -62,9 +60,7 @@ def test_a_frame_number_never_leaves_its_range():
 
 
 def test_a_loop_is_seen_at_its_seam():
-    _, made = trials(
-        Input(name="time", role="time", range=(0.0, 2.0), loop=True, frames=20)
-    )
+    _, made = trials(Input(name="time", role="time", range=(0.0, 2.0), loop=True, frames=20))
     assert values(made["loop"], "time") == [0, 0.1, 1.9, 2]
 
 

@@ -7,12 +7,7 @@ from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probe_plan import make_plan
 from gsgen.contract.process.limits import Limits
-from gsgen.contract.spec.manifest import (
-    ImageOutput,
-    Input,
-    PostProcessManifest,
-    PostProcessOutputs,
-)
+from gsgen.contract.spec.manifest import ImageOutput, Input, PostProcessManifest, PostProcessOutputs
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target
 from support.models.small_models import good_rows, manifest_of, model, moving, save
@@ -99,9 +94,7 @@ def enhancer(shape):
 def test_sizes_that_the_graph_leaves_open_come_from_the_manifest(
     subject_of, dims, declared, probed
 ):
-    proto = model(
-        f"m (float{dims} image) => (float{dims} better) {{ better = Neg (image) }}"
-    )
+    proto = model(f"m (float{dims} image) => (float{dims} better) {{ better = Neg (image) }}")
     if not dims:
         proto.graph.input[0].type.tensor_type.ClearField("shape")
     plan = make_plan(subject_of(proto, enhancer(declared)), Level.VALUES)

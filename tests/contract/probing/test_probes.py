@@ -31,8 +31,7 @@ SHAPES = {
     "control": (2,),
 }
 DTYPES = {
-    name: "int32" if name in ("frame_index", "appearance_id") else "float32"
-    for name in SHAPES
+    name: "int32" if name in ("frame_index", "appearance_id") else "float32" for name in SHAPES
 }
 RANGES = {
     "time": (2.0, 3.0),
@@ -104,12 +103,7 @@ def test_indices_are_whole_and_reach_both_ends():
 
 @pytest.mark.parametrize(
     ("role", "low", "high"),
-    [
-        ("shape", -2, 2),
-        ("control", 5, 6),
-        ("pose", -0.6, 0.6),
-        ("root_translation", -0.5, 0.5),
-    ],
+    [("shape", -2, 2), ("control", 5, 6), ("pose", -0.6, 0.6), ("root_translation", -0.5, 0.5)],
 )
 def test_other_inputs_are_spread_over_their_range(role, low, high):
     seen = values(role)
@@ -158,17 +152,11 @@ def test_the_camera_position_is_the_eye_of_the_view():
 
 
 def test_matrices_are_laid_out_in_the_declared_order():
-    column, row = (
-        asking("view", space=Space(matrix_order=order)) for order in ("column", "row")
-    )
-    np.testing.assert_array_equal(
-        values("view", column), values("view", row).transpose(0, 2, 1)
-    )
+    column, row = (asking("view", space=Space(matrix_order=order)) for order in ("column", "row"))
+    np.testing.assert_array_equal(values("view", column), values("view", row).transpose(0, 2, 1))
 
 
-@pytest.mark.parametrize(
-    ("order", "bottom"), [("row", [0, 0, 0, 1]), ("column", [1, 2, 3, 1])]
-)
+@pytest.mark.parametrize(("order", "bottom"), [("row", [0, 0, 0, 1]), ("column", [1, 2, 3, 1])])
 def test_column_order_holds_the_transpose(order, bottom):
     matrix = look_at(np.zeros(3), np.array([0.0, 0, 1]), np.array([0.0, -1, 0]))
     matrix[:3, 3] = [1, 2, 3]
@@ -191,9 +179,7 @@ def test_images_and_lenses_differ_between_probes_and_fit_each_other():
 def test_bounds_without_measure_give_finite_cameras(extent):
     bounds = Bounds((-extent,) * 3, (extent,) * 3)
     manifest = asking("view", "camera_position", bounds=bounds)
-    assert all(
-        np.isfinite(a).all() for probe in sampled(manifest) for a in probe.inputs.values()
-    )
+    assert all(np.isfinite(a).all() for probe in sampled(manifest) for a in probe.inputs.values())
 
 
 @pytest.mark.parametrize("extent", [1e10, 1e100, 1.7e308])
@@ -208,9 +194,7 @@ def test_ranges_without_measure_give_finite_inputs(role, extent):
 
 
 def test_bounds_that_are_a_point_give_a_camera():
-    assert np.isfinite(
-        values("view", asking("view", bounds=Bounds((1.0,) * 3, (1.0,) * 3)))
-    ).all()
+    assert np.isfinite(values("view", asking("view", bounds=Bounds((1.0,) * 3, (1.0,) * 3)))).all()
 
 
 def test_a_manifest_of_another_kind_has_probes_too():

@@ -9,26 +9,16 @@ from gsgen.contract.probing.sandbox import Execution, Run, Sample
 
 def compared(*outputs, samples=None, variants=None, revisited=None):
     """What is seen when the runs, from first to last, gave ``outputs``."""
-    probes = tuple(
-        Probe(label=f"probe {index}", inputs={}) for index in range(len(outputs))
-    )
+    probes = tuple(Probe(label=f"probe {index}", inputs={}) for index in range(len(outputs)))
     numbers = samples or range(len(outputs))
     runs = tuple(Run(index, sample, 0.1) for index, sample in enumerate(numbers))
-    kept = tuple(
-        Sample(index=index, outputs=output) for index, output in enumerate(outputs)
-    )
+    kept = tuple(Sample(index=index, outputs=output) for index, output in enumerate(outputs))
     plan = Plan(
-        probes=probes,
-        values=1,
-        repeated=(0, 1),
-        revisited=revisited,
-        variants=variants or {},
+        probes=probes, values=1, repeated=(0, 1), revisited=revisited, variants=variants or {}
     )
     return read_behaviour(
         ProbeRuns(
-            None,
-            Execution(runs=runs, samples=kept, fault=None, seconds=0.0, version=""),
-            plan,
+            None, Execution(runs=runs, samples=kept, fault=None, seconds=0.0, version=""), plan
         )
     )
 
@@ -79,30 +69,16 @@ def test_every_role_is_compared_with_its_base():
     )
     assert made.revisited == Comparison("probe 0", "probe 3", {"y": 3.0})
     assert [one.changed for one in made.varied["time"]] == [{"y": 1.0}, {"y": 3.0}]
-    assert [(one.first, one.second) for one in made.varied["view"]] == [
-        ("probe 1", "probe 2")
-    ]
+    assert [(one.first, one.second) for one in made.varied["view"]] == [("probe 1", "probe 2")]
 
 
 def test_an_extra_run_that_no_time_was_left_for_is_noted_by_whoever_asks_for_it():
-    probes = tuple(
-        Probe(label=f"probe {index}", inputs={}, extra=index > 1) for index in range(5)
-    )
-    runs = (
-        Run(0, 0, 0.1),
-        Run(1, 0, 0.1),
-        Run(2, 0, 0.1),
-        Run(3, -1, 0),
-        Run(4, -1, 0, "bad"),
-    )
+    probes = tuple(Probe(label=f"probe {index}", inputs={}, extra=index > 1) for index in range(5))
+    runs = (Run(0, 0, 0.1), Run(1, 0, 0.1), Run(2, 0, 0.1), Run(3, -1, 0), Run(4, -1, 0, "bad"))
     trials = {"edges": (2, 3), "outside": (4,)}
     plan = Plan(probes=probes, values=1, repeated=(0, 1), trials=trials)
     execution = Execution(
-        runs=runs,
-        samples=(Sample(index=0, outputs=array(1)),),
-        fault=None,
-        seconds=0.0,
-        version="",
+        runs=runs, samples=(Sample(index=0, outputs=array(1)),), fault=None, seconds=0.0, version=""
     )
     behaviour = read_behaviour(ProbeRuns(None, execution, plan))
     first, second = behaviour.for_a_rule(), behaviour.for_a_rule()

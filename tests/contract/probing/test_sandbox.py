@@ -33,9 +33,7 @@ GREEDY = model(
 
 
 def probe(**inputs):
-    return Probe(
-        label="test", inputs={name: np.asarray(value) for name, value in inputs.items()}
-    )
+    return Probe(label="test", inputs={name: np.asarray(value) for name, value in inputs.items()})
 
 
 def pair(a, b):
@@ -100,9 +98,7 @@ def test_names_of_tensors_need_not_be_names_of_files(folder):
     proto.graph.node[0].output[0] = renamed["y"]
     path = save(folder / "a.onnx", proto)
     inputs = {renamed["a"]: np.ones(1, np.float32), "file": np.zeros(1, np.float32)}
-    with execute(
-        path, [renamed["y"]], [Probe(label="test", inputs=inputs)], Limits()
-    ) as execution:
+    with execute(path, [renamed["y"]], [Probe(label="test", inputs=inputs)], Limits()) as execution:
         assert execution.fault is None
         assert execution.samples[0].outputs[renamed["y"]].tolist() == [1]
 
@@ -111,8 +107,7 @@ def test_names_of_tensors_need_not_be_names_of_files(folder):
 def test_outputs_of_any_shape_come_back(folder, shape):
     dims = ", ".join(map(str, shape))
     path = save(
-        folder / "a.onnx",
-        model(f"m (float[{dims}] x) => (float[{dims}] y) {{ y = Neg (x) }}"),
+        folder / "a.onnx", model(f"m (float[{dims}] x) => (float[{dims}] y) {{ y = Neg (x) }}")
     )
     with execute(path, ["y"], [probe(x=np.ones(shape, np.float32))], Limits()) as execution:
         assert execution.fault is None
@@ -315,10 +310,7 @@ with execute(Path(sys.argv[1]), ["y"], [], Limits()) as execution:
 def test_a_limit_of_the_system_below_ours_is_no_fault_of_the_model(folder):
     path = save(folder / "a.onnx", DOUBLE)
     done = subprocess.run(
-        [sys.executable, "-c", _UNDER_A_LIMIT, path],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-c", _UNDER_A_LIMIT, path], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
 

@@ -57,9 +57,7 @@ def test_causes_tell_which_rules_were_not_judged_because_of_what(reports):
     assert by_rule["GO005"]["findings"] == [finding["fingerprint"]]
     blocked = [id for cause in by_rule.values() for id in cause["blocked"]]
     because = [
-        finding["id"]
-        for finding in document["rules"]
-        if "because" in finding.get("reason", "")
+        finding["id"] for finding in document["rules"] if "because" in finding.get("reason", "")
     ]
     assert sorted(blocked) == sorted(because)
 

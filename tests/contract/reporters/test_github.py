@@ -65,14 +65,10 @@ def test_trouble_is_annotated(reports):
     assert lines[-1] == "2 models: 1 without verdict, 1 unreadable"
 
 
-@pytest.mark.parametrize(
-    "name", ["a::b,c=d%0A", "x\r\n::error::y", "##[error]z", "\x1b[2J"]
-)
+@pytest.mark.parametrize("name", ["a::b,c=d%0A", "x\r\n::error::y", "##[error]z", "\x1b[2J"])
 def test_no_name_makes_another_command(reports, name):
     first, *_ = reports["broken"].findings
-    report = replace(
-        reports["broken"], path=name, findings=(replace(first, where=Location(name)),)
-    )
+    report = replace(reports["broken"], path=name, findings=(replace(first, where=Location(name)),))
     first_line, last_line = to_github([report]).splitlines()
     assert read(first_line)[0] == "error"
     assert last_line.startswith("gsgen: ")

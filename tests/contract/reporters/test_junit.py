@@ -34,13 +34,9 @@ def test_what_makes_a_model_invalid_fails_and_the_rest_is_output(reports):
     report = reports["broken"]
     cases = cases_of(report)
     failed = {id for id, case in cases.items() if case.find("failure") is not None}
-    assert failed == {
-        finding.rule for finding in report.findings if report.fails_by(finding)
-    }
+    assert failed == {finding.rule for finding in report.findings if report.fails_by(finding)}
     text = {id for id, case in cases.items() if case.find("system-out") is not None}
-    assert text == {
-        finding.rule for finding in report.findings if not report.fails_by(finding)
-    }
+    assert text == {finding.rule for finding in report.findings if not report.fails_by(finding)}
     waived = "error (waived: Row 9 is mended in the next export.): output gaussians"
     assert cases["GV005"].findtext("system-out").startswith(waived)
     assert cases["GV018"].findtext("system-out").startswith("error (waived: ignored): ")

@@ -11,9 +11,7 @@ from gsgen.contract.validation.rule import Registry
 from support.reports.rules import made_up
 
 FIRST = made_up("GV901")
-SECOND = made_up(
-    "GV902", severity=Severity.WARNING, needs=("GV901",), kinds=KINDS, limit="rows"
-)
+SECOND = made_up("GV902", severity=Severity.WARNING, needs=("GV901",), kinds=KINDS, limit="rows")
 THIRD = made_up("acme/AC001", target="webgpu")
 REGISTRY = Registry.of([FIRST, SECOND, THIRD])
 
@@ -88,9 +86,7 @@ def test_every_family_of_ours_has_a_name():
     assert {rule.family for rule in installed_rules().rules.values()} <= set(FAMILIES)
 
 
-@pytest.mark.parametrize(
-    "rule", installed_rules().rules.values(), ids=installed_rules().rules
-)
+@pytest.mark.parametrize("rule", installed_rules().rules.values(), ids=installed_rules().rules)
 def test_every_rule_has_a_page(rule):
     text = page(rule, installed_rules())
     assert text.startswith(f"# {rule.id} {rule.slug}\n\n{rule.statement}\n\n- severity: ")

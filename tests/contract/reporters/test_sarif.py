@@ -55,10 +55,7 @@ def test_a_result_says_what_and_where_and_stays_the_same_result(reports):
     assert result["message"]["text"] == f"{finding.where}: {finding.message}"
     assert result["partialFingerprints"] == {"gsgen/1": finding.fingerprint}
     (location,) = result["locations"]
-    assert location["physicalLocation"]["artifactLocation"] == {
-        "uri": "broken.onnx",
-        "index": 0,
-    }
+    assert location["physicalLocation"]["artifactLocation"] == {"uri": "broken.onnx", "index": 0}
     (logical,) = location["logicalLocations"]
     assert logical["fullyQualifiedName"] == "output gaussians, opacity"
 
@@ -94,9 +91,7 @@ def test_with_a_baseline_results_are_new_or_unchanged(reports):
     findings = (replace(first, known=True), *remaining)
     states = [
         finding["baselineState"]
-        for finding in run_of(replace(report, findings=findings, baseline="b.json"))[
-            "results"
-        ]
+        for finding in run_of(replace(report, findings=findings, baseline="b.json"))["results"]
     ]
     assert states == ["unchanged"] + ["new"] * len(remaining)
     assert "baselineState" not in run_of(report)["results"][0]
@@ -121,9 +116,7 @@ def test_what_could_not_be_judged_makes_the_run_unsuccessful(reports):
     report = replace(reports["good"], outcomes=(crashed, *remaining))
     (invocation,) = run_of(report, UNREADABLE)["invocations"]
     assert not invocation["executionSuccessful"]
-    texts = [
-        finding["message"]["text"] for finding in invocation["toolExecutionNotifications"]
-    ]
+    texts = [finding["message"]["text"] for finding in invocation["toolExecutionNotifications"]]
     assert texts == [
         f"{outcome.rule.id} crashed: Traceback:\n  ValueError: x",
         "a b.onnx: is empty",

@@ -12,18 +12,12 @@ UNREADABLE = Unreadable("a.onnx", ModelUnreadable("is empty"))
 
 def crashed(report):
     first, *remaining = report.outcomes
-    return replace(
-        report, outcomes=(replace(first, status="crashed", reason="x"), *remaining)
-    )
+    return replace(report, outcomes=(replace(first, status="crashed", reason="x"), *remaining))
 
 
 def test_a_verdict_counts_what_does_not_count(reports):
     first, second, *remaining = reports["broken"].findings
-    findings = (
-        replace(first, known=True),
-        replace(second, severity=Severity.INFO),
-        *remaining,
-    )
+    findings = (replace(first, known=True), replace(second, severity=Severity.INFO), *remaining)
     text = verdict_line(replace(reports["broken"], findings=findings, baseline="b.json"))
     assert text == (
         "conforms: 29 rules hold; 1 warning; 1 info; ignored: GV018; 1 waived; "

@@ -58,9 +58,7 @@ def test_a_finding_says_whether_it_is_possible_and_where_it_comes_from(reports):
 
 def test_a_crashed_rule_is_shown_with_its_traceback(reports):
     report = reports["good"]
-    crashed = replace(
-        report.outcomes[0], status="crashed", reason="Traceback:\n  ValueError: x"
-    )
+    crashed = replace(report.outcomes[0], status="crashed", reason="Traceback:\n  ValueError: x")
     text = text_of(replace(report, outcomes=(crashed, *report.outcomes[1:])))
     heading = f"  {crashed.rule.id} crashed: this is a fault of the rule\n    Traceback:\n      Val"
     assert heading in text
@@ -83,9 +81,7 @@ def test_sizes_are_shown_in_mebibytes_from_one_on(reports):
 
 def test_what_a_model_is_called_cannot_steer_the_terminal(reports):
     (finding, *_) = reports["broken"].findings
-    evil = replace(
-        finding, where=Location("output \x1b[2J\x9b1m\ud800é"), message="a\nb\x07"
-    )
+    evil = replace(finding, where=Location("output \x1b[2J\x9b1m\ud800é"), message="a\nb\x07")
     lines = render(replace(reports["broken"], findings=(evil,)))
     assert Line(r"    output \x1b[2J\x9b1m\ud800é: a b\x07") in lines
     assert all(line.text.isprintable() for line in lines)
@@ -139,9 +135,7 @@ def test_findings_of_a_kind_share_their_head_and_cure(reports, total, heading):
     assert text.count(f"  {first.rule} error {first.slug}\n") == 2
     assert text.count(f"    hint: {first.hint[:40]}") == 1
     assert text.count("    tensor t") == heading
-    suffix = (
-        f"    and at {total - heading} more locations, which `gsgen validate -v` lists\n"
-    )
+    suffix = f"    and at {total - heading} more locations, which `gsgen validate -v` lists\n"
     assert (suffix in text) == (heading < total)
     assert text_of(report, verbose=True).count("    tensor t") == total
 

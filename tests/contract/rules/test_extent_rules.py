@@ -43,11 +43,7 @@ def random_rows(dtype: type, seed: int) -> Rows:
 
 def bad_rows(rule, rows: Rows) -> set[int]:
     with np.errstate(all="ignore"):
-        return {
-            int(i)
-            for breach in rule.check(rows)
-            for i in np.flatnonzero(breach.invalid_rows)
-        }
+        return {int(i) for breach in rule.check(rows) for i in np.flatnonzero(breach.invalid_rows)}
 
 
 def coarse(row: list[float]) -> bool:

@@ -19,16 +19,12 @@ MODELS = [
 ]
 
 
-@pytest.mark.parametrize(
-    "model", MODELS, ids=lambda model: f"{model.producer}: {model.name}"
-)
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model.producer}: {model.name}")
 def test_a_good_model_is_not_complained_of(model: Good, tmp_path: Path) -> None:
     path = tmp_path / "model.onnx"
     path.write_bytes(model.draw().SerializeToString())
     report = validate(path, Settings(target=load_target(model.target)))
-    complaints = [
-        finding for finding in report.findings if finding.severity > Severity.INFO
-    ]
+    complaints = [finding for finding in report.findings if finding.severity > Severity.INFO]
     assert complaints == []
     assert report.verdict == "conforms"
     assert all(level.ran for level in report.levels)

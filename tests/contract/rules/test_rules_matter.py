@@ -20,10 +20,7 @@ def silent(_: object) -> Iterator[Violation]:
 @pytest.mark.parametrize("rule", builtin_rules(), ids=lambda rule: rule.id)
 def test_the_corpus_notices_a_silent_rule(rule: Rule, tmp_path):
     fixture = find(rule.fixture)
-    rules = [
-        replace(entry, check=silent) if entry is rule else entry
-        for entry in builtin_rules()
-    ]
+    rules = [replace(entry, check=silent) if entry is rule else entry for entry in builtin_rules()]
     settings = replace(fixture.settings, level=rule.level)
     report = validate(fixture.write(tmp_path), settings, registry=Registry.of(rules))
     assert {finding.rule for finding in report.findings} != {rule.id}

@@ -70,16 +70,12 @@ def half_rgb_of_3() -> ModelSpec:
 
 def mixed_precision() -> ModelSpec:
     float32_colors = good().weights["colors"].astype(np.float32)
-    return (
-        good().reworded("float16[256,48]", "float[256,48]").weighing(colors=float32_colors)
-    )
+    return good().reworded("float16[256,48]", "float[256,48]").weighing(colors=float32_colors)
 
 
 def no_count() -> ModelSpec:
     without = good().reworded(", int32[1] num_points", "")
-    return without.reworded("num_points = Identity (live)", "").declaring_outputs(
-        count=None
-    )
+    return without.reworded("num_points = Identity (live)", "").declaring_outputs(count=None)
 
 
 def count_of_int64() -> ModelSpec:
@@ -144,12 +140,7 @@ CASES = {
             "GO015": (
                 "rows-fill-words",
                 "contract",
-                (
-                    "output color",
-                    "3 channels of float16",
-                    "6 bytes a row",
-                    "multiple of 4 bytes",
-                ),
+                ("output color", "3 channels of float16", "6 bytes a row", "multiple of 4 bytes"),
             ),
             "TV104": (
                 "visionary-reads-color",
@@ -169,8 +160,7 @@ CASES = {
         },
     ),
     "no count": Case(
-        no_count,
-        {"GO010": ("count-declared", "contract", ("no row count", "int32 [1]"))},
+        no_count, {"GO010": ("count-declared", "contract", ("no row count", "int32 [1]"))}
     ),
     "a count of int64": Case(
         count_of_int64,
@@ -189,7 +179,7 @@ CASES = {
                 "capacity-static",
                 "contract",
                 ("output gaussians", "[N, 10]", "a fixed, positive number"),
-            ),
+            )
         },
     ),
 }

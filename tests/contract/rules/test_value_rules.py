@@ -48,9 +48,7 @@ def rows_of(packed: np.ndarray, color: np.ndarray | None = None, count: int = 1)
 def bad_rows(rule: Rule, rows: Rows) -> set[int]:
     """Return which rows break ``rule``, at any place."""
     with np.errstate(all="ignore"):  # as the engine does
-        breaches = [
-            breach for breach in rule.check(rows) if breach.invalid_rows is not None
-        ]
+        breaches = [breach for breach in rule.check(rows) if breach.invalid_rows is not None]
     return {int(row) for breach in breaches for row in np.flatnonzero(breach.invalid_rows)}
 
 
@@ -67,10 +65,7 @@ def drawn(row: Row, color: Row, live: bool) -> bool:
 Oracle = Callable[[Row, Row, bool, bool], bool]
 
 ORACLES: dict[str, tuple[Rule, Oracle]] = {
-    "GV001": (
-        values.rows_finite,
-        lambda row, color, live, half: live and not finite(row + color),
-    ),
+    "GV001": (values.rows_finite, lambda row, color, live, half: live and not finite(row + color)),
     "GV002": (
         values.padding_finite,
         lambda row, color, live, half: not live and not finite(row + color),
@@ -89,9 +84,7 @@ ORACLES: dict[str, tuple[Rule, Oracle]] = {
     ),
     "GV005": (
         covariance.variance_not_negative,
-        lambda row, color, live, half: (
-            drawn(row, color, live) and min(row[4], row[7], row[9]) < 0
-        ),
+        lambda row, color, live, half: drawn(row, color, live) and min(row[4], row[7], row[9]) < 0,
     ),
     "GV007": (
         covariance.covariance_not_zero,
@@ -132,9 +125,7 @@ def emissions(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, int]:
     table = np.asarray(cells).reshape(number, 14)
     if number:
         spots = st.tuples(st.integers(0, number - 1), st.integers(0, 13))
-        for spot, value in draw(
-            st.lists(st.tuples(spots, st.sampled_from(WILD)), max_size=2)
-        ):
+        for spot, value in draw(st.lists(st.tuples(spots, st.sampled_from(WILD)), max_size=2)):
             table[spot] = value
         for row in draw(st.sets(st.integers(0, number - 1), max_size=2)):
             table[row, 4:10] = 0
@@ -186,9 +177,7 @@ def check_psd(upper: np.ndarray) -> None:
     checked = (diagonal >= 0).all(axis=1)  # a negative variance is GV005's
     expected = set(np.flatnonzero(checked & (margin < 0)).tolist())
     close = np.abs(margin) <= 1e-7 * np.abs(matrices).max(axis=(1, 2))
-    invalid = bad_rows(
-        covariance.covariance_psd, rows_of(packed_with(upper), None, len(upper))
-    )
+    invalid = bad_rows(covariance.covariance_psd, rows_of(packed_with(upper), None, len(upper)))
     assert invalid ^ expected <= set(np.flatnonzero(close).tolist())
 
 
@@ -220,9 +209,7 @@ def test_the_tolerance_is_where_it_is_said_to_be(
 ):
     rng = np.random.default_rng(seed)
     turned = np.linalg.qr(rng.normal(size=(64, 3, 3)))[0]
-    lowest = (
-        -beyond * SLACK[dtype] * (1 + thin)
-    )  # from half to one and a half times allowed
+    lowest = -beyond * SLACK[dtype] * (1 + thin)  # from half to one and a half times allowed
     sigma = turned * np.asarray([1.0, thin, lowest]) @ turned.transpose(0, 2, 1)
     check_psd(uppers(10.0**scale * sigma, dtype))
 
@@ -239,10 +226,7 @@ def test_entries_of_very_different_size_are_judged_as_by_eigvalsh(dtype: Any, se
 
 
 @pytest.mark.parametrize("dtype", DTYPES.values(), ids=lambda dtype: dtype.__name__)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    axes=st.tuples(*[st.floats(-4, 0)] * 3),
-)
+@given(seed=st.integers(0, 2**32 - 1), axes=st.tuples(*[st.floats(-4, 0)] * 3))
 @settings(max_examples=200)
 def test_a_proper_covariance_survives_rounding(
     dtype: Any, seed: int, axes: tuple[float, float, float]
@@ -272,12 +256,8 @@ def test_rows_beyond_the_first_chunk_are_counted_from_the_start():
     assert Rows(emission, 4, packed[:0], None).live_rows == 0
 
 
-@pytest.mark.parametrize(
-    ("guessed", "certainty"), [(True, "possible"), (False, "confirmed")]
-)
-def test_three_channels_without_a_manifest_may_be_sh(
-    guessed: bool, certainty: str, tmp_path: Path
-):
+@pytest.mark.parametrize(("guessed", "certainty"), [(True, "possible"), (False, "confirmed")])
+def test_three_channels_without_a_manifest_may_be_sh(guessed: bool, certainty: str, tmp_path: Path):
     scene = still(degree=0).altered("colors", np.s_[0], -0.4)
     unlabelled = replace(scene, manifest=None if guessed else scene.manifest)
     rgb = AppearanceOutput("color", "rgb")

@@ -173,12 +173,7 @@ def test_a_schema_is_made_from_types_and_hints():
             "name": {"type": "string", "minLength": 2, "pattern": "^[a-z]+$"},
             "inner": {"$ref": "#/$defs/Inner", "description": "One of them."},
             "kind": {"enum": ["a", "b"], "default": "a"},
-            "pair": {
-                "type": "array",
-                "items": {"type": "number"},
-                "minItems": 2,
-                "maxItems": 2,
-            },
+            "pair": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
             "many": {"type": "array", "items": {"$ref": "#/$defs/Inner"}, "default": []},
             "words": {"type": "array", "items": {"type": "string"}},
             "either": {

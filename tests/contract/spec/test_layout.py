@@ -36,8 +36,7 @@ def gaussians(draw, **limits):
 
 def arrays_of(made):
     named = {
-        name: getattr(made, name)
-        for name in ("position", "opacity", "covariance", "sh", "rgb")
+        name: getattr(made, name) for name in ("position", "opacity", "covariance", "sh", "rgb")
     }
     return {name: array for name, array in named.items() if array is not None}
 
@@ -136,14 +135,8 @@ def parts(n=2, **changes):
         ({"opacity": (2, 1)}, "Gaussians.opacity: shape is [2, 1], expected [2]"),
         ({"covariance": (1, 6)}, "Gaussians.covariance: shape is [1, 6], expected [2, 6]"),
         ({"rgb": (2, 4)}, "Gaussians.rgb: shape is [2, 4], expected [2, 3]"),
-        (
-            {"rgb": None, "sh": (2, 5, 3)},
-            "Gaussians.sh: shape is [2, 5, 3], expected [2, 16, 3]",
-        ),
-        (
-            {"rgb": None, "sh": (2, 12)},
-            "Gaussians.sh: shape is [2, 12], expected [2, 16, 3]",
-        ),
+        ({"rgb": None, "sh": (2, 5, 3)}, "Gaussians.sh: shape is [2, 5, 3], expected [2, 16, 3]"),
+        ({"rgb": None, "sh": (2, 12)}, "Gaussians.sh: shape is [2, 12], expected [2, 16, 3]"),
         ({"rgb": None}, "Gaussians: give exactly one of sh and rgb"),
         ({"sh": (2, 1, 3)}, "Gaussians: give exactly one of sh and rgb"),
     ],
@@ -159,12 +152,7 @@ def test_gaussians_of_another_shape_are_refused(changes, text):
     [
         ((2, 9), (2, 3), "rgb", "gaussians: shape is [2, 9], expected [N, 10]"),
         ((1, 2, 10), (2, 3), "rgb", "gaussians: shape is [1, 2, 10], expected [N, 10]"),
-        (
-            (2, 10),
-            (2, 5),
-            "rgb",
-            "appearance: shape is [2, 5], expected [2, C] with C in (3, 4)",
-        ),
+        ((2, 10), (2, 5), "rgb", "appearance: shape is [2, 5], expected [2, C] with C in (3, 4)"),
         (
             (2, 10),
             (3, 12),

@@ -74,45 +74,28 @@ def test_an_input_without_axes_keeps_its_shape():
     [
         (
             {"bounds": {"min": [0, 0], "max": [1, 1, 1]}},
-            Complaint(
-                "schema", "bounds.min", "[0, 0]", "Lower corner, x y z. (minItems 3)"
-            ),
+            Complaint("schema", "bounds.min", "[0, 0]", "Lower corner, x y z. (minItems 3)"),
         ),
         (
             {"outputs": {"gaussians": {"name": "g"}}},
             Complaint(
-                "schema",
-                "outputs.gaussians",
-                "no field 'capacity'",
-                "'capacity' to be present",
+                "schema", "outputs.gaussians", "no field 'capacity'", "'capacity' to be present"
             ),
         ),
-        (
-            {"blend": "add"},
-            Complaint("schema", "blend", "add", "one of alpha, wsr"),
-        ),
+        ({"blend": "add"}, Complaint("schema", "blend", "add", "one of alpha, wsr")),
         (
             {"space": {"upp": "-y", "x-a": 1}},
             Complaint(
-                "schema",
-                "space",
-                "'upp'",
-                "only the fields handedness, up, unit, matrix_order",
+                "schema", "space", "'upp'", "only the fields handedness, up, unit, matrix_order"
             ),
         ),
         (
             {"name": ""},
             Complaint(
-                "schema",
-                "name",
-                "an empty text",
-                "What people call the model. (minLength 1)",
+                "schema", "name", "an empty text", "What people call the model. (minLength 1)"
             ),
         ),
-        (
-            {"inputs": [{"name": "t", "role": "clock"}]},
-            "inputs.0.role",
-        ),
+        ({"inputs": [{"name": "t", "role": "clock"}]}, "inputs.0.role"),
         ({"kind": "generator"}, "kind"),
         ({"kind": ["gaussian-generator"]}, "kind"),
         ({"outputs": None}, "outputs"),
@@ -288,18 +271,9 @@ def test_cells_and_their_weights_are_read():
         ),
         ({"weighted_sum": {}}, "weighted_sum"),
         ({"weighted_sum": {"background": -0.1}}, "weighted_sum.background"),
-        (
-            {"weighted_sum": {"background": 0, "depth_range": 0}},
-            "weighted_sum.depth_range",
-        ),
-        (
-            {"weighted_sum": {"background": 0, "depth_range": None}},
-            "weighted_sum.depth_range",
-        ),
-        (
-            {"weighted_sum": {"background": 0, "opacity_divisor": 0}},
-            "weighted_sum.opacity_divisor",
-        ),
+        ({"weighted_sum": {"background": 0, "depth_range": 0}}, "weighted_sum.depth_range"),
+        ({"weighted_sum": {"background": 0, "depth_range": None}}, "weighted_sum.depth_range"),
+        ({"weighted_sum": {"background": 0, "opacity_divisor": 0}}, "weighted_sum.opacity_divisor"),
     ],
 )
 def test_cells_and_weights_that_mean_nothing_are_refused(changes, where):

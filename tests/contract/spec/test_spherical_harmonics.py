@@ -52,9 +52,7 @@ def test_the_basis_is_orthonormal_on_the_sphere():
 
 def test_the_basis_is_that_of_the_textbooks_with_the_condon_shortley_phase():
     points = directions(200)
-    orders = [
-        (degree, order) for degree in range(4) for order in range(-degree, degree + 1)
-    ]
+    orders = [(degree, order) for degree in range(4) for order in range(-degree, degree + 1)]
     expected = np.stack([harmonic(*which, points) for which in orders], axis=1)
     np.testing.assert_allclose(basis(points), expected, atol=1e-12)
 
@@ -79,9 +77,7 @@ def test_the_constant_term_is_the_same_colour_from_everywhere():
     sh = np.array([[[1.0, 0.0, -1.0]]])
     color = evaluate(sh, directions(7))
     assert color.shape == (1, 7, 3)
-    np.testing.assert_allclose(
-        color[0], [[0.5 + 0.28209479177387814, 0.5, 0.5 - 0.28209479]] * 7
-    )
+    np.testing.assert_allclose(color[0], [[0.5 + 0.28209479177387814, 0.5, 0.5 - 0.28209479]] * 7)
 
 
 def test_colour_is_clamped_below_at_zero_and_not_above():
@@ -93,9 +89,7 @@ def test_colour_is_clamped_below_at_zero_and_not_above():
 def test_colour_is_the_sum_of_basis_functions_plus_one_half():
     rng = np.random.default_rng(1)
     sh, points = rng.normal(size=(3, 16, 3)), directions(4)
-    expected = [
-        [[0.5 + basis(d) @ one[:, c] for c in range(3)] for d in points] for one in sh
-    ]
+    expected = [[[0.5 + basis(d) @ one[:, c] for c in range(3)] for d in points] for one in sh]
     np.testing.assert_allclose(evaluate(sh, points), np.maximum(expected, 0))
 
 
@@ -107,9 +101,7 @@ def test_a_count_of_coefficients_has_a_degree(count, degree):
 
 @pytest.mark.parametrize("count", [0, 2, 3, 15, 17, 25, -1])
 def test_other_counts_have_no_degree(count):
-    with pytest.raises(
-        ValueError, match=rf"^{count} is not a number of SH .*\(1, 4, 9, 16\)$"
-    ):
+    with pytest.raises(ValueError, match=rf"^{count} is not a number of SH .*\(1, 4, 9, 16\)$"):
         degree_of(count)
 
 

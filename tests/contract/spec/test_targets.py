@@ -93,9 +93,7 @@ def test_another_version_is_an_error():
 def test_an_unknown_target_names_the_nearest():
     with pytest.raises(UnknownName) as caught:
         load_target("visonary")
-    assert str(caught.value) == (
-        "--target: unknown target 'visonary'\n  Did you mean 'visionary'?"
-    )
+    assert str(caught.value) == ("--target: unknown target 'visonary'\n  Did you mean 'visionary'?")
 
 
 ACME = target_from_json(json.dumps(MINIMAL), "acme.json")

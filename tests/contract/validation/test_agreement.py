@@ -40,27 +40,18 @@ def tolerances(value: float) -> list[Tolerance]:
 
 
 def oracle(
-    a: np.ndarray,
-    b: np.ndarray,
-    c: np.ndarray,
-    d: np.ndarray,
-    degree: int | None,
-    field: str,
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, degree: int | None, field: str
 ) -> list[float]:
     """Return the error of each row."""
     errors = []
-    for x, y, p, q in zip(
-        *(error.astype(np.float64) for error in (a, b, c, d)), strict=True
-    ):
+    for x, y, p, q in zip(*(error.astype(np.float64) for error in (a, b, c, d)), strict=True):
         trace = x[4] + x[7] + x[9]
         sh = p.reshape(-1, 3) - q.reshape(-1, 3)
         visited = (
             max(abs(v) for v in (p - q)[:3])
             if degree is None
             else max(
-                abs(
-                    evaluate(sh[None], axis[None]) - 0.5
-                ).max()  # 0.5 + Σ Y c, unclamped here
+                abs(evaluate(sh[None], axis[None]) - 0.5).max()  # 0.5 + Σ Y c, unclamped here
                 for axis in AXES
             )
         )
@@ -85,17 +76,13 @@ def test_the_worst_row_is_the_oracle_s(field: str, degree: int | None) -> None:
     changed, columns = (d, np.s_[:]) if field == "appearance" else (b, part[field])
     changed[columns] += rng.uniform(0.01, 0.1, changed[columns].shape)
     a[4, 3] = b[4, 3] = 0 if field != "opacity" else a[4, 3]  # not drawn, not compared
-    errors = list(
-        field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(1e-3))
-    )
+    errors = list(field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(1e-3)))
     assert [error.tolerance.field for error in errors] == [field]
     expected = oracle(a, b, c, d, degree, field)
     assert errors[0].error == pytest.approx(max(expected), rel=1e-6)
     assert errors[0].row == int(np.argmax(expected))
     assert not list(
-        field_errors(
-            emission(a, c, degree), emission(b, d, degree), tolerances(max(expected))
-        )
+        field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(max(expected)))
     )
 
 
@@ -109,15 +96,11 @@ def test_one_rounding_of_storage_is_no_difference(dtype: type) -> None:
 @pytest.mark.filterwarnings("ignore:invalid value")  # the engine judges so
 @pytest.mark.parametrize("degree", [0, 1, None])
 @pytest.mark.parametrize("field", FIELDS)
-def test_what_is_not_finite_counts_where_it_is_on_one_side(
-    field: str, degree: int | None
-) -> None:
+def test_what_is_not_finite_counts_where_it_is_on_one_side(field: str, degree: int | None) -> None:
     a, c = encode(cloud(9, degree), np.float32)
     a[1, 0], a[2, 4], c[5, 0], c[6, 1] = np.nan, np.inf, np.inf, np.nan
     b, d = a.copy(), c.copy()
-    assert not list(
-        field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(0))
-    )
+    assert not list(field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(0)))
     changed, column = {
         "position": (b, 1),
         "opacity": (b, 3),
@@ -126,28 +109,20 @@ def test_what_is_not_finite_counts_where_it_is_on_one_side(
     }[field]
     for value in (np.inf, np.nan, changed[3, column] + 2):
         changed[3, column] = value
-        errors = list(
-            field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(0.5))
-        )
+        errors = list(field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(0.5)))
         assert [(error.tolerance.field, error.row) for error in errors] == [(field, 3)]
 
 
 def test_other_sizes_are_not_compared() -> None:
     a, c = encode(cloud(5, 1), np.float32)
-    assert comparable_parts(emission(a, c, 1), emission(a[:4], c[:4], 1)) == (
-        False,
-        False,
-        False,
-    )
+    assert comparable_parts(emission(a, c, 1), emission(a[:4], c[:4], 1)) == (False, False, False)
     assert comparable_parts(emission(a, c[:, :7], 1), emission(a, c[:, :7], 1)) == (
         True,
         False,
         False,
     )
     assert comparable_parts(emission(a, c, 1), emission(a, c, 1)) == (True, True, False)
-    assert not list(
-        field_errors(emission(a, c, 1), emission(a[:4], c[:4], 1), tolerances(0))
-    )
+    assert not list(field_errors(emission(a, c, 1), emission(a[:4], c[:4], 1), tolerances(0)))
     none = emission(a[:0], c[:0], 1)
     assert not list(field_errors(none, none, tolerances(0)))
 
@@ -209,11 +184,7 @@ def test_cells_are_compared_in_the_units_of_rows(
 
 
 def test_cells_of_another_number_cannot_be_compared() -> None:
-    assert comparable_parts(in_cells(four_cells()), in_cells(four_cells())) == (
-        True,
-        True,
-        True,
-    )
+    assert comparable_parts(in_cells(four_cells()), in_cells(four_cells())) == (True, True, True)
     for cells in (four_cells()[:2], None):
         fewer = in_cells(four_cells())
         changed = replace(fewer, count=12, declared=None, cells=cells)

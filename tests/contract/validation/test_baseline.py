@@ -13,11 +13,7 @@ from gsgen.contract.validation.report import ResolvedFinding
 
 def gone(name):
     return ResolvedFinding(
-        rule="GV003",
-        slug="opacity-range",
-        fingerprint=name,
-        where=Location("output g"),
-        message="",
+        rule="GV003", slug="opacity-range", fingerprint=name, where=Location("output g"), message=""
     )
 
 
@@ -147,9 +143,7 @@ def test_what_is_waived_now_is_not_gone(reports, saved):
         ('{"schema": "gsgen-report/1", "reports": 3}', "is not a report: "),
     ],
 )
-def test_what_is_no_report_is_refused_with_the_command_that_makes_one(
-    tmp_path, text, message
-):
+def test_what_is_no_report_is_refused_with_the_command_that_makes_one(tmp_path, text, message):
     path = tmp_path / "b.json"
     path.write_text(text)
     with pytest.raises(ConfigInvalid) as caught:

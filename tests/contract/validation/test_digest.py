@@ -23,9 +23,7 @@ def test_a_file_is_digested_chunk_by_chunk(tmp_path, size):
     ("level", "size", "read"),
     [(Level.STATIC, 9, True), (Level.STATIC, 10, False), (Level.VALUES, 10, True)],
 )
-def test_large_files_are_left_alone_where_nothing_runs(
-    tmp_path, monkeypatch, level, size, read
-):
+def test_large_files_are_left_alone_where_nothing_runs(tmp_path, monkeypatch, level, size, read):
     monkeypatch.setattr(digests, "_STATIC_BYTES", 10)
     path = tmp_path / "a.onnx"
     path.write_bytes(b"x" * size)

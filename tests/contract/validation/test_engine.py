@@ -64,11 +64,7 @@ def test_a_good_model_conforms_and_every_rule_is_accounted_for(good):
     ]
     assert set(checked_statuses) == {"pass", "not-applicable"}
     assert (report.path, report.size) == (str(good), good.stat().st_size)
-    assert (report.kind, report.name, report.contract) == (
-        "gaussian-generator",
-        "moving",
-        "1.1",
-    )
+    assert (report.kind, report.name, report.contract) == ("gaussian-generator", "moving", "1.1")
     assert (report.capacity, report.level) == (8, Level.BEHAVIOUR)
     assert report.probes[:2] == ("all inputs zero", "time=0")
     assert len(report.probes) == 9
@@ -116,8 +112,7 @@ def test_levels_that_nothing_checks_are_reported_as_not_run(good):
         good,
         ALL[Level.RENDER],
         registry=with_rules(
-            made_up("acme/AC001", level=Level.LIVE),
-            made_up("acme/AC002", level=Level.RENDER),
+            made_up("acme/AC001", level=Level.LIVE), made_up("acme/AC002", level=Level.RENDER)
         ),
     )
     assert [ran for ran, _ in levels(report).values()] == [True, True, True, False, False]
@@ -132,8 +127,7 @@ def test_levels_that_nothing_checks_are_reported_as_not_run(good):
 def test_a_rule_that_crashes_leaves_no_verdict_but_the_others_are_judged(good):
     scopes = ("model", "execution", "emission", "rows", "runs")
     rules = [
-        made_up(f"acme/AC00{index}", crashing, over=scope)
-        for index, scope in enumerate(scopes)
+        made_up(f"acme/AC00{index}", crashing, over=scope) for index, scope in enumerate(scopes)
     ]
     report = validate(good, registry=with_rules(*rules))
     assert report.verdict == "internal-error"
@@ -184,10 +178,7 @@ def test_a_broken_rule_makes_a_model_invalid(broken):
     [
         ({"ignore": frozenset({"GV003"})}, "conforms"),
         ({"severities": {"GV003": Severity.WARNING}}, "conforms"),
-        (
-            {"severities": {"GV003": Severity.WARNING}, "fail_on": Severity.WARNING},
-            "invalid",
-        ),
+        ({"severities": {"GV003": Severity.WARNING}, "fail_on": Severity.WARNING}, "invalid"),
         ({"fail_on": Severity.INFO, "ignore": frozenset({"GV003"})}, "conforms"),
     ],
 )
@@ -227,9 +218,7 @@ def test_a_model_that_must_not_run_is_not_run_and_the_reason_is_told(tmp_path):
     report = validate(path)
     assert report.outcome("GM002").status == "fail"
     reason = "the model was not run because GM002 does not hold"
-    assert (
-        levels(report)[Level.VALUES] == levels(report)[Level.BEHAVIOUR] == (False, reason)
-    )
+    assert levels(report)[Level.VALUES] == levels(report)[Level.BEHAVIOUR] == (False, reason)
     assert report.outcome("GV003").reason == "because GM002 does not hold"
     assert (report.kind, report.name, report.contract) == ("", "", "")
 
@@ -299,9 +288,7 @@ def test_a_manifest_of_enormous_numbers_stops_nothing(tmp_path):
 
 @settings(max_examples=150)
 @given(
-    edits=st.lists(
-        st.tuples(st.integers(0, 2**16), st.integers(0, 255)), min_size=1, max_size=3
-    )
+    edits=st.lists(st.tuples(st.integers(0, 2**16), st.integers(0, 255)), min_size=1, max_size=3)
 )
 def test_no_damage_to_a_file_makes_a_rule_crash(tmp_path_factory, edits):
     path = tmp_path_factory.getbasetemp() / "damaged.onnx"
@@ -319,9 +306,9 @@ def test_no_damage_to_a_file_makes_a_rule_crash(tmp_path_factory, edits):
 def test_a_nan_that_every_probe_has_belongs_to_gv001_and_not_to_zero_inputs(tmp_path):
     base = find("time_is_baked").draw()
     broken = base.weighing(
-        center=np.where(
-            np.arange(15).reshape(5, 3) == 4, np.nan, base.weights["center"]
-        ).astype("f4")
+        center=np.where(np.arange(15).reshape(5, 3) == 4, np.nan, base.weights["center"]).astype(
+            "f4"
+        )
     )
     path = tmp_path / "m.onnx"
     broken.write(path)
@@ -346,9 +333,7 @@ def no_time_for_extras(monkeypatch):
     monkeypatch.setattr(engine, "execute", shortened)
 
 
-def test_a_rule_whose_probes_did_not_run_is_skipped_and_not_passed(
-    good, no_time_for_extras
-):
+def test_a_rule_whose_probes_did_not_run_is_skipped_and_not_passed(good, no_time_for_extras):
     report = validate(good)
     outcome = report.outcome("GB013")
     assert outcome.status == "skipped"

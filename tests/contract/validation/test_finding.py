@@ -81,9 +81,7 @@ FINDING = Finding(
     ],
 )
 def test_a_fingerprint_does_not_change_with_numbers_and_settings(change):
-    assert (
-        replace(FINDING, **change).fingerprint == FINDING.fingerprint == "b83b67613a63b931"
-    )
+    assert replace(FINDING, **change).fingerprint == FINDING.fingerprint == "b83b67613a63b931"
 
 
 @pytest.mark.parametrize(

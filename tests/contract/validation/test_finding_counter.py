@@ -10,13 +10,9 @@ WHERE = Location("output g", "opacity")
 def rows(invalid_rows, values=None, **options):
     invalid_rows = np.asarray(invalid_rows, bool)
     values = (
-        np.arange(len(invalid_rows), dtype=np.float64)
-        if values is None
-        else np.asarray(values)
+        np.arange(len(invalid_rows), dtype=np.float64) if values is None else np.asarray(values)
     )
-    return Violation.rows(
-        WHERE, invalid_rows, values, "less", checked=len(invalid_rows), **options
-    )
+    return Violation.rows(WHERE, invalid_rows, values, "less", checked=len(invalid_rows), **options)
 
 
 def tally(*breaches, probe="", starts=None):
@@ -111,9 +107,7 @@ def test_the_worst_is_not_repeated_where_it_is_the_first():
 )
 def test_a_message_about_things_says_what_was_seen(times, probe, message):
     breach = Violation.at("output g", "9 rows", "10 rows")
-    counter = FindingCounter(
-        where=breach.where, expected=breach.expected, actual=breach.actual
-    )
+    counter = FindingCounter(where=breach.where, expected=breach.expected, actual=breach.actual)
     for _ in range(times):
         counter.add(breach, probe)
     assert counter.message() == message

@@ -30,6 +30,4 @@ def test_without_the_rule_that_the_model_runs_no_model_is_run(tmp_path):
     registry = Registry.of(rule for rule in static if rule.level.word == "static")
     report = validate_with(registry, path, Settings())
     (reason,) = {level.reason for level in report.levels if level.level.word == "values"}
-    assert (
-        reason == f"the model was not run because no rule {gates.MODEL_RUNS} is installed"
-    )
+    assert reason == f"the model was not run because no rule {gates.MODEL_RUNS} is installed"

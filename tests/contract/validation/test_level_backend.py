@@ -7,11 +7,7 @@ import pytest
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.level_backend import (
-    LevelBackend,
-    LevelContext,
-    LevelUnavailable,
-)
+from gsgen.contract.validation.level_backend import LevelBackend, LevelContext, LevelUnavailable
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
@@ -46,9 +42,7 @@ def test_rules_of_the_level_are_judged_with_what_was_prepared(good):
 
     def prepare(trial):
         arguments.append(len(trial.execution.runs))
-        yield LevelContext(
-            context=CONTEXT, items=3, environment={"device": "made up"}, seconds=100
-        )
+        yield LevelContext(context=CONTEXT, items=3, environment={"device": "made up"}, seconds=100)
         arguments.append("closed")
 
     needing = made_up("acme/AC001", over="live", needs=("acme/AC002",))
@@ -80,10 +74,7 @@ def test_a_level_that_cannot_run_is_skipped_with_its_reason(good):
 
     rules = [made_up(f"acme/AC00{k}", told, over="live", needs=()) for k in (1, 2)]
     report = judged(good, prepare, *rules)
-    assert (of_level(report).ran, of_level(report).reason) == (
-        False,
-        "no such device: buy one",
-    )
+    assert (of_level(report).ran, of_level(report).reason) == (False, "no such device: buy one")
     for rule in rules:
         outcome = report.outcome(rule.id)
         assert (outcome.status, outcome.reason) == ("skipped", "no such device: buy one")
@@ -107,9 +98,7 @@ def test_a_level_that_was_not_asked_for_is_not_prepared(good):
         raise AssertionError
         yield
 
-    report = judged(
-        good, prepare, made_up("acme/AC001", over="live"), level=Level.BEHAVIOUR
-    )
+    report = judged(good, prepare, made_up("acme/AC001", over="live"), level=Level.BEHAVIOUR)
     assert report.outcome("acme/AC001").reason == "level live was not requested"
 
 
@@ -129,8 +118,6 @@ def test_a_model_that_does_not_run_is_not_run_live(tmp_path):
 
 
 def test_a_level_has_one_runner():
-    runner = LevelBackend(
-        Level.LIVE, "doing it live", contextmanager(lambda trial: iter(()))
-    )
+    runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(lambda trial: iter(())))
     with pytest.raises(ValueError, match="level live has two backends"):
         Registry.of([], [runner, runner])

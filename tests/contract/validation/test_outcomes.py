@@ -24,9 +24,7 @@ TARGET = Target(
 
 
 def board(*rules, kind="gaussian-generator", **settings):
-    return ResultCollector(
-        registry=Registry.of(rules), settings=Settings(**settings), kind=kind
-    )
+    return ResultCollector(registry=Registry.of(rules), settings=Settings(**settings), kind=kind)
 
 
 def judge(results, *rules):
@@ -85,9 +83,7 @@ def test_rules_that_need_a_broken_one_are_not_judged_and_name_it():
     results = judge(board(first, second, third), first, second, third)
     text = "because GV901 does not hold"
     for rule in (second, third):
-        outcome = Outcome(
-            rule=rule, status="not-applicable", reason=text, blocked_by="GV901"
-        )
+        outcome = Outcome(rule=rule, status="not-applicable", reason=text, blocked_by="GV901")
         assert results.outcomes[rule.id] == outcome
 
 
@@ -135,9 +131,7 @@ def test_a_rule_applies_to_its_target_limit_and_kind(options, kind, reason):
     results = board(rule, kind=kind, target=TARGET)
     assert results.ready([rule]) == ([] if reason else [rule])
     assert results.outcomes == (
-        {"GV901": Outcome(rule=rule, status="not-applicable", reason=reason)}
-        if reason
-        else {}
+        {"GV901": Outcome(rule=rule, status="not-applicable", reason=reason)} if reason else {}
     )
 
 
@@ -225,9 +219,7 @@ def test_a_severity_that_a_target_sets_comes_from_it():
 def test_rows_of_several_probes_add_up():
     def odd(chunk):
         invalid = chunk % 2 == 1
-        yield Violation.rows(
-            Location("output g"), invalid, chunk, "even", checked=len(invalid)
-        )
+        yield Violation.rows(Location("output g"), invalid, chunk, "even", checked=len(invalid))
 
     rule = made_up("GV901", odd, over="rows")
     results = board(rule)

@@ -54,9 +54,7 @@ def test_without_findings_a_model_conforms():
     assert report().verdict == "conforms"
 
 
-@pytest.mark.parametrize(
-    "changes", [{"waived": True}, {"known": True}, {"certainty": "possible"}]
-)
+@pytest.mark.parametrize("changes", [{"waived": True}, {"known": True}, {"certainty": "possible"}])
 def test_what_is_waived_known_or_only_possible_never_fails(changes):
     assert report(finding(**changes), fail_on=Severity.INFO).verdict == "conforms"
 
@@ -68,9 +66,7 @@ def test_a_crashed_rule_leaves_no_verdict(findings):
 
 
 def test_counts_leave_out_what_is_waived_or_known():
-    summary = report(
-        finding(), finding(waived=True), finding(known=True), finding(Severity.INFO)
-    )
+    summary = report(finding(), finding(waived=True), finding(known=True), finding(Severity.INFO))
     assert [summary.count(severity) for severity in Severity] == [1, 0, 1]
 
 

@@ -8,9 +8,7 @@ from gsgen.contract.validation.rule import Registry, rule, rules_in
 from support.reports.rules import made_up
 
 
-def declared(
-    id="GV999", slug="always-so", doc="It is so.\n\nWhy:\n  x\n\nHint:\n  y", **options
-):
+def declared(id="GV999", slug="always-so", doc="It is so.\n\nWhy:\n  x\n\nHint:\n  y", **options):
     def check(_):
         return iter(())
 
@@ -75,19 +73,13 @@ def test_an_id_is_two_letters_and_three_digits_with_a_name_in_front(id):
     "id", ["GV3", "gv003", "GV0033", "GVX003", "/GV003", "Acme/AC001", "3/AC001"]
 )
 def test_another_id_is_refused(id):
-    with pytest.raises(
-        ValueError, match="expected an id like GV003 and a slug like opacity-range"
-    ):
+    with pytest.raises(ValueError, match="expected an id like GV003 and a slug like opacity-range"):
         declared(id)
 
 
-@pytest.mark.parametrize(
-    "slug", ["", "Opacity", "opacity_range", "-opacity", "opacity--range"]
-)
+@pytest.mark.parametrize("slug", ["", "Opacity", "opacity_range", "-opacity", "opacity--range"])
 def test_another_slug_is_refused(slug):
-    with pytest.raises(
-        ValueError, match="expected an id like GV003 and a slug like opacity-range"
-    ):
+    with pytest.raises(ValueError, match="expected an id like GV003 and a slug like opacity-range"):
         declared(slug=slug)
 
 
@@ -107,8 +99,7 @@ def test_another_slug_is_refused(slug):
 )
 def test_a_rule_without_sentence_reason_or_remedy_is_refused(doc):
     with pytest.raises(
-        ValueError,
-        match=r"^GV999: the docstring lacks a part: expected a statement, a `Why:` and",
+        ValueError, match=r"^GV999: the docstring lacks a part: expected a statement, a `Why:` and"
     ):
         declared(doc=doc)
 
@@ -129,9 +120,7 @@ def test_a_registry_has_all_that_its_rules_need():
         Registry.of([made_up("GV901", needs=("GV900",))])
 
 
-REGISTRY = Registry.of(
-    [declared("GV901", "opacity-range"), declared("acme/GV902", "rows-finite")]
-)
+REGISTRY = Registry.of([declared("GV901", "opacity-range"), declared("acme/GV902", "rows-finite")])
 
 
 @pytest.mark.parametrize(
@@ -157,10 +146,7 @@ def test_a_rule_is_found_by_id_or_name_in_any_case(name, id):
         ("opacity-range2", "Did you mean 'opacity-range'?"),
         ("GV902", "Did you mean 'acme/GV902'?"),
         ("GX901", "Ids begin with GV, acme/GV; `gsgen rules` lists them."),
-        (
-            "acme/GV7",
-            "Ids of acme/GV are acme/GV902 to acme/GV902; `gsgen rules` lists them.",
-        ),
+        ("acme/GV7", "Ids of acme/GV are acme/GV902 to acme/GV902; `gsgen rules` lists them."),
     ],
 )
 def test_an_unknown_rule_names_the_nearest_of_its_sort(name, hint):
@@ -175,10 +161,7 @@ ALL = Registry.of(made_up(f"GV{number:03}") for number in (1, 2, 3, 12, 21, 30, 
 @pytest.mark.parametrize(
     ("typed", "hint"),
     [
-        *(
-            (typed, "Did you mean 'GV003'?")
-            for typed in ("GV03", "gv3", "GV-003", "GV0003")
-        ),
+        *((typed, "Did you mean 'GV003'?") for typed in ("GV03", "gv3", "GV-003", "GV0003")),
         ("GV903", "Did you mean 'GV003'?"),
         ("GV013", "Did you mean 'GV003' or 'GV012' or 'GV031'?"),
         ("GV011", "Ids of GV are GV001 to GV031; `gsgen rules` lists them."),

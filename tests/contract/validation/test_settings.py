@@ -48,11 +48,7 @@ def test_a_file_can_set_everything(read, tmp_path):
         target=load_target("webgpu"),
         fail_on=Severity.WARNING,
         ignore=frozenset({"GM001", "GV003"}),
-        severities={
-            "GV005": Severity.INFO,
-            "GV006": Severity.WARNING,
-            "GV007": Severity.ERROR,
-        },
+        severities={"GV005": Severity.INFO, "GV006": Severity.WARNING, "GV007": Severity.ERROR},
         limits=Limits(2.5, 64 << 20),
         strict=True,
         seed=7,
@@ -79,11 +75,7 @@ def test_what_a_file_ignores_comes_on_top(read):
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
-        (
-            "[validte]\n",
-            UnknownName,
-            ": unknown key 'validte'\n  Did you mean 'validate'?",
-        ),
+        ("[validte]\n", UnknownName, ": unknown key 'validte'\n  Did you mean 'validate'?"),
         (
             '[validate]\nlevle = "static"\n',
             UnknownName,
@@ -149,11 +141,7 @@ def test_what_a_file_ignores_comes_on_top(read):
             ConfigInvalid,
             ", validate.ignore: 'GV003' is not of type 'array'",
         ),
-        (
-            "validate = 3\n",
-            ConfigInvalid,
-            ", validate: 3 is not of type 'object'",
-        ),
+        ("validate = 3\n", ConfigInvalid, ", validate: 3 is not of type 'object'"),
         (
             "[validate\n",
             ConfigInvalid,
@@ -161,9 +149,7 @@ def test_what_a_file_ignores_comes_on_top(read):
         ),
     ],
 )
-def test_what_cannot_be_meant_is_an_error_with_its_place(
-    read, tmp_path, text, error, message
-):
+def test_what_cannot_be_meant_is_an_error_with_its_place(read, tmp_path, text, error, message):
     with pytest.raises(error) as caught:
         read(text)
     assert str(caught.value).startswith(f"{tmp_path / 'gsgen.toml'}{message}")
@@ -218,9 +204,7 @@ def target(**severities):
         (Settings(), Severity.ERROR),
         (Settings(target=target(GV003=Severity.WARNING)), Severity.WARNING),
         (
-            Settings(
-                target=target(GV003=Severity.WARNING), severities={"GV003": Severity.INFO}
-            ),
+            Settings(target=target(GV003=Severity.WARNING), severities={"GV003": Severity.INFO}),
             Severity.INFO,
         ),
         (Settings(strict=True), Severity.ERROR),
@@ -298,10 +282,7 @@ def test_a_file_can_waive_findings_with_a_reason(read, tmp_path):
             'rule = "GV004"\nreason = "x"\nuntil = 2027-01-01T00:00:00',
             ", waive.0.until: datetime.datetime(2027, 1, 1, 0, 0) is not of type 'string'",
         ),
-        (
-            'rule = "GV004"\nreason = "x"\nuntil = 3',
-            ", waive.0.until: 3 is not of type 'string'",
-        ),
+        ('rule = "GV004"\nreason = "x"\nuntil = 3', ", waive.0.until: 3 is not of type 'string'"),
     ],
 )
 def test_a_waiver_that_cannot_be_meant_is_an_error(read, tmp_path, text, message):

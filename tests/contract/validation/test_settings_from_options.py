@@ -31,10 +31,7 @@ def test_words_win_over_the_file_of_the_current_folder(
     ("words", "message"),
     [
         ({"target": "webgpuu"}, "Did you mean 'webgpu'?"),
-        (
-            {"level": "behavior"},
-            "--level: unknown level 'behavior'\n  Did you mean 'behaviour'?",
-        ),
+        ({"level": "behavior"}, "--level: unknown level 'behavior'\n  Did you mean 'behaviour'?"),
         ({"fail_on": "never"}, "unknown severity 'never'"),
         ({"ignore": ["GV003,GV03"]}, "--ignore: unknown rule 'GV03'"),
         ({"severity": ["GV003"]}, "--severity: 'GV003' has no '='"),

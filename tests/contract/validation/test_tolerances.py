@@ -17,10 +17,7 @@ STATIC = Settings(level=Level.STATIC)
 
 def tolerances(path):
     tolerances_found = validate(path, STATIC).tolerances
-    return {
-        tolerance.field: (tolerance.value, tolerance.source)
-        for tolerance in tolerances_found
-    }
+    return {tolerance.field: (tolerance.value, tolerance.source) for tolerance in tolerances_found}
 
 
 @pytest.fixture
@@ -50,9 +47,7 @@ def test_what_the_manifest_does_not_say_is_the_default(declaring):
 
 
 def test_what_the_manifest_says_holds_even_where_it_says_the_default(declaring):
-    tolerances_found = tolerances(
-        declaring({"tolerances": {"opacity": 0.1, "position": 1e-3}})
-    )
+    tolerances_found = tolerances(declaring({"tolerances": {"opacity": 0.1, "position": 1e-3}}))
     assert tolerances_found["opacity"] == (0.1, "manifest")
     assert tolerances_found["position"] == (1e-3, "manifest")
     assert tolerances_found["covariance"] == (1e-3, "default")
@@ -60,8 +55,7 @@ def test_what_the_manifest_says_holds_even_where_it_says_the_default(declaring):
 
 def test_units_come_from_the_manifest_s_own_declaration(declaring):
     units = {
-        tolerance.field: tolerance.unit
-        for tolerance in validate(declaring({}), STATIC).tolerances
+        tolerance.field: tolerance.unit for tolerance in validate(declaring({}), STATIC).tolerances
     }
     assert units["position"] == "in standard deviations of the Gaussian"
     assert units["opacity"] == "absolute"

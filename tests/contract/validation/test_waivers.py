@@ -43,8 +43,7 @@ def test_a_waiver_covers_findings_of_its_rule_at_its_place(rule, where, covers):
 
 
 @pytest.mark.parametrize(
-    ("until", "holds"),
-    [(None, True), (date(2026, 6, 1), True), (date(2026, 5, 31), False)],
+    ("until", "holds"), [(None, True), (date(2026, 6, 1), True), (date(2026, 5, 31), False)]
 )
 def test_a_waiver_holds_on_its_last_day_and_not_after(until, holds):
     (finding,) = apply_waivers(
@@ -118,8 +117,6 @@ def test_a_waiver_of_what_was_not_judged_is_left_alone(judge):
 def test_what_reviews_waivers_can_be_waived(judge):
     unneeded = Waiver(rule="GV004", reason="For later.")
     report = judge(
-        Waiver(rule="GV003", reason="Known."),
-        unneeded,
-        Waiver(rule="GW001", reason="I know."),
+        Waiver(rule="GV003", reason="Known."), unneeded, Waiver(rule="GW001", reason="I know.")
     )
     assert rules_of(report) == [("GV003", True), ("GW001", True)]

@@ -49,10 +49,7 @@ def naive_read(content: bytes) -> Splats:
             quaternion[k] = ((turn >> shift & 1023) / 1023 - 0.5) * math.sqrt(2)
         quaternion[largest] = math.sqrt(max(0, 1 - sum(v * v for v in quaternion)))
         shares = [(color >> shift & 255) / 255 for shift in (24, 16, 8, 0)]
-        shown = [
-            a + (b - a) * s
-            for a, b, s in zip(box[12:15], box[15:], shares[:3], strict=True)
-        ]
+        shown = [a + (b - a) * s for a, b, s in zip(box[12:15], box[15:], shares[:3], strict=True)]
         alpha = shares[3]
         logit = {0: -math.inf, 1: math.inf}.get(alpha) or math.log(alpha / (1 - alpha))
         rows.append(
@@ -175,9 +172,7 @@ def test_old_files_have_no_boxes_of_colours(tmp_path):
 def test_the_order_follows_the_curve():
     corners = np.float32([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     shuffled = np.random.default_rng(0).permutation(8)
-    np.testing.assert_array_equal(
-        corners[shuffled][morton_order(corners[shuffled])], corners
-    )
+    np.testing.assert_array_equal(corners[shuffled][morton_order(corners[shuffled])], corners)
     same = np.ones((5, 3), np.float32)
     np.testing.assert_array_equal(morton_order(same), np.arange(5))
 
@@ -199,12 +194,7 @@ def edited(tmp_path, before: bytes, after: bytes, *, degree: int = 1) -> str:
 @pytest.mark.parametrize(
     ("before", "after", "kind", "text"),
     [
-        (
-            b"chunk 2",
-            b"chunk 1",
-            HeaderMalformed,
-            "element 'chunk': 1 rows\nexpected 2 or more",
-        ),
+        (b"chunk 2", b"chunk 1", HeaderMalformed, "element 'chunk': 1 rows\nexpected 2 or more"),
         (b"vertex 300", b"vertex 0  ", ValueInvalid, "element 'vertex': 0 rows\n"),
         (
             b"sh 300",
@@ -213,31 +203,11 @@ def edited(tmp_path, before: bytes, after: bytes, *, degree: int = 1) -> str:
             "element 'sh': 299 rows\nexpected 300, the rows of",
         ),
         (b"element chunk", b"element chank", PropertyMissing, "no element 'chunk'\n"),
-        (
-            b"uchar f_rest_8",
-            b"uchar f_rest_9",
-            PropertyMissing,
-            "element 'sh': f_rest_8 miss",
-        ),
-        (
-            b"property uchar f_rest_8\n",
-            b"",
-            PropertyMissing,
-            "element 'sh': 8 properties\n",
-        ),
+        (b"uchar f_rest_8", b"uchar f_rest_9", PropertyMissing, "element 'sh': f_rest_8 miss"),
+        (b"property uchar f_rest_8\n", b"", PropertyMissing, "element 'sh': 8 properties\n"),
         (b"uint packed_scale", b"int packed_scale", PropertyMissing, "element 'vertex': "),
-        (
-            b"float max_b",
-            b"int max_b",
-            PropertyMissing,
-            "element 'chunk': max_b missing or",
-        ),
-        (
-            b"vertex 300",
-            b"vertex 99999999999",
-            HeaderMalformed,
-            "element 'chunk': 2 rows\n",
-        ),
+        (b"float max_b", b"int max_b", PropertyMissing, "element 'chunk': max_b missing or"),
+        (b"vertex 300", b"vertex 99999999999", HeaderMalformed, "element 'chunk': 2 rows\n"),
     ],
 )
 def test_a_file_that_cannot_be_is_refused(tmp_path, before, after, kind, text):
@@ -260,9 +230,7 @@ def test_a_box_of_nan_is_refused(tmp_path):
     write_compressed_ply(file, scene(20, 0))
     head, _, body = file.read_bytes().partition(b"end_header\n")
     file.write_bytes(head + b"end_header\n" + struct.pack("<f", math.nan) + body[4:])
-    with pytest.raises(
-        ValueInvalid, match=r"position\[:, 0\]: 20 of 20 rows, row 0 is nan"
-    ):
+    with pytest.raises(ValueInvalid, match=r"position\[:, 0\]: 20 of 20 rows, row 0 is nan"):
         read_ply(file)
 
 

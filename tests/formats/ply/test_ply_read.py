@@ -45,9 +45,7 @@ def naive_rows(types: list[str], rows: list[list[float]], encoding: str) -> byte
     out = b""
     for row in rows:
         for kind, value in zip(types, row, strict=True):
-            number = (
-                value if kind in ("float", "double", "float32", "float64") else int(value)
-            )
+            number = value if kind in ("float", "double", "float32", "float64") else int(value)
             out += struct.pack(order + CODES[kind], number)
     return out
 
@@ -91,9 +89,7 @@ def check_splat(splats: Splats, row: int, value: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
-def test_higher_coefficients_go_from_channel_major_to_coefficient_major(
-    tmp_path, degree, encoding
-):
+def test_higher_coefficients_go_from_channel_major_to_coefficient_major(tmp_path, degree, encoding):
     names = splat_properties(degree)
     count = (degree + 1) ** 2 - 1
     values = {name: float(index) for index, name in enumerate(names)}
@@ -101,9 +97,7 @@ def test_higher_coefficients_go_from_channel_major_to_coefficient_major(
         for k in range(1, count + 1):
             values[f"f_rest_{channel * count + k - 1}"] = 1000.0 * channel + 200 + k
     file = tmp_path / "labelled.ply"
-    file.write_bytes(
-        naive_ply(dict.fromkeys(names, "float"), [[*values.values()]], encoding)
-    )
+    file.write_bytes(naive_ply(dict.fromkeys(names, "float"), [[*values.values()]], encoding))
 
     splats = read_ply(file)
 
@@ -116,15 +110,11 @@ def test_higher_coefficients_go_from_channel_major_to_coefficient_major(
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    data=st.data(), degree=st.sampled_from([0, 1, 2]), encoding=st.sampled_from(ENCODINGS)
-)
+@given(data=st.data(), degree=st.sampled_from([0, 1, 2]), encoding=st.sampled_from(ENCODINGS))
 def test_properties_are_found_by_name_in_any_order_and_type(
     tmp_path_factory, data, degree, encoding
 ):
-    names = data.draw(
-        st.permutations([*splat_properties(degree), "nx", "ny", "nz", "label"])
-    )
+    names = data.draw(st.permutations([*splat_properties(degree), "nx", "ny", "nz", "label"]))
     kinds = data.draw(st.lists(st.sampled_from([*CODES]), min_size=len(names)))
     types = dict(zip(names, kinds, strict=False))
     number = {
@@ -179,17 +169,11 @@ def test_colours_in_floats_are_kept(tmp_path, kind):
 
 @pytest.mark.parametrize(
     "names",
-    [
-        ("red", "green", "blue"),
-        ("r", "g", "b"),
-        ("diffuse_red", "diffuse_green", "diffuse_blue"),
-    ],
+    [("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue")],
 )
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_colours_in_bytes_come_out_in_the_unit_range(tmp_path, names, encoding):
-    types = (
-        dict.fromkeys("xyz", "float") | dict.fromkeys(names, "uchar") | {"alpha": "uchar"}
-    )
+    types = dict.fromkeys("xyz", "float") | dict.fromkeys(names, "uchar") | {"alpha": "uchar"}
     file = tmp_path / "cloud.ply"
     file.write_bytes(naive_ply(types, [[1.0, 2.0, 3.0, 0, 51, 255, 7]], encoding))
     cloud = read_ply(file)
@@ -306,9 +290,7 @@ def test_what_cannot_be_drawn_is_refused_by_name_row_and_count(
         np.testing.assert_array_equal(getattr(kept, array), getattr(wanted, array))
 
 
-@pytest.mark.parametrize(
-    "names", [splat_properties(0), ["x", "y", "z", "red", "green", "blue"]]
-)
+@pytest.mark.parametrize("names", [splat_properties(0), ["x", "y", "z", "red", "green", "blue"]])
 def test_where_no_row_can_be_drawn_nothing_is_read(tmp_path, names):
     rows = [[np.nan, *[0.5] * (len(names) - 1)] for _ in range(3)]
     file = tmp_path / "bad.ply"
@@ -324,9 +306,7 @@ def test_points_that_are_nowhere_are_left_out_if_wished(tmp_path):
     file.write_bytes(naive_ply(dict.fromkeys(names, "float"), rows))
     with pytest.raises(ValueInvalid, match="property y: 1 of 2 rows"):
         open_splats(file)
-    with pytest.warns(
-        FormatWarning, match=r"1 of 2 rows .* row 1 is the first, where y is inf"
-    ):
+    with pytest.warns(FormatWarning, match=r"1 of 2 rows .* row 1 is the first, where y is inf"):
         cloud = open_splats(file, drop_invalid=True)
     assert cloud.position.tolist() == [[1, 2, 3]]
 

@@ -363,9 +363,7 @@ def test_every_truncated_file_is_refused(tmp_path, encoding):
         max_size=4,
     ),
 )
-def test_a_mutated_file_is_read_or_refused_but_never_crashes(
-    tmp_path_factory, encoding, edits
-):
+def test_a_mutated_file_is_read_or_refused_but_never_crashes(tmp_path_factory, encoding, edits):
     content = VALID[encoding]
     for at, gone, put in edits:
         content = content[:at] + put + content[at + gone :]
@@ -379,7 +377,5 @@ WORDS += ["format", "ascii", "1.0", "comment", "\x1c", "\x00", "opacity"]
 @settings(max_examples=150, deadline=None)
 @given(lines=st.lists(st.lists(st.sampled_from(WORDS), max_size=5), max_size=8))
 def test_a_header_of_known_words_never_crashes(tmp_path_factory, lines):
-    text = "\n".join(
-        itertools.chain(["ply"], map(" ".join, lines), ["end_header", "1 2 3"])
-    )
+    text = "\n".join(itertools.chain(["ply"], map(" ".join, lines), ["end_header", "1 2 3"]))
     read_or_refuse(tmp_path_factory.getbasetemp() / "words.ply", text.encode())

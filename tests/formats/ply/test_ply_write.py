@@ -8,14 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from gsgen.formats import (
-    FileUnwritable,
-    PointCloud,
-    Splats,
-    ValueInvalid,
-    read_ply,
-    write_ply,
-)
+from gsgen.formats import FileUnwritable, PointCloud, Splats, ValueInvalid, read_ply, write_ply
 
 ENCODINGS = ["ascii", "binary_little_endian", "binary_big_endian"]
 
@@ -60,9 +53,7 @@ def some_points(count: int) -> PointCloud:
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16, 25])
-def test_splats_are_written_under_the_names_of_the_training_code(
-    tmp_path, coefficients, encoding
-):
+def test_splats_are_written_under_the_names_of_the_training_code(tmp_path, coefficients, encoding):
     splats = some_splats(3, coefficients)
     file = tmp_path / "splats.ply"
     write_ply(file, splats, format=encoding)
@@ -71,9 +62,7 @@ def test_splats_are_written_under_the_names_of_the_training_code(
     rest = coefficients - 1
     wanted = dict(zip("xyz", splats.position.T, strict=True))
     wanted |= {f"f_dc_{c}": splats.sh[:, 0, c] for c in range(3)}
-    wanted |= {
-        f"f_rest_{i}": splats.sh[:, 1 + i % rest, i // rest] for i in range(3 * rest)
-    }
+    wanted |= {f"f_rest_{i}": splats.sh[:, 1 + i % rest, i // rest] for i in range(3 * rest)}
     wanted |= {"opacity": splats.logit_opacity}
     wanted |= {f"scale_{i}": splats.log_scale[:, i] for i in range(3)}
     wanted |= {f"rot_{i}": splats.rotation[:, i] for i in range(4)}
@@ -93,9 +82,7 @@ def floats_of(*shape: int) -> st.SearchStrategy[np.ndarray]:
     position=floats_of(2, 3),
     rotation=floats_of(2, 4),
     log_scale=floats_of(2, 3),
-    logit_opacity=arrays.arrays(
-        np.float32, 2, elements=st.floats(width=32, allow_nan=False)
-    ),
+    logit_opacity=arrays.arrays(np.float32, 2, elements=st.floats(width=32, allow_nan=False)),
     sh=st.sampled_from([1, 4]).flatmap(lambda count: floats_of(2, count, 3)),
 )
 def test_splats_come_back_bit_for_bit(tmp_path_factory, encoding, **fields):
@@ -187,8 +174,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_part(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("place", "reason"),
-    [("no/a.ply", "No such file or directory"), (".", "Is a directory")],
+    ("place", "reason"), [("no/a.ply", "No such file or directory"), (".", "Is a directory")]
 )
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, place, reason):
     with pytest.raises(FileUnwritable) as caught:

@@ -11,13 +11,7 @@ Mutation = Callable[[bytes, random.Random], bytes]
 
 # Numbers of ten bytes and more, groups, a field number of zero, a length beyond any file.
 _ODD = (
-    *(
-        b"\xff" * 10,
-        b"\xff" * 9 + b"\x01",
-        b"\x0b\x0c",
-        b"\x00\x00",
-        b"\x3a\xff\xff\xff\xff\x0f",
-    ),
+    *(b"\xff" * 10, b"\xff" * 9 + b"\x01", b"\x0b\x0c", b"\x00\x00", b"\x3a\xff\xff\xff\xff\x0f"),
     *(b"\x3a\x00", b"\x80\x80\x80\x00", b"\xf8\xff\xff\xff\x0f\x01", b"\x72\x02\x0a\x00"),
 )
 _DEPTH = 6
@@ -48,9 +42,7 @@ def flip(data: bytes, rng: random.Random) -> bytes:
     made = bytearray(data)
     reach = len(made) if rng.random() < 0.4 else min(len(made), 400)
     for _ in range(rng.choice((1, 1, 2, 8))):
-        made[rng.randrange(reach)] = rng.choice(
-            (0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256))
-        )
+        made[rng.randrange(reach)] = rng.choice((0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)))
     return bytes(made)
 
 

@@ -16,20 +16,7 @@ Place = tuple[Any, Any]  # a list or an object, and the index or key in it
 _ODD: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 0.5, 1e308, -1e308, 5e-324, float("nan"), float("inf")),
     *(10**400, -(10**30), [], {}, [[]], [None], {"a": {}}, "\ud800", "\0", "1.0", "2.0"),
-    *(
-        "0.9",
-        "1.99",
-        "1",
-        "01.0",
-        "1.0.0",
-        "99.0",
-        "float16",
-        "sh",
-        "rgb",
-        "row",
-        "+q",
-        "-y",
-    ),
+    *("0.9", "1.99", "1", "01.0", "1.0.0", "99.0", "float16", "sh", "rgb", "row", "+q", "-y"),
     *([0, 1], [1, 0], [0, 0, 0], [-1e308, 1e308], [1e-320, 1e-320], [float("nan"), 1]),
 )
 _KEYS = ("name", "inputs", "role", "range", "contract", "kind", "x", "", "__class__", "min")
@@ -128,19 +115,7 @@ def damage(text: str, rng: random.Random) -> str:
     """Make a text that is no JSON, or JSON in an odd spelling."""
     at = rng.randint(0, len(text))
     inserted = (
-        *(
-            "NaN",
-            "-Infinity",
-            "1e999",
-            "9" * 5000,
-            "\ufeff",
-            "//",
-            "'",
-            ",",
-            "\0",
-            "}",
-            "[",
-        ),
+        *("NaN", "-Infinity", "1e999", "9" * 5000, "\ufeff", "//", "'", ",", "\0", "}", "["),
         *('"', "\\ud800", '{"a":1,"a":2}', "-0", "0x10", "\u2028"),
     )
     how = rng.randrange(4)

@@ -33,18 +33,7 @@ NUMBERS = (*_SIZES, (1 << 63) - 1, -1, -2, -10, -(1 << 31), -(1 << 63))
 _FLOATS = (0.0, -0.0, 1.0, -1.0, 1e-45, 1e38, -1e38, float("inf"), float("nan"))
 _SPECIAL = (*_FLOATS, float("-inf"), 0.5, 2.0, 65504.0, 65520.0, 6e-8, 3e38, 1e20, -5.0)
 _UNARY = (
-    *(
-        "Identity",
-        "Sqrt",
-        "Log",
-        "Exp",
-        "Neg",
-        "Reciprocal",
-        "Floor",
-        "Sigmoid",
-        "Sin",
-        "Tan",
-    ),
+    *("Identity", "Sqrt", "Log", "Exp", "Neg", "Reciprocal", "Floor", "Sigmoid", "Sin", "Tan"),
     *("Abs", "Relu", "Softmax", "Acos", "Erf", "Round", "Sign", "CumSum", "Transpose"),
 )
 _BINARY = ("Add", "Sub", "Mul", "Div", "Pow", "Mod", "Max", "Min", "MatMul")
@@ -55,46 +44,12 @@ TEXTS = (
     *("num_points", "<b>", "'\"", "a,b", "a::b", "x" * 5000, "::error::x", "\\", "|`*_"),
 )
 _OPERATORS = (
-    *(
-        "Identity",
-        "Reshape",
-        "Loop",
-        "If",
-        "Scan",
-        "Constant",
-        "Expand",
-        "Gather",
-        "Concat",
-    ),
-    *(
-        "Split",
-        "Shape",
-        "Cast",
-        "Where",
-        "Range",
-        "Tile",
-        "Pad",
-        "Slice",
-        "ConstantOfShape",
-    ),
-    *(
-        "NonZero",
-        "TopK",
-        "ScatterND",
-        "RandomNormal",
-        "Einsum",
-        "SequenceEmpty",
-        "Optional",
-    ),
+    *("Identity", "Reshape", "Loop", "If", "Scan", "Constant", "Expand", "Gather", "Concat"),
+    *("Split", "Shape", "Cast", "Where", "Range", "Tile", "Pad", "Slice", "ConstantOfShape"),
+    *("NonZero", "TopK", "ScatterND", "RandomNormal", "Einsum", "SequenceEmpty", "Optional"),
     *("StringNormalizer", "MatMul", "Conv", "Resize", "GridSample", "BatchNormalization"),
     *("Dropout", "LSTM", "Unique", "DFT", "Squeeze", "Sqrt", "Div", "Pow", "Mod", "CumSum"),
-    *(
-        "QuantizeLinear",
-        "NonMaxSuppression",
-        "MaxUnpool",
-        "TfIdfVectorizer",
-        "NoSuchOperator",
-    ),
+    *("QuantizeLinear", "NonMaxSuppression", "MaxUnpool", "TfIdfVectorizer", "NoSuchOperator"),
 )
 _DOMAINS = ("", "ai.onnx", "ai.onnx.ml", "com.microsoft", "acme", "AI.ONNX", "\u200b")
 _OPSETS = (0, -1, 1, 6, 7, 9, 12, 13, 17, 21, 22, 23, 24, 25, 99, 1 << 31, (1 << 63) - 1)
@@ -322,9 +277,7 @@ def unsettle(model: ModelProto, rng: random.Random) -> None:
     weights = [
         one
         for one in model.graph.initializer
-        if one.data_type in floats
-        and one.raw_data
-        and one.data_location != TensorProto.EXTERNAL
+        if one.data_type in floats and one.raw_data and one.data_location != TensorProto.EXTERNAL
     ]
     if not weights:
         return
@@ -376,11 +329,7 @@ def externalise(model: ModelProto, rng: random.Random) -> None:
     tensor.data_location = TensorProto.EXTERNAL
     if rng.random() < 0.8:
         tensor.ClearField("raw_data")
-    for key, values in (
-        ("location", _LOCATIONS),
-        ("offset", _LENGTHS),
-        ("length", _LENGTHS),
-    ):
+    for key, values in (("location", _LOCATIONS), ("offset", _LENGTHS), ("length", _LENGTHS)):
         for _ in range(rng.choice((0, 1, 1, 1, 2))):
             tensor.external_data.add(key=key, value=rng.choice(values))
 

@@ -95,6 +95,4 @@ def write_row(path: Path, count: int) -> None:
     write_constant(*packed, manifest, path)
 
 
-PLUGIN = Plugin(
-    name="row", summary="Gaussians in a row.", reads="nothing", inputs=(), command=row
-)
+PLUGIN = Plugin(name="row", summary="Gaussians in a row.", reads="nothing", inputs=(), command=row)

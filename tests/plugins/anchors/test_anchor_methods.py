@@ -105,13 +105,9 @@ def test_no_camera_gives_anything_but_numbers(kind: str, tmp_path: Path) -> None
     settings = AnchorOptions(bank=True, distance=(True, True, True), united=True)
     if kind == "scaffold":
         read = read_anchors(write_scaffold(tmp_path, settings))
-        generator: GaussianGenerator = ScaffoldGS(
-            read.cloud, read.nets, selection=PUBLISHED
-        )
+        generator: GaussianGenerator = ScaffoldGS(read.cloud, read.nets, selection=PUBLISHED)
     else:
-        read = read_anchors(
-            write_octree(tmp_path, settings, mode="progressive"), octree=True
-        )
+        read = read_anchors(write_octree(tmp_path, settings, mode="progressive"), octree=True)
         generator = octree(read, selection=PUBLISHED)
     lens, size = np.eye(4, dtype=np.float32), np.array([64, 48], np.float32)
     inside = np.eye(4, dtype=np.float32)
@@ -134,12 +130,8 @@ def test_the_prefilter_is_that_of_the_published_renderer(case: str) -> None:
         view = torch.from_numpy(golden["in_world_view_transform"][index])
         visible = test(view, lens, torch.from_numpy(golden["in_size"][index]).float())
         expected = golden[f"out{index}_prefilter"]
-        looked_at = (
-            golden[f"out{index}_anchor_mask"] if is_octree else np.full(len(expected), True)
-        )
-        np.testing.assert_array_equal(
-            visible.numpy().ravel()[looked_at] > 0, expected[looked_at]
-        )
+        looked_at = golden[f"out{index}_anchor_mask"] if is_octree else np.full(len(expected), True)
+        np.testing.assert_array_equal(visible.numpy().ravel()[looked_at] > 0, expected[looked_at])
 
 
 def test_a_filtered_anchor_has_no_opacity_and_others_keep_theirs(tmp_path: Path) -> None:
@@ -147,9 +139,7 @@ def test_a_filtered_anchor_has_no_opacity_and_others_keep_theirs(tmp_path: Path)
     view = camera(np.random.default_rng(3), 1.0)
     lens, size = 2 * np.eye(4, dtype=np.float32), np.array([64, 48], np.float32)
     unfiltered, _ = eager(ScaffoldGS(read.cloud, read.nets), view)
-    filtered, _ = eager(
-        ScaffoldGS(read.cloud, read.nets, selection=PUBLISHED), view, lens, size
-    )
+    filtered, _ = eager(ScaffoldGS(read.cloud, read.nets, selection=PUBLISHED), view, lens, size)
     visible = Prefilter(read.cloud)(*map(torch.from_numpy, (view, lens, size)))
     mask = np.repeat(visible.numpy().ravel(), read.cloud.per_anchor)
     assert 0 < mask.sum() < len(mask)
@@ -182,9 +172,7 @@ def test_no_gaussian_in_the_image_is_culled(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["scaffold", "octree"])
-def test_decoding_fewer_anchors_gives_the_same_rows_in_front(
-    kind: str, tmp_path: Path
-) -> None:
+def test_decoding_fewer_anchors_gives_the_same_rows_in_front(kind: str, tmp_path: Path) -> None:
     settings = AnchorOptions(
         anchors=300, bank=True, distance=(True, True, True), cameras=2, appearance=3,
         level=kind == "octree", united=True,

@@ -77,9 +77,9 @@ def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Expecte
         fade = np.where(level == whole, clamped - whole, 1.0)
     else:
         shifted = level_of_distance + (0.5 if cfg.values["dist2level"] == "round" else 0)
-        whole = {"round": np.round, "floor": np.floor, "ceil": np.ceil}[
-            cfg.values["dist2level"]
-        ](level_of_distance).clip(0, top)
+        whole = {"round": np.round, "floor": np.floor, "ceil": np.ceil}[cfg.values["dist2level"]](
+            level_of_distance
+        ).clip(0, top)
     doubtful = np.abs(shifted - shifted.round()) < 1e-4
 
     def head(net: Mlp) -> np.ndarray:
@@ -96,9 +96,7 @@ def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Expecte
     scale = size * np.minimum(sigmoid(shape[:, :, :3]), bound)
     if weighted:
         sh = read.visibility.double().numpy()
-        opacity = (
-            opacity * sigmoid((basis(v, degree_of(sh.shape[1])) * sh).sum(axis=1))[:, None]
-        )
+        opacity = opacity * sigmoid((basis(v, degree_of(sh.shape[1])) * sh).sum(axis=1))[:, None]
         if read.weighting.depth:
             depth = position @ matrix[:3, 2] + matrix[3, 2]
             opacity = opacity * (1 - depth / read.weighting.sigma).clip(0, 1)
@@ -107,9 +105,7 @@ def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Expecte
         retained,
         position.reshape(-1, 3)[retained],
         opacity.ravel()[retained],
-        covariance_upper(
-            scale.reshape(-1, 3)[retained], shape[:, :, 3:].reshape(-1, 4)[retained]
-        ),
+        covariance_upper(scale.reshape(-1, 3)[retained], shape[:, :, 3:].reshape(-1, 4)[retained]),
         sigmoid(head(nets.color)).reshape(-1, 3)[retained],
         np.repeat(doubtful, k),
     )
@@ -200,9 +196,7 @@ def cell_oracle(read: CellCheckpoint, view: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)
-    options = AnchorOptions(
-        anchors=40, per_anchor=int(rng.integers(1, 8)), united=True, seed=seed
-    )
+    options = AnchorOptions(anchors=40, per_anchor=int(rng.integers(1, 8)), united=True, seed=seed)
     read = read_cells(write_duplex(tmp_path, options, degree=seed + 1, depth=seed != 1))
     levels = Levels.of(read.anchors)
     generator = DuplexGS(read, levels, blend="wsr")
@@ -219,13 +213,10 @@ def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> N
         with torch.no_grad():
             outputs = generator(torch.from_numpy(view))
         cells = torch.cat(
-            [outputs.cells.position, outputs.cells.visibility, outputs.cells.covariance],
-            dim=1,
+            [outputs.cells.position, outputs.cells.visibility, outputs.cells.covariance], dim=1
         ).numpy()
         complete = cell_oracle(read, view)
-        visible = (
-            generator.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]).numpy() > 0
-        )
+        visible = generator.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]).numpy() > 0
         complete[:, 3] *= visible[:, 0]
         np.testing.assert_allclose(cells, complete, rtol=2e-5, atol=2e-6)
         rows, colors = eager(generator, view)
@@ -236,9 +227,7 @@ def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> N
 
 def test_opacities_are_not_weighed_twice(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(united=True)))
-    with pytest.raises(
-        GsgenError, match=r"(?s)--opacity weighted: .*weights opacities.*Leave"
-    ):
+    with pytest.raises(GsgenError, match=r"(?s)--opacity weighted: .*weights opacities.*Leave"):
         DuplexGS(read, Levels.of(read.anchors), opacity="weighted", blend="wsr")
 
 
@@ -253,9 +242,7 @@ def test_of_some_cells_the_same_is_said_as_of_all(tmp_path: Path) -> None:
     retained = complete.cells.visibility.ravel() > 0
     assert 0 < live < 30
     for field in ("position", "visibility", "covariance"):
-        limited, all_of_them = (
-            getattr(result.cells, field) for result in (outputs, complete)
-        )
+        limited, all_of_them = (getattr(result.cells, field) for result in (outputs, complete))
         torch.testing.assert_close(limited[:live], all_of_them[retained])
     packed = PackedGenerator(few, Packed(torch.float32, 29 * 5))
     with torch.no_grad():
@@ -268,10 +255,7 @@ def test_only_so_many_cells_are_decoded_where_asked(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
     levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
     settings = {"opacity": "weighted", "selection": Selection("none", 29)}
-    few, all_ = (
-        DuplexGS(read, levels, **settings),
-        DuplexGS(read, levels, opacity="weighted"),
-    )  # type: ignore[arg-type]
+    few, all_ = (DuplexGS(read, levels, **settings), DuplexGS(read, levels, opacity="weighted"))  # type: ignore[arg-type]
     with torch.no_grad():
         outputs, complete = few(torch.from_numpy(view)), all_(torch.from_numpy(view))
     count = int(outputs.count)
@@ -305,9 +289,7 @@ def test_a_scene_without_sigma_is_refused(sigma: float, tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def summed(tmp_path_factory: pytest.TempPathFactory) -> Exported:
-    generator = duplex_gs_plugin.build(
-        shared("data/checkpoints/duplex_a/ckpt"), blend="wsr"
-    )
+    generator = duplex_gs_plugin.build(shared("data/checkpoints/duplex_a/ckpt"), blend="wsr")
     path = tmp_path_factory.mktemp("duplex") / "cells.onnx"
     return export(generator, path, target="webgpu", settings=Settings(level=Level.LIVE))
 
@@ -328,9 +310,7 @@ def golden_cells(outputs: np.ndarray, target: dict[str, np.ndarray], margin: flo
         assert error <= allowed * margin, (part, error)
 
 
-def test_cells_agree_with_the_method_three_times_better_than_asked(
-    summed: Exported,
-) -> None:
+def test_cells_agree_with_the_method_three_times_better_than_asked(summed: Exported) -> None:
     for agrees, errors in judge("duplex_a", summed.path):
         assert agrees
         for field, error in errors.items():
@@ -342,9 +322,7 @@ def test_cells_agree_with_the_method_three_times_better_than_asked(
 
 
 def test_cells_in_half_precision_agree_as_well_as_asked() -> None:
-    generator = duplex_gs_plugin.build(
-        shared("data/checkpoints/duplex_a/ckpt"), blend="wsr"
-    )
+    generator = duplex_gs_plugin.build(shared("data/checkpoints/duplex_a/ckpt"), blend="wsr")
     packed = PackedGenerator(generator, Packed(torch.float16, 251 * 5))
     for feeds, target in acceptance().targets("duplex_a"):
         with torch.no_grad():
@@ -395,9 +373,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     return export(generator, path, target="webgpu", settings=Settings(level=Level.LIVE))
 
 
-def test_the_model_agrees_with_the_method_three_times_better_than_asked(
-    exported: Exported,
-) -> None:
+def test_the_model_agrees_with_the_method_three_times_better_than_asked(exported: Exported) -> None:
     for agrees, errors in judge("duplex_a", exported.path):
         assert agrees
         for field, error in errors.items():
@@ -413,14 +389,9 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     assert all(agrees for agrees, _ in judge("duplex_a", path))
     assert half.halved is not None
     retained = weights_of(path, {weight.node for weight in half.halved.retained_weights})
-    assert all(
-        size < 4 * LEAST_ELEMENTS for size in retained
-    )  # all large tables are halved
+    assert all(size < 4 * LEAST_ELEMENTS for size in retained)  # all large tables are halved
     integers = 1000  # bytes of sizes and indices
-    assert (
-        stored(path) - sum(retained)
-        <= 0.5 * (stored(exported.path) - sum(retained)) + integers
-    )
+    assert stored(path) - sum(retained) <= 0.5 * (stored(exported.path) - sum(retained)) + integers
 
 
 def test_it_runs_in_webgpu_and_no_replay_is_stale(exported: Exported) -> None:
@@ -431,9 +402,7 @@ def test_a_user_is_told_what_was_found_and_how_it_will_be_blended(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = write_duplex(tmp_path, AnchorOptions(anchors=9, iteration=40000))
-    generator = duplex_gs_plugin.build(
-        folder, opacity="weighted", cull="frustum", max_anchors=5
-    )
+    generator = duplex_gs_plugin.build(folder, opacity="weighted", cull="frustum", max_anchors=5)
     message = capsys.readouterr().err
     assert "9 cells × 5 Gaussians" in message
     assert "visibility of degree 3" in message

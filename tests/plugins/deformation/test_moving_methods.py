@@ -54,9 +54,7 @@ def test_hexplane_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
     generator = HexPlane4DGS(read.canonical, read.nets, read.flags)
     for time in MOMENTS:
         # float32 knows the moment only so well
-        assert_like(
-            *eager(generator, moment(time)), hexplane(read, float(np.float32(time)))
-        )
+        assert_like(*eager(generator, moment(time)), hexplane(read, float(np.float32(time))))
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])
@@ -119,9 +117,7 @@ def test_deformable_does_what_the_method_does(
     assert (read.net.time is not None, read.net.has_six_degrees) == (blender, six)
     generator = Deformable3DGS(read.canonical, read.net)
     for time in MOMENTS:
-        assert_like(
-            *eager(generator, moment(time)), deformation(read, float(np.float32(time)))
-        )
+        assert_like(*eager(generator, moment(time)), deformation(read, float(np.float32(time))))
 
 
 @pytest.mark.parametrize("rows", [1, 10, 41, 1000])

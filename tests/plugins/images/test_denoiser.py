@@ -64,10 +64,7 @@ def test_networks_give_what_diffusers_gives() -> None:
     for t in saved["in_timestep"]:
         moment = torch.tensor([float(t)])
         for key, name in (("x", "uncond"), ("x2", "uncond2")):
-            assert (
-                off(run_folder.unet(inputs[key], moment), saved[f"out_{name}_t{t}"])
-                <= ALLOWED
-            )
+            assert off(run_folder.unet(inputs[key], moment), saved[f"out_{name}_t{t}"]) <= ALLOWED
         actual = latent.unet(inputs["z"], moment, context)
         assert off(actual, saved[f"out_cond_t{t}"]) <= ALLOWED
     for t in (199, 999):
@@ -141,11 +138,7 @@ def encoded(path: Path, **arrays: Any) -> dict[str, torch.Tensor]:
     [
         ({}, None, (6.0, 8.0, 0.0, 0.0, 6.0, 8.0)),
         ({}, "512,768,1,2,1024,1536", (512.0, 768.0, 1.0, 2.0, 1024.0, 1536.0)),
-        (
-            {"time_ids": np.array([[9, 8, 7, 6, 5, 4]])},
-            None,
-            (9.0, 8.0, 7.0, 6.0, 5.0, 4.0),
-        ),
+        ({"time_ids": np.array([[9, 8, 7, 6, 5, 4]])}, None, (9.0, 8.0, 7.0, 6.0, 5.0, 4.0)),
         ({"time_ids": np.zeros((1, 6))}, "1,2,3,4,5,6", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)),
     ],
 )
@@ -169,9 +162,7 @@ def test_a_network_is_told_of_the_prompt_as_a_whole_and_of_the_image(
         features,
     )
     assert off(actual(image), expected) <= 3e-5
-    unprompted = unet(
-        config, weights, image, 30, *prompt.values(), [n + 1 for n in features]
-    )
+    unprompted = unet(config, weights, image, 30, *prompt.values(), [n + 1 for n in features])
     assert off(actual(image), unprompted) > 1e-3
 
 
@@ -215,9 +206,7 @@ def test_noise_is_taken_away_by_the_closed_form(prediction: str, tmp_path: Path)
     actual = Denoiser(read, Step(timestep=t, size=(8, 8)))(x)
     torch.testing.assert_close(actual.double(), expected, atol=2e-6, rtol=0)
     steered = Denoiser(read, Step(timestep=0, size=(8, 8), timestep_is_input=True))
-    torch.testing.assert_close(
-        steered(x, torch.tensor([float(t)])), actual, atol=2e-6, rtol=0
-    )
+    torch.testing.assert_close(steered(x, torch.tensor([float(t)])), actual, atol=2e-6, rtol=0)
     unit = Denoiser(read, Step(timestep=t, size=(8, 8), is_unit_range=True))
     torch.testing.assert_close(unit(x / 2 + 0.5), actual / 2 + 0.5, atol=2e-6, rtol=0)
 
@@ -264,9 +253,7 @@ def test_damaged_safetensors_are_refused(data: bytes, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("field", ["shape", "data_offsets", "dtype"])
-def test_tensors_that_do_not_fit_their_bytes_are_refused(
-    field: str, tmp_path: Path
-) -> None:
+def test_tensors_that_do_not_fit_their_bytes_are_refused(field: str, tmp_path: Path) -> None:
     wrong = {"shape": [-1, -4], "data_offsets": [0, 99], "dtype": "F8_E4M3"}
     entry = {"dtype": "F32", "shape": [4], "data_offsets": [0, 16]} | {field: wrong[field]}
     text = json.dumps({"a": entry}).encode()
@@ -322,9 +309,7 @@ def test_weights_that_are_missing_are_named(tmp_path: Path) -> None:
     state = read_safetensors(path)
     del state["conv_in.bias"]
     write_safetensors(path, state | {"extra": torch.zeros(1)})
-    with pytest.raises(
-        CheckpointInvalid, match=r"missing: conv_in\.bias; unexpected: extra"
-    ):
+    with pytest.raises(CheckpointInvalid, match=r"missing: conv_in\.bias; unexpected: extra"):
         read_diffusion(folder)
 
 
@@ -350,9 +335,7 @@ def test_steps_that_cannot_be_taken_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def model_and_export(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> tuple[Denoiser, ExportedImage]:
+def model_and_export(tmp_path_factory: pytest.TempPathFactory) -> tuple[Denoiser, ExportedImage]:
     folder = tmp_path_factory.mktemp("denoiser")
     model = command.build(write_denoiser(folder), timestep_input=True)
     path = folder / "denoiser.onnx"
@@ -360,9 +343,7 @@ def model_and_export(
     return model, export_post_process(model, path, target="webgpu", settings=settings)
 
 
-def test_the_timestep_steers_the_model(
-    model_and_export: tuple[Denoiser, ExportedImage],
-) -> None:
+def test_the_timestep_steers_the_model(model_and_export: tuple[Denoiser, ExportedImage]) -> None:
     model, exported = model_and_export
     session = onnxruntime.InferenceSession(exported.path)
     image = np.random.default_rng(0).uniform(-1, 1, (1, 3, 16, 16)).astype(np.float32)
@@ -403,9 +384,7 @@ def test_a_user_exports_half_precision_and_is_told_what_was_found(tmp_path: Path
     assert "an image of 8 × 12 (height × width), float16" in completed.out
     assert "agrees with torch" in completed.out
     session = onnxruntime.InferenceSession(out)
-    assert (
-        session.get_inputs()[0].type == session.get_outputs()[0].type == "tensor(float16)"
-    )
+    assert session.get_inputs()[0].type == session.get_outputs()[0].type == "tensor(float16)"
     image = np.random.default_rng(0).uniform(-1, 1, (1, 3, 8, 12)).astype(np.float16)
     (result,) = session.run(None, {"image": image})
     expected = command.build(folder, size="8x12")(torch.from_numpy(image).float()).numpy()

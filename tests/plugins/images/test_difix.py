@@ -182,9 +182,7 @@ def published(base: Path, change: dict[str, Any], folder: Path, **config: Any) -
     write_safetensors(folder / "vae" / WEIGHTS, vae | change["state_dict_vae"])
     hub_config = json.loads((base / "vae" / "config.json").read_text())
     (folder / "vae" / "config.json").write_text(
-        json.dumps(
-            hub_config | {"lora_rank": RANK, "gamma": 1.0, "ignore_skip": False} | config
-        )
+        json.dumps(hub_config | {"lora_rank": RANK, "gamma": 1.0, "ignore_skip": False} | config)
     )
     write_safetensors(folder / "unet" / WEIGHTS, change["state_dict_unet"])
     for name in ("unet/config.json", "scheduler/scheduler_config.json"):
@@ -202,9 +200,7 @@ def test_the_published_folder_gives_the_same(
     torch.testing.assert_close(actual, spelled_out(base, change, gamma), atol=2e-5, rtol=0)
 
 
-def test_a_unet_may_be_given_in_part(
-    base: Path, change: dict[str, Any], tmp_path: Path
-) -> None:
+def test_a_unet_may_be_given_in_part(base: Path, change: dict[str, Any], tmp_path: Path) -> None:
     """As img2img-turbo does: one layer as it is, and a LoRA for others."""
     whole = read_safetensors(base / "unet" / WEIGHTS)
     name = "mid_block.resnets.0.conv1"
@@ -226,10 +222,7 @@ def test_a_unet_may_be_given_in_part(
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (
-            lambda c: c.pop("state_dict_vae"),
-            "(?s)expected state_dict_unet and.*--lora FILE",
-        ),
+        (lambda c: c.pop("state_dict_vae"), "(?s)expected state_dict_unet and.*--lora FILE"),
         (lambda c: c["state_dict_vae"].update(x=torch.ones(1)), "unexpected: x"),
         (
             lambda c: c["state_dict_vae"].pop("decoder.skip_conv_2.base_layer.weight"),
@@ -258,9 +251,7 @@ def test_networks_that_it_does_not_go_with_are_refused(
     base: Path, change: dict[str, Any], tmp_path: Path
 ) -> None:
     path = saved(change, tmp_path)
-    with pytest.raises(
-        CheckpointInvalid, match=r"(?s)the checkpoint has no vae/.*--vae DIR"
-    ):
+    with pytest.raises(CheckpointInvalid, match=r"(?s)the checkpoint has no vae/.*--vae DIR"):
         read_diffusion(base / "unet", difix=path)
     with pytest.raises(CheckpointInvalid, match=r"(?s)is a safetensors file.*--lora"):
         read_diffusion(base, difix=base / "vae" / WEIGHTS)
@@ -280,9 +271,7 @@ def test_blotches_go_and_edges_stay(tmp_path: Path) -> None:
     torch.testing.assert_close(model(step), step, atol=2e-3, rtol=0)
     small = 0.03 * torch.randn(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
     blotches = 0.5 + F.interpolate(small, scale_factor=2)
-    before, after = (
-        (picture - 0.5).square().mean() for picture in (blotches, model(blotches))
-    )
+    before, after = ((picture - 0.5).square().mean() for picture in (blotches, model(blotches)))
     assert after < 0.6 * before
     without = command.build(run, size="32x32", values="unit")  # sd-turbo alone
     assert (without(step) - step).abs().max() > 0.1
@@ -292,9 +281,7 @@ def test_a_picture_goes_through_it_in_float16_and_in_tiles(tmp_path: Path) -> No
     run, path = write_difix(tmp_path / "run"), tmp_path / "enhance.onnx"
     model = command.build(run, difix=run / "model.pkl", size="16x16", values="unit")
     static = Settings(level=Level.STATIC)
-    exported = export_post_process(
-        model, path, dtype="float16", target="webgpu", settings=static
-    )
+    exported = export_post_process(model, path, dtype="float16", target="webgpu", settings=static)
     assert [declared.role for declared in exported.manifest.inputs] == [
         "image"
     ]  # the timestep is fixed

@@ -16,9 +16,7 @@ def disc() -> torch.Tensor:
     inside = (offsets[:, None] ** 2 + offsets[None] ** 2 < 18**2).float()
     red, blue = torch.tensor([0.9, 0.2, 0.1]), torch.tensor([0.1, 0.2, 0.9])
     left_half = (offsets < 0).float()
-    return (red[:, None] * left_half + blue[:, None] * (1 - left_half))[
-        None, :, None, :
-    ] * inside
+    return (red[:, None] * left_half + blue[:, None] * (1 - left_half))[None, :, None, :] * inside
 
 
 def hills() -> torch.Tensor:
@@ -33,9 +31,7 @@ def test_the_denoiser_takes_off_the_noise_of_its_timestep(tmp_path: Path) -> Non
     model = denoiser_plugin.build(folder, size="64x64", values="unit", timestep=60)
     signal_share, noise_share = model.fixed
     noise = torch.randn(1, 3, 64, 64, generator=torch.Generator().manual_seed(1))
-    noisy = ((2 * hills() - 1) * signal_share + noise_share * noise).clamp(
-        -1, 1
-    ) * 0.5 + 0.5
+    noisy = ((2 * hills() - 1) * signal_share + noise_share * noise).clamp(-1, 1) * 0.5 + 0.5
     before, after = ((image - hills()).square().mean() for image in (noisy, model(noisy)))
     assert after < 0.4 * before  # 4 dB
     random = denoiser_plugin.build(

@@ -180,11 +180,7 @@ def _alpha_by_layer(lora: Thin) -> tuple[dict[str, torch.Tensor], dict[str, str]
 
 def _alpha_by_config(lora: Thin) -> tuple[dict[str, torch.Tensor], dict[str, str], dict]:
     pattern = {"attn1.to_q": 5, "conv_in": 7}
-    return (
-        {},
-        {},
-        {"peft_type": "LORA", "r": RANK, "lora_alpha": 3, "alpha_pattern": pattern},
-    )
+    return ({}, {}, {"peft_type": "LORA", "r": RANK, "lora_alpha": 3, "alpha_pattern": pattern})
 
 
 def _alpha_by_root(lora: Thin) -> tuple[dict[str, torch.Tensor], dict[str, str], dict]:
@@ -196,11 +192,7 @@ def _alpha_by_root(lora: Thin) -> tuple[dict[str, torch.Tensor], dict[str, str],
     ("style", "extras", "share"),
     [
         ("kohya", _alpha_by_layer, lambda name: LAYERS.index(name) / 2 / RANK),
-        (
-            "peft",
-            _alpha_by_config,
-            lambda name: {LAYERS[0]: 5, "conv_in": 7}.get(name, 3) / RANK,
-        ),
+        ("peft", _alpha_by_config, lambda name: {LAYERS[0]: 5, "conv_in": 7}.get(name, 3) / RANK),
         ("diffusers", _alpha_by_root, lambda name: 3 / RANK**0.5),
     ],
 )
@@ -318,16 +310,11 @@ def _edited(edit: str) -> tuple[dict[str, torch.Tensor], str]:
     match edit:
         case "no such layer":
             extra = {f"{name}x.lora_A.weight": first, f"{name}x.lora_B.weight": two}
-            return (
-                good | extra,
-                "1 of 2 layers do not fit.*to_qx is not a layer of the networks",
-            )
+            return (good | extra, "1 of 2 layers do not fit.*to_qx is not a layer of the networks")
         case "no partner":
             return {down: first}, "to_q has no lora_B or up"
         case "alpha alone":
-            return good | {
-                "lora_unet_conv_in.alpha": torch.ones(1)
-            }, "conv_in has no lora_A"
+            return good | {"lora_unet_conv_in.alpha": torch.ones(1)}, "conv_in has no lora_A"
         case "another shape":
             return good | {
                 down: torch.ones(2, 9)
@@ -339,23 +326,16 @@ def _edited(edit: str) -> tuple[dict[str, torch.Tensor], str]:
         case "a number":
             return good | {down: torch.tensor(1.0)}, "does not fit the weight"
         case "two of them":
-            return good | {
-                f"{name}.lora_A.other.weight": first
-            }, "second tensor of its kind"
+            return good | {f"{name}.lora_A.other.weight": first}, "second tensor of its kind"
         case "not finite":
             return good | {up: two * torch.nan}, "NaN or infinity"
         case "alpha of two numbers":
             return good | {f"{name}.alpha": torch.ones(2)}, r"alpha is \[2\], expected one"
         case "DoRA":
             extra = {f"{name}.lora_magnitude_vector": torch.ones(8)}
-            return (
-                good | extra,
-                "(?s)1 tensors are not part of a LoRA.*DoRA is not supported",
-            )
+            return (good | extra, "(?s)1 tensors are not part of a LoRA.*DoRA is not supported")
         case "LoKr":
-            return {
-                "lora_unet_conv_in.lokr_w1": first
-            }, "(?s)not part of a LoRA.*LoKr is not"
+            return {"lora_unet_conv_in.lokr_w1": first}, "(?s)not part of a LoRA.*LoKr is not"
         case "a bias":
             return good | {f"{name}.lora_B.bias": torch.ones(8)}, r"lora_B\.bias"
         case "whole weights":
@@ -391,9 +371,7 @@ def test_tensors_without_a_home_are_listed(edit: str, run: Path, tmp_path: Path)
         ({"alpha_pattern": {".*to_q": 2}}, "suffixes of layer names"),
     ],
 )
-def test_settings_of_another_network_are_refused(
-    config: dict, words: str, tmp_path: Path
-) -> None:
+def test_settings_of_another_network_are_refused(config: dict, words: str, tmp_path: Path) -> None:
     path = tmp_path / "adapter_model.safetensors"
     write_safetensors(path, _edited("no partner")[0])
     (tmp_path / "adapter_config.json").write_text(json.dumps(config))
@@ -438,9 +416,7 @@ def test_the_option_says_file_and_scale(
 ) -> None:
     path = tmp_path / "l.safetensors"
     write_safetensors(path, named(thin(read_diffusion(run).unet), "peft"))
-    clone = write_denoiser(
-        tmp_path / "run", OPTIONS | {"in_channels": 3, "out_channels": 3}
-    )
+    clone = write_denoiser(tmp_path / "run", OPTIONS | {"in_channels": 3, "out_channels": 3})
     size = {"size": "8x8", "result": "network"}
     with pytest.raises(CheckpointInvalid, match=r"1 of 11 layers do not fit.*conv_in has"):
         command.build(clone, lora=[str(path)], **size)

@@ -18,24 +18,16 @@ from gsgen.sdk.exporting.post_process_exporter import ExportedImage, export_post
 from support.models.captured import assert_captured
 
 
-def oracle(
-    state: dict[str, torch.Tensor], blocks: int, image: torch.Tensor
-) -> torch.Tensor:
+def oracle(state: dict[str, torch.Tensor], blocks: int, image: torch.Tensor) -> torch.Tensor:
     w = {name: value.double() for name, value in state.items()}
 
     def block(name: str, x: torch.Tensor, stride: int = 1) -> torch.Tensor:
         weight = w[f"{name}.conv.weight"]
         x = F.pad(x, (weight.shape[-1] // 2,) * 4, mode="replicate")
         x = F.conv2d(x, weight, w[f"{name}.conv.bias"], stride=stride)
-        mean, spread = (
-            x.mean((2, 3), keepdim=True),
-            x.var((2, 3), keepdim=True, correction=0),
-        )
+        mean, spread = (x.mean((2, 3), keepdim=True), x.var((2, 3), keepdim=True, correction=0))
         x = (x - mean) / torch.sqrt(spread + 1e-5)
-        return (
-            x * w[f"{name}.norm.weight"][:, None, None]
-            + w[f"{name}.norm.bias"][:, None, None]
-        )
+        return x * w[f"{name}.norm.weight"][:, None, None] + w[f"{name}.norm.bias"][:, None, None]
 
     h, width = image.shape[2:]
     x = F.pad(2 * image.double() - 1, (0, -width % 4, 0, -h % 4), mode="replicate")
@@ -71,9 +63,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> ExportedImage:
     folder = tmp_path_factory.mktemp("stylise")
     model = command.build(write_stylise(folder, channels=4, blocks=1), size="16x24")
     settings = Settings(level=Level.LIVE)
-    return export_post_process(
-        model, folder / "stylise.onnx", target="webgpu", settings=settings
-    )
+    return export_post_process(model, folder / "stylise.onnx", target="webgpu", settings=settings)
 
 
 def test_it_runs_in_webgpu_and_no_replay_is_stale(exported: ExportedImage) -> None:
@@ -97,6 +87,4 @@ def test_sizes_are_read(tmp_path: Path) -> None:
     assert read_size("576X1024") == (576, 1024)
     assert read_size("any") is None
     network = command.build(write_stylise(tmp_path), size="any", slider=False)
-    assert [(declared.role, declared.shape) for declared in network.inputs] == [
-        ("image", None)
-    ]
+    assert [(declared.role, declared.shape) for declared in network.inputs] == [("image", None)]

@@ -41,11 +41,7 @@ def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
     assert cfg.values == {
         "a": 1, "b": -2.5, "c": "x", "d": True, "e": None, "f": [1, 2], "g": {"k": [3]},
     }  # fmt: skip
-    assert (cfg.integer("a", 0), cfg.number("a", 0), cfg.flag("zz", default=True)) == (
-        1,
-        1,
-        True,
-    )
+    assert (cfg.integer("a", 0), cfg.number("a", 0), cfg.flag("zz", default=True)) == (1, 1, True)
 
 
 def test_what_python_prints_without_a_literal_is_read(tmp_path: Path) -> None:
@@ -90,8 +86,7 @@ _VALUES = st.recursive(
     max_leaves=6,
 )
 _NAMES = st.one_of(
-    st.text(max_size=6),
-    st.sampled_from(["source_path", "lambda", "ﬀ", "two words", "None", "<a>"]),
+    st.text(max_size=6), st.sampled_from(["source_path", "lambda", "ﬀ", "two words", "None", "<a>"])
 )
 
 
@@ -123,9 +118,7 @@ def test_whatever_argparse_prints_comes_back(
 @settings(max_examples=100, deadline=None)
 @given(
     st.dictionaries(st.sampled_from("abcd"), _LEAVES, max_size=3),
-    st.text(
-        st.characters(exclude_characters="<>\n\r", exclude_categories=["Cs"]), max_size=9
-    ),
+    st.text(st.characters(exclude_characters="<>\n\r", exclude_categories=["Cs"]), max_size=9),
 )
 def test_objects_within_others_are_their_option_s_text(
     tmp_path_factory: pytest.TempPathFactory, options: dict[str, Any], printed_text: str
@@ -219,9 +212,7 @@ def test_what_is_no_namespace_is_refused(
         (lambda c: c.word("b", "y", ("y", "z")), "b is 'x', expected 'y' or 'z'"),
     ],
 )
-def test_an_option_of_another_kind_is_refused(
-    take: Callable, words: str, tmp_path: Path
-) -> None:
+def test_an_option_of_another_kind_is_refused(take: Callable, words: str, tmp_path: Path) -> None:
     cfg = read(tmp_path, "Namespace(a=1, b='x', d=True)")
     with pytest.raises(CheckpointInvalid, match=words):
         take(cfg)

@@ -145,9 +145,7 @@ def test_an_iteration_by_itself_will_do(tmp_path: Path) -> None:
     expected = octree_gs_plugin.build(run)
     for name, number in (("iteration_40000", 40000), ("moved", 0)):
         shutil.copytree(run / "point_cloud/iteration_40000", tmp_path / name)
-        with pytest.raises(
-            CheckpointInvalid, match="cfg_args"
-        ):  # it says which levels are seen
+        with pytest.raises(CheckpointInvalid, match="cfg_args"):  # it says which levels are seen
             read_anchors(tmp_path / name, octree=True)
         shutil.copy(run / "cfg_args", tmp_path / name)
         assert read_anchors(tmp_path / name, octree=True).iteration == number
@@ -237,9 +235,7 @@ def test_networks_are_read_however_they_were_saved(save: Callable, tmp_path: Pat
     assert expected.color.distance
     for net in ("opacity", "covariance", "color", "bank"):
         for layer in ("hidden", "hidden_bias", "out", "out_bias", "distance"):
-            a, b = (
-                getattr(getattr(networks, net), layer) for networks in (actual, expected)
-            )
+            a, b = (getattr(getattr(networks, net), layer) for networks in (actual, expected))
             assert a == b if layer == "distance" else torch.equal(a, b)
     if not first:
         assert torch.equal(actual.embedding, expected.embedding)  # type: ignore[arg-type]
@@ -269,9 +265,7 @@ def test_a_damaged_script_archive_says_so(tmp_path: Path) -> None:
         read_script_state(tmp_path / "a.pt")
 
 
-def test_code_in_a_state_dict_is_not_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_code_in_a_state_dict_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_hexplane(tmp_path)
     path = tmp_path / "point_cloud/iteration_30000/deformation.pth"
@@ -287,23 +281,14 @@ NET = "deformation_net."
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (
-            lambda s: s.pop(NET + "pos_deform.3.bias"),
-            r"missing: deformation_net.pos_deform.3.bias",
-        ),
+        (lambda s: s.pop(NET + "pos_deform.3.bias"), r"missing: deformation_net.pos_deform.3.bias"),
         (lambda s: s.update(surprise=torch.ones(1)), "unexpected: surprise"),
         (
             lambda s: s.update({NET + "pos_deform.1.weight": torch.ones(16, 15)}),
             r"pos_deform.1.weight is \[16, 15\], expected \[16, 16\]",
         ),
-        (
-            lambda s: s[NET + "grid.aabb"].fill_(float("nan")),
-            "grid.aabb holds NaN or infinity",
-        ),
-        (
-            lambda s: s.update({NET + "pos_deform.1.bias": "no"}),
-            "is a str, expected a tensor",
-        ),
+        (lambda s: s[NET + "grid.aabb"].fill_(float("nan")), "grid.aabb holds NaN or infinity"),
+        (lambda s: s.update({NET + "pos_deform.1.bias": "no"}), "is a str, expected a tensor"),
         (
             lambda s: s.update({NET + "grid.grids.1.4": torch.ones(1, 4, 7, 16)}),
             r"grids.1.4 is \(7, 16\), expected \(6, 16\)",
@@ -312,9 +297,7 @@ NET = "deformation_net."
         (lambda s: s[NET + "grid.aabb"].fill_(1.0), "expected a box with a volume"),
     ],
 )
-def test_tensors_that_do_not_fit_are_named(
-    edit: Callable, words: str, tmp_path: Path
-) -> None:
+def test_tensors_that_do_not_fit_are_named(edit: Callable, words: str, tmp_path: Path) -> None:
     write_hexplane(tmp_path)
     change(tmp_path / "point_cloud/iteration_30000/deformation.pth", edit)
     with pytest.raises(CheckpointInvalid, match=words):
@@ -337,9 +320,7 @@ def test_columns_go_by_their_number_not_by_their_place(tmp_path: Path) -> None:
     ply = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
     names = ply_properties(ply)
     table = read_ply_columns(ply, {"all": names})["all"]
-    write_columns(
-        ply, {n: table[:, i] for i, n in sorted(enumerate(names), key=lambda p: p[1])}
-    )
+    write_columns(ply, {n: table[:, i] for i, n in sorted(enumerate(names), key=lambda p: p[1])})
     assert ply_properties(ply) == tuple(sorted(names))
     actual = read_anchors(tmp_path).cloud
     assert torch.equal(actual.offset, expected.offset)
@@ -365,12 +346,7 @@ def test_options_of_another_run_are_noticed(text: str, words: str, tmp_path: Pat
 
 def test_without_options_the_networks_say_what_they_take(tmp_path: Path) -> None:
     options = AnchorOptions(
-        anchors=3,
-        bank=True,
-        distance=(True, False, True),
-        cameras=2,
-        appearance=3,
-        united=True,
+        anchors=3, bank=True, distance=(True, False, True), cameras=2, appearance=3, united=True
     )
     write_scaffold(tmp_path, options)
     (tmp_path / "cfg_args").unlink()

@@ -35,9 +35,7 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     elif kind == 3:
         result[start % min(1500, len(result))] = rng.integers(0, 256)
     else:
-        result[start : start + int(rng.integers(0, 200))] = rng.bytes(
-            int(rng.integers(0, 50))
-        )
+        result[start : start + int(rng.integers(0, 200))] = rng.bytes(int(rng.integers(0, 50)))
     return bytes(result)
 
 

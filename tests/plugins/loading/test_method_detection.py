@@ -49,9 +49,7 @@ def test_one_plugin_recognises_a_run(name: str, runs: dict[str, Path]) -> None:
     assert recognising == {name}
 
 
-def test_a_resume_file_of_gauhuman_is_not_taken_for_one_of_r3(
-    runs: dict[str, Path],
-) -> None:
+def test_a_resume_file_of_gauhuman_is_not_taken_for_one_of_r3(runs: dict[str, Path]) -> None:
     run = runs["gauhuman"]
     (run / "chkpnt1200.pth").write_bytes(b"PK but no archive")
     assert read_gauhuman(run).nets is not None

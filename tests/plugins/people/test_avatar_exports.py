@@ -25,14 +25,7 @@ from gsgen.reference_plugins.synthetic import (
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.exporting.exporter import Exported
 from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
-from support.checkpoints.plugin_checks import (
-    MARGIN,
-    acceptance,
-    eager,
-    run,
-    stored,
-    weights_of,
-)
+from support.checkpoints.plugin_checks import MARGIN, acceptance, eager, run, stored, weights_of
 from support.commands import shared
 from support.models.captured import assert_captured
 
@@ -74,9 +67,7 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     generator = BUILD[name](shared(f"data/checkpoints/{name}/ckpt"))
     path = tmp_path_factory.mktemp(name) / f"{name}.onnx"
     settings = Settings(level=Level.LIVE)
-    return Case(
-        name, generator, export(generator, path, target="webgpu", settings=settings)
-    )
+    return Case(name, generator, export(generator, path, target="webgpu", settings=settings))
 
 
 def test_the_model_agrees_with_the_method_three_times_better_than_asked(case: Case) -> None:
@@ -95,9 +86,7 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     tool, path = acceptance(), tmp_path / "half.onnx"
     live = case.name == "lhm"
     settings = Settings(level=Level.LIVE if live else Level.STATIC)
-    result = export(
-        case.generator, path, dtype="float16", target="webgpu", settings=settings
-    )
+    result = export(case.generator, path, dtype="float16", target="webgpu", settings=settings)
     if live:
         assert_captured(result.report)
     for index, (values, target) in enumerate(tool.targets(case.name)):
@@ -106,12 +95,8 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
         assert agrees, errors
     assert result.halved is not None
     retained = weights_of(path, {entry.node for entry in result.halved.retained_weights})
-    assert all(
-        size < 4 * LEAST_ELEMENTS for size in retained
-    )  # all large tables are halved
-    assert stored(path) - sum(retained) <= 0.55 * (
-        stored(case.exported.path) - sum(retained)
-    )
+    assert all(size < 4 * LEAST_ELEMENTS for size in retained)  # all large tables are halved
+    assert stored(path) - sum(retained) <= 0.55 * (stored(case.exported.path) - sum(retained))
 
 
 def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
@@ -121,9 +106,7 @@ def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
 def test_the_file_holds_weights_and_little_else(case: Case) -> None:
     model = onnx.load(case.exported.path)
     weights = sum(len(tensor.raw_data) for tensor in model.graph.initializer)
-    needed = sum(
-        buffer.numel() * buffer.element_size() for buffer in case.generator.buffers()
-    )
+    needed = sum(buffer.numel() * buffer.element_size() for buffer in case.generator.buffers())
     graph = 80_000  # nodes, names and the manifest: the same for any number of Gaussians
     assert weights <= 1.05 * needed + 20_000
     assert case.exported.path.stat().st_size <= weights + graph
@@ -156,8 +139,7 @@ def test_a_motion_plays_in_a_viewer_that_knows_no_poses(
     result = export(generator, path, target=target, dtype="float16", settings=settings)
     assert result.report.verdict == "conforms"
     assert [
-        (declared.role, declared.frames, declared.loop)
-        for declared in result.manifest.inputs
+        (declared.role, declared.frames, declared.loop) for declared in result.manifest.inputs
     ] == [("time", 8, True)]
     assert result.manifest.producer is not None
     assert result.manifest.producer.license == "LicenseRef-SMPL-derived-no-redistribution"
@@ -185,11 +167,7 @@ def test_a_body_may_lie_anywhere_and_be_of_either_format(tmp_path: Path) -> None
     options = PersonOptions()
     npz_body = write_body(tmp_path / "other.npz", options)
     pose = np.random.default_rng(0).normal(0, 0.3, (24, 3)).astype(np.float32)
-    root_inputs = (
-        np.eye(3, dtype=np.float32),
-        np.zeros(3, np.float32),
-        np.ones(10, np.float32),
-    )
+    root_inputs = (np.eye(3, dtype=np.float32), np.zeros(3, np.float32), np.ones(10, np.float32))
     first = eager(gauhuman_plugin.build(folder), pose, *root_inputs)
     second = eager(gauhuman_plugin.build(folder, body=npz_body), pose, *root_inputs)
     for a, b in zip(first, second, strict=True):
@@ -227,20 +205,13 @@ def test_every_frame_of_a_motion_is_reached(method: str, tmp_path: Path) -> None
 def test_a_motion_shows_what_its_poses_would(tmp_path: Path) -> None:
     folder = write_gauhuman(tmp_path / "run", PersonOptions(nets=True))
     path = write_motion(tmp_path / "sway.npz", frames=5)
-    played = gauhuman_plugin.build(
-        folder, motion=path, shape="0.5,-1", instances=2, spacing=0.5
-    )
+    played = gauhuman_plugin.build(folder, motion=path, shape="0.5,-1", instances=2, spacing=0.5)
     rows, _ = eager(played, np.array([0.5], np.float32))
     with np.load(path) as read:
         poses, translation = read["poses"][2], read["trans"][2]
     pose = np.zeros(72)
     pose[:66] = poses[:66]  # the hand joints of SMPL are not those of SMPL+H
-    values = (
-        pose.reshape(24, 3),
-        np.eye(3),
-        translation,
-        np.array([0.5, -1.0] + [0.0] * 8),
-    )
+    values = (pose.reshape(24, 3), np.eye(3), translation, np.array([0.5, -1.0] + [0.0] * 8))
     live = gauhuman_plugin.build(folder)
     expected, _ = eager(live, *(value.astype(np.float32) for value in values))
     half = len(rows) // 2
@@ -248,9 +219,7 @@ def test_a_motion_shows_what_its_poses_would(tmp_path: Path) -> None:
     np.testing.assert_allclose(rows[half:, :3], expected[:, :3] + [0.5, 0, 0], atol=1e-6)
 
 
-def test_another_gender_is_warned_of(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_gender_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_gauhuman(tmp_path / "run", PersonOptions(count=3))
     gauhuman_plugin.build(folder)
     assert "warning" not in capsys.readouterr().err

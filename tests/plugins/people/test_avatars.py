@@ -12,12 +12,7 @@ from gsgen.reference_plugins.people.lhm import LHM
 from gsgen.reference_plugins.people.lhm_checkpoint import Face, read_lhm
 from gsgen.reference_plugins.people.r3_avatar import R3Avatar
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
-from gsgen.reference_plugins.synthetic import (
-    PersonOptions,
-    write_gauhuman,
-    write_lhm,
-    write_r3,
-)
+from gsgen.reference_plugins.synthetic import PersonOptions, write_gauhuman, write_lhm, write_r3
 from support.checkpoints import avatar_oracles as oracles
 from support.checkpoints.avatar_oracles import PoseInputs
 from support.checkpoints.plugin_checks import assert_like, eager
@@ -56,15 +51,11 @@ def fed(
         }[declared.role]
         if declared.role == "root_rotation" and declared.shape == (3,):
             value = oracles.Rotation.from_matrix(value).as_rotvec()
-        feeds.append(
-            value.astype(np.int32 if declared.role == "frame_index" else np.float32)
-        )
+        feeds.append(value.astype(np.int32 if declared.role == "frame_index" else np.float32))
     return feeds
 
 
-def assert_bodies(
-    rows: np.ndarray, color: np.ndarray, expected: list[ExpectedGaussians]
-) -> None:
+def assert_bodies(rows: np.ndarray, color: np.ndarray, expected: list[ExpectedGaussians]) -> None:
     count = len(rows) // len(expected)
     assert count * len(expected) == len(rows)
     for body, gaussians in enumerate(expected):
@@ -146,9 +137,7 @@ def test_r3_avatar_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
         seed=seed,
     )
     read = read_r3(write_r3(tmp_path, options))
-    poses = [
-        int(person) for person in rng.permutation(320)[:5]
-    ]  # time is clamped beyond 300
+    poses = [int(person) for person in rng.permutation(320)[:5]]  # time is clamped beyond 300
     bodies, baked = int(rng.integers(1, 3)), bool(rng.integers(0, 2))
     people = [told(rng, options.joints, options.shapes) for _ in range(bodies)]
     for person in people:

@@ -16,9 +16,7 @@ from support.checkpoints.harmful import Harmful
 
 @pytest.mark.parametrize("joints", [24, 55])
 @pytest.mark.parametrize("width", [66, 72, 156, 165])
-def test_poses_of_one_body_become_those_of_another(
-    width: int, joints: int, tmp_path: Path
-) -> None:
+def test_poses_of_one_body_become_those_of_another(width: int, joints: int, tmp_path: Path) -> None:
     path = write_motion(tmp_path / "a.npz", frames=3, width=width)
     with np.load(path) as read:
         poses = read["poses"]
@@ -65,9 +63,7 @@ def frame(number: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("single", [True, False])
-def test_lhm_s_frames_are_read_one_by_one_or_all_together(
-    single: bool, tmp_path: Path
-) -> None:
+def test_lhm_s_frames_are_read_one_by_one_or_all_together(single: bool, tmp_path: Path) -> None:
     frames = [frame(number) for number in range(3)]
     path = tmp_path / "motion.json"
     if single:
@@ -78,9 +74,7 @@ def test_lhm_s_frames_are_read_one_by_one_or_all_together(
         for number, contents in enumerate(frames):
             (path / f"{number:05d}.json").write_text(json.dumps(contents))
     motion = read_motion(path, 55)
-    np.testing.assert_allclose(
-        motion.pose[1, [0, 1, 22, 23, 24, 25, 40], 0], 0.1 + np.arange(7)
-    )
+    np.testing.assert_allclose(motion.pose[1, [0, 1, 22, 23, 24, 25, 40], 0], 0.1 + np.arange(7))
     np.testing.assert_array_equal(motion.shift[:, 1], [0, 1, 2])
     assert motion.expression is not None
     assert motion.expression.shape == (3, 100)
@@ -110,10 +104,7 @@ def test_a_motion_that_is_none_is_refused(text: str, words: str, tmp_path: Path)
     [
         ({}, "has no array poses"),
         ({"poses": np.zeros((2, 70))}, "a pose has 70 numbers"),
-        (
-            {"poses": np.zeros((2, 72)), "Th": np.zeros((3, 3))},
-            "3 numbers for each of 2 frames",
-        ),
+        ({"poses": np.zeros((2, 72)), "Th": np.zeros((3, 3))}, "3 numbers for each of 2 frames"),
         ({"poses": np.full((2, 72), np.inf)}, "expected finite numbers"),
         ({"poses": np.array([object()])}, "cannot be read"),
     ],

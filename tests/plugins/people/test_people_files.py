@@ -84,16 +84,12 @@ def test_an_avatar_may_be_of_one_gaussian(tmp_path: Path) -> None:
     run = write_lhm(tmp_path, PersonOptions(count=1))
     path = run / "avatar.pth"
     read = torch.load(path, weights_only=False)
-    torch.save(
-        [value.squeeze() if torch.is_tensor(value) else value for value in read], path
-    )
+    torch.save([value.squeeze() if torch.is_tensor(value) else value for value in read], path)
     assert read_lhm(run).position.shape == (1, 3)
 
 
 @pytest.mark.parametrize("module", ["numpy.core", "numpy._core"])
-def test_numbers_of_numpy_beside_the_tensors_do_no_harm(
-    module: str, tmp_path: Path
-) -> None:
+def test_numbers_of_numpy_beside_the_tensors_do_no_harm(module: str, tmp_path: Path) -> None:
     """Learning rates, the extent of a scene: old and new NumPy name them differently."""
     files = {
         write_r3(tmp_path / "r3") / "chkpnt60000.pth": lambda: read_r3(tmp_path / "r3"),
@@ -205,10 +201,7 @@ def rewritten(path: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     ("change", "words"),
     [
         (lambda a: a.pop("weights"), "lacks weights"),
-        (
-            lambda a: a.update(posedirs=a["posedirs"][:, :, 1:]),
-            r"posedirs is \[150, 3, 206\]",
-        ),
+        (lambda a: a.update(posedirs=a["posedirs"][:, :, 1:]), r"posedirs is \[150, 3, 206\]"),
         (lambda a: a.update(weights=a["weights"] * np.nan), "weights holds NaN"),
         (lambda a: a["kintree_table"].__setitem__((0, 3), 9), "joint 3 the parent 9"),
         (lambda a: a.update(v_template=np.array(["x"])), "expected numbers"),
@@ -238,18 +231,14 @@ def edited(path: Path, old: str, new: str) -> None:
 def test_flags_have_to_agree_with_files(tmp_path: Path) -> None:
     folder = write_gauhuman(tmp_path / "a", PersonOptions(nets=True))
     edited(folder / "cfg_args", "motion_offset_flag=True", "motion_offset_flag=False")
-    with pytest.raises(
-        CheckpointInvalid, match=r"motion_offset_flag is False, but .* exists"
-    ):
+    with pytest.raises(CheckpointInvalid, match=r"motion_offset_flag is False, but .* exists"):
         read_gauhuman(folder)
     folder = write_gauhuman(tmp_path / "b")
     edited(folder / "cfg_args", "motion_offset_flag=False", "motion_offset_flag=True")
     with pytest.raises(CheckpointInvalid, match=r"ckpt\.pth: is missing"):
         read_gauhuman(folder)
     edited(folder / "cfg_args", "'smpl'", "'simple_smplx'")
-    with pytest.raises(
-        CheckpointInvalid, match="'simple_smplx', expected 'smpl' or 'smplx'"
-    ):
+    with pytest.raises(CheckpointInvalid, match="'simple_smplx', expected 'smpl' or 'smplx'"):
         read_gauhuman(folder)
 
 
@@ -320,10 +309,7 @@ def test_what_lies_in_a_run_of_people_stands_for_it(tmp_path: Path) -> None:
     with pytest.raises(CheckpointInvalid, match="does not exist"):
         read_r3(run / "nowhere")
     run = write_gauhuman(tmp_path / "gauhuman", PersonOptions(nets=True))
-    for path_in_run in (
-        "point_cloud/iteration_1200/point_cloud.ply",
-        "mlp_ckpt/iteration_1200",
-    ):
+    for path_in_run in ("point_cloud/iteration_1200/point_cloud.ply", "mlp_ckpt/iteration_1200"):
         read = read_gauhuman(run / path_in_run)
         assert (read.iteration, read.nets is not None) == (1200, True)
 

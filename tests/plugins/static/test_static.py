@@ -70,9 +70,7 @@ def test_exported_splats_conform_to_every_target(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("words", ["--dtype float16", "--target visionary"])
-def test_harmonics_are_of_a_degree_that_is_taken(
-    degree: int, words: str, tmp_path: Path
-) -> None:
+def test_harmonics_are_of_a_degree_that_is_taken(degree: int, words: str, tmp_path: Path) -> None:
     knot = torus_knot(7, degree=degree)
     write_ply(tmp_path / "knot.ply", knot)
     ran = gsgen_here(
@@ -103,15 +101,11 @@ def test_points_become_gaussians_of_one_tenth_opacity(tmp_path: Path) -> None:
     scene = from_content(cloud)
     np.testing.assert_allclose(scene.rows[:, 3], 0.1, rtol=1e-6)
     variance = np.square(neighbour_scale(cloud.position))
-    np.testing.assert_allclose(
-        scene.rows[:, [4, 7, 9]], variance[:, None].repeat(3, 1), rtol=1e-5
-    )
+    np.testing.assert_allclose(scene.rows[:, [4, 7, 9]], variance[:, None].repeat(3, 1), rtol=1e-5)
     np.testing.assert_array_equal(scene.appearance, cloud.color)
     as_sh = from_content(cloud, sh_degree=2)
     assert as_sh.appearance.shape == (100, 27)
-    np.testing.assert_allclose(
-        0.5 + 0.28209479 * as_sh.appearance[:, :3], cloud.color, atol=1e-6
-    )
+    np.testing.assert_allclose(0.5 + 0.28209479 * as_sh.appearance[:, :3], cloud.color, atol=1e-6)
     assert not as_sh.appearance[:, 3:].any()
 
 
@@ -125,9 +119,7 @@ def test_packed_rows_pass_through_bit_for_bit(tmp_path: Path, channels: int) -> 
     scene = from_content(PackedRows(rows, color))
     write_scene(scene, tmp_path / "m.onnx")
     outputs = emitted(tmp_path / "m.onnx")
-    np.testing.assert_array_equal(
-        outputs["gaussians"].view(np.uint16), rows.view(np.uint16)
-    )
+    np.testing.assert_array_equal(outputs["gaussians"].view(np.uint16), rows.view(np.uint16))
     seen = outputs["color_rgb" if channels < 5 else "color_sh"]
     np.testing.assert_array_equal(seen.view(np.uint32), color.view(np.uint32))
 
@@ -146,9 +138,7 @@ def test_a_capacity_below_the_rows_is_refused(tmp_path: Path) -> None:
 
 def test_the_real_garden_exports_and_conforms(tmp_path: Path) -> None:
     garden = shared("data/garden/test_garden.npz")
-    ran = gsgen(
-        "export", "static", garden, "-o", tmp_path / "garden.onnx", "--dtype", "float16"
-    )
+    ran = gsgen("export", "static", garden, "-o", tmp_path / "garden.onnx", "--dtype", "float16")
     assert ran.code == 0, ran.err
     report = validate(tmp_path / "garden.onnx")
     assert report.verdict == "conforms"

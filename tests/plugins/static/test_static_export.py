@@ -106,16 +106,11 @@ def test_a_capacity_below_the_rows_is_refused_with_a_hint(tmp_path: Path) -> Non
 
 def test_options_take_precedence_over_the_file(tmp_path: Path) -> None:
     scene = StaticScene(content=torus_knot(5), color_space="linear", antialias="mip")
-    result = export_constant(
-        scene, tmp_path / "m.onnx", name="knot", opset=17, settings=STATIC
-    )
+    result = export_constant(scene, tmp_path / "m.onnx", name="knot", opset=17, settings=STATIC)
     manifest = result.manifest
     assert manifest.outputs.appearance is not None
     assert (manifest.name, manifest.family) == ("knot", "static")
-    assert (manifest.outputs.appearance.color_space, manifest.antialias) == (
-        "linear",
-        "mip",
-    )
+    assert (manifest.outputs.appearance.color_space, manifest.antialias) == ("linear", "mip")
     assert onnx.load(tmp_path / "m.onnx").opset_import[0].version == 17
 
 

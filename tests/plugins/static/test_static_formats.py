@@ -23,15 +23,7 @@ def manifest_of(path: Path) -> dict:
 def test_what_an_spz_says_of_its_training_is_kept(tmp_path, options, kept):
     model = tmp_path / "m.onnx"
     ran = gsgen(
-        *(
-            "export",
-            "static",
-            GOLDENS / "degree-4.v4.spz",
-            "-o",
-            model,
-            "--level",
-            "static",
-        ),
+        *("export", "static", GOLDENS / "degree-4.v4.spz", "-o", model, "--level", "static"),
         *options,
     )
     assert ran.code == 0, ran.err

@@ -71,9 +71,7 @@ def test_only_live_rows_are_written(models: Path, tmp_path: Path) -> None:
     assert [frame.time for frame in report.frames] == [0, 0.5, 1]
 
 
-def test_known_harmonics_are_recovered(
-    models: Path, tmp_path: Path, renderer: Renderer
-) -> None:
+def test_known_harmonics_are_recovered(models: Path, tmp_path: Path, renderer: Renderer) -> None:
     model, file = models / "harmonic.onnx", tmp_path / "harmonic.ply"
     report = bake(model, file)
     splats = _splats(file)
@@ -92,9 +90,7 @@ def test_known_harmonics_are_recovered(
             np.testing.assert_allclose(colors, np.maximum(expected, 0), atol=2e-3)
 
 
-def test_a_network_of_the_view_is_fitted(
-    models: Path, tmp_path: Path, renderer: Renderer
-) -> None:
+def test_a_network_of_the_view_is_fitted(models: Path, tmp_path: Path, renderer: Renderer) -> None:
     """The network of this model also makes the opacity: the mean stands for all cameras."""
     report = bake(models / "lit.onnx", tmp_path / "lit.ply")
     assert report.view_dependence == "rows and colors"
@@ -107,9 +103,7 @@ def test_a_network_of_the_view_is_fitted(
     assert _psnr(models / "lit.onnx", tmp_path / "lit.ply", renderer) >= 40
 
 
-def test_a_camera_bakes_what_it_sees(
-    models: Path, tmp_path: Path, renderer: Renderer
-) -> None:
+def test_a_camera_bakes_what_it_sees(models: Path, tmp_path: Path, renderer: Renderer) -> None:
     report = bake(models / "lit.onnx", tmp_path / "lit.ply", camera=CAMERA)
     assert (report.view_dependence, report.frames[0].sh_degree) == ("camera", 0)
     assert _psnr(models / "lit.onnx", tmp_path / "lit.ply", renderer) >= 60
@@ -189,12 +183,7 @@ def _bake(model: Path, output: Path, **options: object) -> BakeReport:
     ],
 )
 def test_invalid_options_are_refused_before_a_file_is_written(
-    models: Path,
-    tmp_path: Path,
-    model: str,
-    output: str,
-    options: dict[str, object],
-    message: str,
+    models: Path, tmp_path: Path, model: str, output: str, options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(ConfigInvalid, match=message):
         _bake(models / f"{model}.onnx", tmp_path / output, **options)

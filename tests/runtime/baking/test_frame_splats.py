@@ -5,11 +5,7 @@ import pytest
 
 from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.contract.spec.layout import DecodedGaussians
-from gsgen.runtime.baking.frame_splats import (
-    drawn_mask,
-    scales_and_quaternions,
-    splats_of_frame,
-)
+from gsgen.runtime.baking.frame_splats import drawn_mask, scales_and_quaternions, splats_of_frame
 
 
 def _cloud(count: int, **changes: np.ndarray) -> DecodedGaussians:
@@ -54,12 +50,7 @@ def test_signs_do_not_depend_on_the_solver(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_flat_balls_and_rounded_covariances_have_finite_parameters() -> None:
-    flat = [
-        [1, 0, 0, 1, 0, 0],
-        [0, 0, 0, 0, 0, 0],
-        [1, 0, 0, 1, 0, 1],
-        [1, 1, 1, 1, 1, 0.999],
-    ]
+    flat = [[1, 0, 0, 1, 0, 0], [0, 0, 0, 0, 0, 0], [1, 0, 0, 1, 0, 1], [1, 1, 1, 1, 1, 0.999]]
     splats = splats_of_frame(_cloud(4, covariance=np.array(flat, np.float32)))
     assert np.isfinite(splats.log_scale).all()
     assert np.isfinite(splats.rotation).all()
@@ -72,9 +63,7 @@ def test_colors_opacities_and_positions_survive() -> None:
     np.testing.assert_array_equal(splats.position, cloud.position)
     color = 0.5 + splats.sh[:, 0] / (2 * np.sqrt(np.pi))
     np.testing.assert_allclose(color, cloud.rgb, atol=1e-6)
-    np.testing.assert_allclose(
-        1 / (1 + np.exp(-splats.logit_opacity)), cloud.opacity, atol=1e-6
-    )
+    np.testing.assert_allclose(1 / (1 + np.exp(-splats.logit_opacity)), cloud.opacity, atol=1e-6)
 
 
 def test_invisible_and_nonfinite_rows_are_not_drawn() -> None:

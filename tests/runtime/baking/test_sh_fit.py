@@ -9,9 +9,7 @@ from gsgen.runtime.baking.sh_fit import best_degree, color_errors, fit_sh
 N, VIEWS = 60, 30
 
 
-def _seen(
-    degree: int, seed: int = 0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _seen(degree: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return positions, eyes, colours and the coefficients that gave them."""
     rng = np.random.default_rng(seed)
     positions = rng.normal(size=(N, 3))

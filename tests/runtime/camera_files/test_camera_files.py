@@ -123,9 +123,7 @@ def write_colmap_text(cameras: list[Camera], folder: Path) -> Path:
         words = (number, "PINHOLE", one.width, one.height, one.fx, one.fy, one.cx, one.cy)
         lenses.append(" ".join(map(str, words)))
         pose = (*quaternion(one.view[:3, :3]), *one.view[:3, 3])
-        images.append(
-            " ".join(map(str, (9, *map(float, pose), number, f"a b {number}.png")))
-        )
+        images.append(" ".join(map(str, (9, *map(float, pose), number, f"a b {number}.png"))))
         images.append("" if number % 2 else "1.0 2.0 -1 3.0 4.0 17")
     (folder / "cameras.txt").write_text("\n".join(lenses))
     (folder / "images.txt").write_text("\n".join(images) + "\n")
@@ -176,9 +174,7 @@ def test_what_was_written_is_read(name: str, seed: int, tmp_path: Path) -> None:
         assert read.camera.kind == "pinhole"
 
 
-def transforms(
-    folder: Path, frame: dict[str, object] | None = None, **shared: object
-) -> Path:
+def transforms(folder: Path, frame: dict[str, object] | None = None, **shared: object) -> Path:
     one = {"file_path": "./train/r_0", "transform_matrix": np.eye(4).tolist()}
     path = folder / "transforms.json"
     path.write_text(json.dumps(shared | {"frames": [one | (frame or {})]}))
@@ -194,9 +190,7 @@ def test_an_opengl_camera_looks_along_minus_z(tmp_path: Path) -> None:
     camera = only(transforms(tmp_path, camera_angle_x=np.pi / 2, w=80, h=60))
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((40, 40, 40, 30))
     above = camera.view @ [0, 1, -5, 1]
-    np.testing.assert_allclose(
-        above, [0, -1, 5, 1], atol=1e-12
-    )  # up in the world: up, ahead
+    np.testing.assert_allclose(above, [0, -1, 5, 1], atol=1e-12)  # up in the world: up, ahead
     both = only(transforms(tmp_path, camera_angle_x=1.0, camera_angle_y=0.5, w=80, h=60))
     assert both.fy == pytest.approx(30 / np.tan(0.25))
     three_rows = {"transform_matrix": np.eye(4)[:3].tolist()}
@@ -218,17 +212,13 @@ def test_distortion_is_noted_and_a_fisheye_refused(tmp_path: Path) -> None:
     assert "distortion of 1 of 1 frames is left out" in noted.notes[0]
     assert viewpoint(str(tmp_path)).notes == noted.notes
     for wrong in ({"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}):
-        with pytest.raises(
-            ConfigInvalid, match=r"frame 0: .*which no pinhole camera approximates"
-        ):
+        with pytest.raises(ConfigInvalid, match=r"frame 0: .*which no pinhole camera approximates"):
             open_cameras(transforms(tmp_path, wrong, **pinhole))
 
 
 def test_an_equirectangular_camera_is_a_panorama(tmp_path: Path) -> None:
     """Nerfstudio's has fl_x = height and fl_y = height for a full one."""
-    path = transforms(
-        tmp_path, camera_model="EQUIRECTANGULAR", fl_x=32, fl_y=32, w=64, h=32
-    )
+    path = transforms(tmp_path, camera_model="EQUIRECTANGULAR", fl_x=32, fl_y=32, w=64, h=32)
     camera = only(path)
     assert camera.kind == "panorama"
     assert camera.period == pytest.approx(64)
@@ -237,9 +227,7 @@ def test_an_equirectangular_camera_is_a_panorama(tmp_path: Path) -> None:
 
 def test_a_path_may_be_of_panoramas(tmp_path: Path) -> None:
     path = write_path(some_cameras(2, centred=True), tmp_path)
-    path.write_text(
-        json.dumps(json.loads(path.read_text()) | {"camera_type": "equirectangular"})
-    )
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"camera_type": "equirectangular"}))
     for one in open_cameras(path).cameras:
         assert one.camera.kind == "panorama"
         assert one.camera.period == pytest.approx(one.camera.width)
@@ -250,9 +238,7 @@ def test_an_equirectangular_camera_sees_where_nerfstudio_s_rays_go(tmp_path: Pat
     rng = np.random.default_rng(3)
     to_world = np.linalg.inv(some_cameras(1, 9)[0].view)
     frame: dict[str, object] = {"transform_matrix": to_world.tolist()}
-    path = transforms(
-        tmp_path, frame, camera_model="EQUIRECTANGULAR", fl_x=32, fl_y=32, w=64, h=32
-    )
+    path = transforms(tmp_path, frame, camera_model="EQUIRECTANGULAR", fl_x=32, fl_y=32, w=64, h=32)
     camera = only(path)
     for u, v in rng.uniform((0, 0), (64, 32), (50, 2)):
         theta, polar = -np.pi * (u - 32) / 32, np.pi / 2 + np.pi * (v - 16) / 32
@@ -397,18 +383,12 @@ def trouble(path: Path) -> str | None:
     return None
 
 
-@pytest.mark.parametrize(
-    "name", ["colmap_binary", "colmap_text", "transforms", "training", "path"]
-)
-def test_damaged_files_are_refused_or_read_but_never_worse(
-    name: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("name", ["colmap_binary", "colmap_text", "transforms", "training", "path"])
+def test_damaged_files_are_refused_or_read_but_never_worse(name: str, tmp_path: Path) -> None:
     """Cut, flipped and stuffed files: an error of ours, or cameras."""
     rng = np.random.default_rng(5)
     path = WRITERS[name](some_cameras(3, centred=True), tmp_path)
-    files = (
-        [path] if path.is_file() else [one for one in path.rglob("*.*") if one.is_file()]
-    )
+    files = [path] if path.is_file() else [one for one in path.rglob("*.*") if one.is_file()]
     refused = 0
     for file in files:
         whole = file.read_bytes()
@@ -421,9 +401,7 @@ def test_damaged_files_are_refused_or_read_but_never_worse(
                     made[at] = rng.integers(256)
             else:
                 at = rng.integers(len(made))
-                made[at:at] = rng.choice(
-                    [b"\xff" * 8, b"-1", b"1e999", b"nan", b"\0", b"[["]
-                )
+                made[at:at] = rng.choice([b"\xff" * 8, b"-1", b"1e999", b"nan", b"\0", b"[["])
             file.write_bytes(made)
             said = trouble(path)
             assert said is None or str(tmp_path) in said
@@ -437,9 +415,7 @@ def test_a_count_beyond_the_file_is_not_believed(tmp_path: Path) -> None:
     folder = write_colmap_binary(some_cameras(1), tmp_path)
     file = folder / "sparse/0/images.bin"
     file.write_bytes(b"\xff" * 7 + b"\x7f" + file.read_bytes()[8:])
-    with pytest.raises(
-        ConfigInvalid, match=r"says that it has \d+ records, but has \d+ bytes"
-    ):
+    with pytest.raises(ConfigInvalid, match=r"says that it has \d+ records, but has \d+ bytes"):
         open_cameras(folder)
 
 
@@ -450,9 +426,7 @@ def test_films_have_frames_of_one_size(renderer: Renderer, tmp_path: Path) -> No
     assert viewpoint(str(path), width=40, height=30).sizes == {(40, 30)}
     assert len(viewpoint(str(path), width=40, panorama=True).sizes) == 0
     assert viewpoint(None).sizes == set()
-    film = FrameSequence(
-        [StillSource(points(tmp_path))], viewpoint(str(path)), renderer=renderer
-    )
+    film = FrameSequence([StillSource(points(tmp_path))], viewpoint(str(path)), renderer=renderer)
     for name in ("a.npy", "a.gif"):
         with pytest.raises(
             ConfigInvalid, match=r"frames of one size, .*×.*\n.*--width and --height"

@@ -30,9 +30,7 @@ RULES = ("GB018", "GB019", "GB020", "GB021")
 
 
 @pytest.fixture(autouse=True)
-def _one_device(
-    renderer: Renderer, quads: Renderer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def _one_device(renderer: Renderer, quads: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
     both = {"tiles": renderer, "quads": quads}
     monkeypatch.setattr(showing, "Renderer", lambda *_, rasteriser: both[rasteriser])
 
@@ -71,12 +69,7 @@ def test_good_models_are_seen(name: str, tmp_path: Path) -> None:
     empty = {"GV032"} if name == "nothing_live" else set()
     assert {finding.rule for finding in report.findings} == empty
     alike = "skipped" if name == "weighted_sum" else "pass"
-    assert status(report) == {
-        "GB018": "pass",
-        "GB019": "pass",
-        "GB020": alike,
-        "GB021": "pass",
-    }
+    assert status(report) == {"GB018": "pass", "GB019": "pass", "GB020": alike, "GB021": "pass"}
     assert "renderer" in report.environment
 
 
@@ -103,9 +96,7 @@ def drawn_reference(renderer: Renderer) -> bytes:
     return png_of(frame.srgb8[..., :3])
 
 
-def compared(
-    sketch: ModelSpec, folder: Path, **changes: object
-) -> showing.ComparedReference:
+def compared(sketch: ModelSpec, folder: Path, **changes: object) -> showing.ComparedReference:
     """Return what becomes of the picture of a sketch, without judging the model."""
     path = folder / "model.onnx"
     sketch.write(path)
@@ -121,9 +112,7 @@ def compared(
     return next(iter(showing._compare_references(trial, changes.pop("renderer"))))
 
 
-def test_a_picture_that_the_model_draws_is_the_same(
-    renderer: Renderer, tmp_path: Path
-) -> None:
+def test_a_picture_that_the_model_draws_is_the_same(renderer: Renderer, tmp_path: Path) -> None:
     png = drawn_reference(renderer)
     seen = compared(with_reference(still(), png), tmp_path, renderer=renderer)
     assert seen.psnr is not None

@@ -36,9 +36,7 @@ def test_a_covariance_keeps_its_shape(unit: float) -> None:
     largest = np.abs(before).max(axis=(1, 2))
     assert (np.abs(after - before).max(axis=(1, 2)) <= 6.1 * LEAST * largest).all()
     assert (np.linalg.eigvalsh(after)[:, 0] >= -1e-6 * largest).all()
-    thick, thicker = (
-        np.sqrt(np.maximum(np.linalg.eigvalsh(c)[:, 0], 0)) for c in (before, after)
-    )
+    thick, thicker = (np.sqrt(np.maximum(np.linalg.eigvalsh(c)[:, 0], 0)) for c in (before, after))
     # A rounded covariance would be off by up to the root of a step, 4e-3.
     assert (np.abs(thick - thicker) <= 1e-3 * np.sqrt(largest)).all()
 
@@ -53,30 +51,19 @@ def test_flat_and_empty_covariances_are_kept() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [
-        (np.nan, 0, 0, 1, 0, 1),
-        (1, 0, 0, np.inf, 0, 1),
-        (1, 2, 0, 1, 0, 1),
-        (-1, 0, 0, 1, 0, 1),
-    ],
+    [(np.nan, 0, 0, 1, 0, 1), (1, 0, 0, np.inf, 0, 1), (1, 2, 0, 1, 0, 1), (-1, 0, 0, 1, 0, 1)],
 )
-def test_what_is_no_covariance_is_not_drawn(
-    device: Device, wrong: tuple[float, ...]
-) -> None:
+def test_what_is_no_covariance_is_not_drawn(device: Device, wrong: tuple[float, ...]) -> None:
     data = cloud(2)
     data.rows[0, 4:] = wrong
     assert np.isnan(unpack_rows(pack_rows(data.rows))[0, 4:]).any()
     assert (
-        Renderer(device, rasteriser="tiles", compact=True)
-        .render(Scene([data]), camera())
-        .visible
+        Renderer(device, rasteriser="tiles", compact=True).render(Scene([data]), camera()).visible
         == 1
     )
 
 
-def test_packed_rows_are_read_as_they_were_packed(
-    device: Device, renderer: Renderer
-) -> None:
+def test_packed_rows_are_read_as_they_were_packed(device: Device, renderer: Renderer) -> None:
     """The picture of packed rows is that of what they unpack to, in several pages."""
     small = Renderer(device, rasteriser="tiles", compact=True, page_rows=64)
     place = turned(0.6, (0.3, 1, 0), (1.2, 0.8, 1.0))

@@ -60,11 +60,7 @@ def test_no_picture_shows_how_rows_are_arranged(device: Device, small: None) -> 
     second.update(count=150)
     first.rows[40:60, :3] = first.rows[20:40, :3]  # ties, which the earlier row wins
     scene = Scene(
-        [
-            first,
-            SplatSet(second, turned(0.2, (0, 1, 0))),
-            SplatSet(first, turned(0.5, (0, 0, 1))),
-        ]
+        [first, SplatSet(second, turned(0.2, (0, 1, 0))), SplatSet(first, turned(0.5, (0, 0, 1)))]
     )
     one = Renderer(device, rasteriser="tiles", page_rows=64)
     before = one.render(scene, camera(), outputs=ALL)
@@ -108,9 +104,7 @@ def test_what_changes_keeps_an_order_where_it_costs_nothing(
     data.update(rows=other.rows)
     assert [arranged(), arranged()] == [maps, maps]
     assert (one._plan is plan) is maps  # no buffer was made
-    data.update(
-        data.rows, data.appearance, count=80
-    )  # these rows are no longer those before
+    data.update(data.rows, data.appearance, count=80)  # these rows are no longer those before
     assert [arranged(), arranged()] == [False, False]
     data.update(data.rows, data.appearance)
     assert [arranged(), arranged()] == [False, False]
@@ -166,8 +160,7 @@ def test_values_may_change_once_rows_are_arranged(
     kept = {"count": 60} if change != "count" else {"count": 80}
     data.update(**kept, **({} if change == "count" else {change: getattr(other, change)}))
     assert same(
-        one.render(scene, camera(), outputs=ALL),
-        renderer.render(anew(data), camera(), outputs=ALL),
+        one.render(scene, camera(), outputs=ALL), renderer.render(anew(data), camera(), outputs=ALL)
     )
 
 

@@ -27,9 +27,7 @@ def written(device: Device, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, 
         seen.append((buffer.label, offset, data.nbytes))
         write(self, buffer, data, offset)
 
-    monkeypatch.setattr(
-        Device, "mapped", filled
-    )  # of large buffers, if the device maps them
+    monkeypatch.setattr(Device, "mapped", filled)  # of large buffers, if the device maps them
     monkeypatch.setattr(Device, "write", written)
     return seen
 
@@ -64,9 +62,7 @@ def test_what_did_not_change_is_not_written(device: Device, written: list) -> No
     assert uploaded() == []
 
 
-def test_rows_that_become_live_are_written_page_by_page(
-    device: Device, written: list
-) -> None:
+def test_rows_that_become_live_are_written_page_by_page(device: Device, written: list) -> None:
     data = cloud(300, 3, degree=1)
     data.update(count=70)
     held = Residency(device, page_rows=64)
@@ -85,9 +81,7 @@ def test_rows_that_become_live_are_written_page_by_page(
     ]
 
 
-def test_a_count_that_grows_shows_the_same_as_at_once(
-    device: Device, renderer: Renderer
-) -> None:
+def test_a_count_that_grows_shows_the_same_as_at_once(device: Device, renderer: Renderer) -> None:
     small = Renderer(device, rasteriser="tiles", page_rows=64)
     data = cloud(300, 6, degree=3)
     for count in (0, 70, 65, 300):

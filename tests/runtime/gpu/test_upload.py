@@ -26,9 +26,7 @@ def test_rows_are_where_they_belong(
     upload(device, Target(buffer, 0, 16), before)
     order = rng.permutation(15_000)[:12_345].astype(np.uint32) if ordered else None
     assert device.can_map(buffer) is maps
-    target = Target(
-        buffer, 1234, 16, (lambda rows: rows.astype(np.float32)) if made else None
-    )
+    target = Target(buffer, 1234, 16, (lambda rows: rows.astype(np.float32)) if made else None)
     upload(device, target, array, order)
     some = array if order is None else array[order]
     before[1234 : 1234 + len(some)] = some

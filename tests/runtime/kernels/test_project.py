@@ -97,15 +97,7 @@ def test_project(renderer: Renderer, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "many",
-        "needles",
-        "huge",
-        "principal_point_outside",
-        "panorama_seam",
-        "panorama_huge",
-    ],
+    "name", ["many", "needles", "huge", "principal_point_outside", "panorama_seam", "panorama_huge"]
 )
 def test_bins_hold_every_tile_that_a_splat_reaches(renderer: Renderer, name: str) -> None:
     scene, small = SCENES[name]()
@@ -190,9 +182,7 @@ def test_normals(renderer: Renderer) -> None:
     values = np.linalg.eigvalsh(sigma)
     clear = drawn & (values[:, 1] > 1.3 * values[:, 0])
     wanted = normals_reference(sigma, at)
-    cosine = np.abs(
-        (found * wanted).sum(axis=1)
-    )  # edge-on, the side is a matter of rounding
+    cosine = np.abs((found * wanted).sum(axis=1))  # edge-on, the side is a matter of rounding
     assert clear.sum() > 100
     assert cosine[clear].min() > 0.9999
     np.testing.assert_allclose(np.linalg.norm(found[drawn], axis=1), 1, atol=1e-5)

@@ -79,9 +79,7 @@ def test_a_shader_compiles_by_itself(device: Device, name: str, variant: str) ->
         pytest.skip("the device has no subgroups")
     declared = set(re.findall(r"^const (\w+)", SHADERS[name], re.MULTILINE))
     constants = {
-        key: value
-        for key, value in (CONSTANTS | VARIANTS[variant]).items()
-        if key not in declared
+        key: value for key, value in (CONSTANTS | VARIANTS[variant]).items() if key not in declared
     }
     device.raw.create_shader_module(label=name, code=source(name, **constants))
 

@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.kernels.project import project
-from gsgen.runtime.kernels.project.project import (
-    Projected,
-    depth_reference,
-    project_reference,
-)
-from gsgen.runtime.kernels.project.project_cells import (
-    box_reference,
-    circle_reference,
-)
+from gsgen.runtime.kernels.project.project import Projected, depth_reference, project_reference
+from gsgen.runtime.kernels.project.project_cells import box_reference, circle_reference
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.shader import ABSENT, CELL_REACH, SPLAT_REACH
 from gsgen.runtime.kernels.tiles.blend_wsr import blend_wsr_reference
@@ -27,13 +20,7 @@ from support.rendering.near_ties import DEPTH_LEFT, decoded
 from support.rendering.weighted_scenes import WEIGHTED
 
 NOTHING_BEHIND = np.zeros(3)
-ONE_SET = [
-    "many_cells",
-    "divided_opacity",
-    "not_finite_cells",
-    "far_beside",
-    "invisible_cells",
-]
+ONE_SET = ["many_cells", "divided_opacity", "not_finite_cells", "far_beside", "invisible_cells"]
 
 
 @dataclass(frozen=True)
@@ -93,9 +80,7 @@ def dilated(found: Projected) -> np.ndarray:
     return np.linalg.inv(conic[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
 
 
-def whole(
-    radius: np.ndarray, wanted: np.ndarray, covariance: np.ndarray, reach: float
-) -> None:
+def whole(radius: np.ndarray, wanted: np.ndarray, covariance: np.ndarray, reach: float) -> None:
     """Radii are the same, or one apart where what is rounded up is nearly whole."""
     middle = np.trace(covariance, axis1=1, axis2=2) / 2
     apart = np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
@@ -129,10 +114,7 @@ def test_project_weighs(renderer: Renderer, name: str) -> None:
 def test_project_cells(renderer: Renderer, name: str) -> None:
     made = run(renderer, name, "project weighted", "project cells")
     wanted, count = cells(made), len(made.one.data.cells)
-    keys, circles = (
-        made.words("keys of cells a", count),
-        made.floats("circles of cells", count),
-    )
+    keys, circles = (made.words("keys of cells a", count), made.floats("circles of cells", count))
     drawn = keys != ABSENT
     assert drawn.sum() > 10
     assert not (drawn & ~wanted.drawn).any()

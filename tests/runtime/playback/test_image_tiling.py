@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.playback.image_tiling import (
-    lay_tiles,
-    post_process,
-    run_tiled,
-    tile_weights,
-)
+from gsgen.runtime.playback.image_tiling import lay_tiles, post_process, run_tiled, tile_weights
 
 SIZES = [((40, 60), (16, 24), 4), ((16, 16), (16, 16), 7), ((17, 100), (16, 16), 0),
          ((33, 31), (9, 13), 4), ((100, 7), (5, 7), 1), ((12, 12), (1, 1), 0)]  # fmt: skip
@@ -89,9 +84,7 @@ def test_a_step_between_tiles_becomes_a_ramp() -> None:
 
 
 def test_nan_in_one_tile_is_not_hidden() -> None:
-    made = run_tiled(
-        np.full((1, 1, 4, 4), np.nan, np.float32), lambda part: part, (4, 4), 0
-    )
+    made = run_tiled(np.full((1, 1, 4, 4), np.nan, np.float32), lambda part: part, (4, 4), 0)
     assert np.isnan(made).all()
 
 

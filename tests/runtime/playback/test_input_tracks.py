@@ -111,9 +111,7 @@ def test_what_nobody_feeds_goes_on_by_itself() -> None:
 
 
 def test_a_time_for_all_frames_stops_what_goes_on() -> None:
-    score = Timeline(
-        [AnimatedInputs(time=(1,)), AnimatedInputs(amount=(1,))], [], time=0.75
-    )
+    score = Timeline([AnimatedInputs(time=(1,)), AnimatedInputs(amount=(1,))], [], time=0.75)
     assert not score.is_animated
     assert fed(score, "time", 3) == [0.75] * 3
     assert score.values(1, 3)[1] == {}
@@ -127,11 +125,7 @@ def test_tracks_go_before_what_goes_on_and_before_the_time() -> None:
         [0.1],
         [0.2],
     ]
-    assert fed(Timeline([AnimatedInputs(time=(1,))], [track]), "time", 3) == [
-        [0.1],
-        [0.2],
-        [0.1],
-    ]
+    assert fed(Timeline([AnimatedInputs(time=(1,))], [track]), "time", 3) == [[0.1], [0.2], [0.1]]
 
 
 def test_a_role_reaches_every_input_that_has_it_and_a_name_its_own() -> None:

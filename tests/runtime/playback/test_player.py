@@ -35,14 +35,7 @@ def renderer() -> Renderer:
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("models")
-    for name in (
-        "drift",
-        "growing",
-        "appearance_id",
-        "fade_column",
-        "ignored_time",
-        "avatar",
-    ):
+    for name in ("drift", "growing", "appearance_id", "fade_column", "ignored_time", "avatar"):
         find(name).write(folder)
     fading = drifting().reworded("color = Identity (colors)", "color = Add (colors, time)")
     fading.write(folder / "all_changing.onnx")
@@ -109,10 +102,7 @@ def test_one_by_one_nothing_overlaps(
     for owner, name in ((FrameSession, "run"), (Plan, "submit"), (Plan, "collect")):
 
         def watched(
-            *args: object,
-            plain: object = getattr(owner, name),
-            name: str = name,
-            **rest: object,
+            *args: object, plain: object = getattr(owner, name), name: str = name, **rest: object
         ) -> object:
             events.append(name)
             return plain(*args, **rest)
@@ -146,9 +136,7 @@ class Uploads:
 
     def forbid(self, raw: object, monkeypatch: pytest.MonkeyPatch) -> None:
         for name in ("create_buffer", "create_bind_group", "create_compute_pipeline"):
-            monkeypatch.setattr(
-                type(raw), name, lambda *_, label="", **__: self.made.append(label)
-            )
+            monkeypatch.setattr(type(raw), name, lambda *_, label="", **__: self.made.append(label))
 
 
 ROW, COLOR = 40, 16  # bytes of a Gaussian; three colours are filled up to a word
@@ -204,9 +192,7 @@ def test_a_count_that_changes_alone_uploads_nothing(
     with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
         everything = player.render(CAMERA, time=1.0)
         seen = Uploads(monkeypatch)
-        fewer = [
-            frame.visible for frame in player.play(CAMERA, times=(0.5, 0.9, 0.65, 1.0))
-        ]
+        fewer = [frame.visible for frame in player.play(CAMERA, times=(0.5, 0.9, 0.65, 1.0))]
         again = player.render(CAMERA, time=1.0)
     assert fewer == [2, 4, 3, 5]
     assert seen.runs == 4
@@ -280,16 +266,12 @@ def test_cameras_and_values_end_with_the_shortest(drift: GeneratorPlayer) -> Non
 def test_what_is_no_generator_is_refused(tmp_path: Path, renderer: Renderer) -> None:
     path = find("post_process").write(tmp_path)
     before = threading.active_count()
-    with pytest.raises(
-        SceneInvalid, match="is a post-process, expected a gaussian-generator"
-    ):
+    with pytest.raises(SceneInvalid, match="is a post-process, expected a gaussian-generator"):
         GeneratorPlayer(path, provider="cpu", renderer=renderer)
     assert threading.active_count() == before
 
 
-def test_closing_twice_does_no_harm_and_ends_the_thread(
-    models: Path, renderer: Renderer
-) -> None:
+def test_closing_twice_does_no_harm_and_ends_the_thread(models: Path, renderer: Renderer) -> None:
     before = threading.active_count()
     player = GeneratorPlayer(models / "drift.onnx", provider="cpu", renderer=renderer)
     assert threading.active_count() == before + 1

@@ -19,16 +19,10 @@ POSE = np.random.default_rng(0).uniform(-0.4, 0.4, (5, 24, 3))
 class Body(Source):
     """Enough of a source: the inputs of an avatar."""
 
-    def __init__(
-        self, joints: int = 24, turn: tuple[int, ...] = (3, 3), **rest: str
-    ) -> None:
+    def __init__(self, joints: int = 24, turn: tuple[int, ...] = (3, 3), **rest: str) -> None:
         self.shapes = {"pose": (joints, 3), "turn": turn, "shift": (3,), "face": (10,)}
         self.inputs = (
-            Input(
-                name="pose",
-                role="pose",
-                convention=rest.get("convention", "smpl-axis-angle"),
-            ),
+            Input(name="pose", role="pose", convention=rest.get("convention", "smpl-axis-angle")),
             Input(name="turn", role="root_rotation"),
             Input(name="shift", role="root_translation"),
             Input(name="face", role="expression"),
@@ -72,9 +66,7 @@ def plain(path: Path) -> Path:
         lambda folder: plain(folder / "a.npy"),
         lambda folder: nested(folder / "a.json"),
         lambda folder: write(folder / "a.npz", anything=POSE),
-        lambda folder: write(
-            folder / "a.npz", poses=POSE.reshape(5, 72), betas=np.zeros(10)
-        ),
+        lambda folder: write(folder / "a.npz", poses=POSE.reshape(5, 72), betas=np.zeros(10)),
     ],
 )
 def test_every_kind_of_file_gives_the_same_poses(
@@ -111,9 +103,7 @@ def test_what_else_a_file_tells_of_the_body(tmp_path: Path) -> None:
     as_vectors = read(path, Body(turn=(3,)))["turn"]
     np.testing.assert_allclose(as_vectors, turns.as_rotvec(), atol=1e-12)
     path = write(tmp_path / "b.npz", poses=POSE, trans=shift, Rh=turns.as_rotvec())
-    np.testing.assert_allclose(
-        read(path)["turn"].reshape(5, 3, 3), turns.as_matrix(), atol=1e-12
-    )
+    np.testing.assert_allclose(read(path)["turn"].reshape(5, 3, 3), turns.as_matrix(), atol=1e-12)
 
 
 def test_frames_a_second(tmp_path: Path) -> None:
@@ -145,9 +135,7 @@ def test_lhm(tmp_path: Path) -> None:
     sizes = {"root_pose": 3, "body_pose": 63, "jaw_pose": 3, "leye_pose": 3, "reye_pose": 3,
              "lhand_pose": 45, "rhand_pose": 45}  # fmt: skip
     rng = np.random.default_rng(0)
-    frames = [
-        {name: rng.normal(size=n).tolist() for name, n in sizes.items()} for _ in "ab"
-    ]
+    frames = [{name: rng.normal(size=n).tolist() for name, n in sizes.items()} for _ in "ab"]
     for number, frame in enumerate(frames):
         frame |= {"trans": [number, 2.5, 3], "expr": rng.normal(size=10).tolist()}
         (tmp_path / f"{number}.json").write_text(json.dumps(frame))
@@ -163,9 +151,7 @@ def test_lhm(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found["face"], [frame["expr"] for frame in frames])
     frames[0]["body_pose"] = [0.0]
     together.write_text(json.dumps(frames))
-    with pytest.raises(
-        ConfigInvalid, match="frame 0, body_pose: has 1 numbers, expected 63"
-    ):
+    with pytest.raises(ConfigInvalid, match="frame 0, body_pose: has 1 numbers, expected 63"):
         read(together, Body(55))
 
 
@@ -180,10 +166,7 @@ def test_lhm(tmp_path: Path) -> None:
         ("[[1, 2], [3]]", "cannot be read"),
         ("[[NaN, 0, 0]]", "has 1 non-finite values"),
         ("{}", "has no array `poses` or `pose`, but nothing"),
-        (
-            '{"shape": [1], "scale": [2]}',
-            "has no array `poses` or `pose`, but shape, scale",
-        ),
+        ('{"shape": [1], "scale": [2]}', "has no array `poses` or `pose`, but shape, scale"),
         (
             '{"pose": [[1, 2, 3]], "trans": [1, 2]}',
             r"trans: has shape \[2\], expected \[1, 3\]: 3 numbers",
@@ -198,9 +181,7 @@ def test_files_that_hold_no_poses_say_so(tmp_path: Path, content: str, said: str
 
 
 def test_an_empty_folder_says_so(tmp_path: Path) -> None:
-    with pytest.raises(
-        ConfigInvalid, match=r"is a folder without \.npy, \.npz or \.json files"
-    ):
+    with pytest.raises(ConfigInvalid, match=r"is a folder without \.npy, \.npz or \.json files"):
         read(tmp_path)
 
 

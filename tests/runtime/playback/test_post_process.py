@@ -23,9 +23,7 @@ from gsgen.sdk.binding import InputInvalid
 HEIGHT, WIDTH = 21, 30  # no multiple of the example's 8 × 12
 
 
-def frame(
-    seed: int = 0, *, space: str = "srgb", size: tuple[int, int] = (HEIGHT, WIDTH)
-) -> Frame:
+def frame(seed: int = 0, *, space: str = "srgb", size: tuple[int, int] = (HEIGHT, WIDTH)) -> Frame:
     """Colours beyond 1 and below 0, and pixels that nothing covers."""
     rng = np.random.default_rng(seed)
     alpha = np.clip(rng.uniform(-0.3, 1.3, size), 0, 1).astype(np.float32)
@@ -51,9 +49,7 @@ def straight(shown: Frame) -> np.ndarray:
     if shown.color_space == "srgb":
         return color
     low = color <= 0.0031308
-    return np.where(
-        low, 12.92 * color, 1.055 * np.maximum(color, 1e-9) ** (1 / 2.4) - 0.055
-    )
+    return np.where(low, 12.92 * color, 1.055 * np.maximum(color, 1e-9) ** (1 / 2.4) - 0.055)
 
 
 def write(folder: Path, sketch: ModelSpec, name: str = "model") -> Path:
@@ -62,20 +58,14 @@ def write(folder: Path, sketch: ModelSpec, name: str = "model") -> Path:
     return path
 
 
-def declared(
-    sketch: ModelSpec, *, taken: tuple, given: tuple, space: str = "srgb"
-) -> ModelSpec:
+def declared(sketch: ModelSpec, *, taken: tuple, given: tuple, space: str = "srgb") -> ModelSpec:
     outputs = PostProcessOutputs(ImageOutput("out", range=given, color_space=space))
-    return replace(
-        sketch, manifest=replace(sketch.manifest, image_range=taken, outputs=outputs)
-    )
+    return replace(sketch, manifest=replace(sketch.manifest, image_range=taken, outputs=outputs))
 
 
 @pytest.mark.parametrize("size", ["8,12", "height,width", "8,width", "40,50"])
 @pytest.mark.parametrize("space", ["srgb", "linear"])
-def test_colours_go_in_straight_and_come_out_covered(
-    tmp_path: Path, size: str, space: str
-) -> None:
+def test_colours_go_in_straight_and_come_out_covered(tmp_path: Path, size: str, space: str) -> None:
     shown = frame(space=space)
     with PostProcessor(write(tmp_path, darken(size))) as model:
         made = model(shown)
@@ -141,10 +131,7 @@ def test_an_open_model_takes_images_of_other_sizes(tmp_path: Path) -> None:
             "none = Sub (image, image) out = Div (none, none)",
             "returned 1890 non-finite values of 1890",
         ),
-        (
-            "out = ReduceMean <axes = [1], keepdims = 1> (image)",
-            r"returned \[1, 1, 21, 30\] for",
-        ),
+        ("out = ReduceMean <axes = [1], keepdims = 1> (image)", r"returned \[1, 1, 21, 30\] for"),
     ],
 )
 def test_results_that_are_no_image_say_so(tmp_path: Path, body: str, said: str) -> None:
@@ -158,9 +145,7 @@ def test_results_that_are_no_image_say_so(tmp_path: Path, body: str, said: str) 
 
 
 def test_what_is_no_post_process_model_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        SceneInvalid, match=r"expected a post-process model\n.*give it as a scene"
-    ):
+    with pytest.raises(SceneInvalid, match=r"expected a post-process model\n.*give it as a scene"):
         PostProcessor(find("drift").write(tmp_path))
     bare = replace(darken(), manifest=None)
     with pytest.raises(SceneInvalid, match="has no manifest"):
@@ -185,6 +170,4 @@ def test_a_player_runs_them_in_order(tmp_path: Path) -> None:
     np.testing.assert_allclose(shown(*paths), np.full_like(plain, 0.5), atol=1e-6)
     np.testing.assert_allclose(shown(*paths[::-1]), 0.5 * np.maximum(plain, 0.5), atol=1e-6)
     with pytest.raises(ConfigInvalid, match="works on colours, but the output is depth"):
-        GeneratorPlayer(
-            scene, post=paths, provider="cpu", renderer=renderer, outputs=("depth",)
-        )
+        GeneratorPlayer(scene, post=paths, provider="cpu", renderer=renderer, outputs=("depth",))

@@ -48,8 +48,7 @@ def exact_depths(one: SplatSet, seen_by: Camera) -> tuple[np.ndarray, np.ndarray
     for row in np.nan_to_num(one.data.rows[:, :3]).tolist():
         there = [
             sum(
-                (a * Fraction(x) for a, x in zip(line, row, strict=True)),
-                Fraction(p) - Fraction(e),
+                (a * Fraction(x) for a, x in zip(line, row, strict=True)), Fraction(p) - Fraction(e)
             )
             for line, p, e in zip(linear, place, eye, strict=True)
         ]
@@ -92,9 +91,7 @@ def assert_two_floats(renderer: Renderer, one: SplatSet, seen_by: Camera) -> Non
 
 @pytest.mark.parametrize("size", [1e-22, 1e36])
 @pytest.mark.parametrize("kind", ["pinhole", "panorama"])
-def test_depths_may_be_enormous_or_vanishing(
-    renderer: Renderer, size: float, kind: str
-) -> None:
+def test_depths_may_be_enormous_or_vanishing(renderer: Renderer, size: float, kind: str) -> None:
     place, data = turned(0.5, (3, 1, 2)), plane(100)
     data.rows[:, 4:] = 0
     data.rows[:, :3] = size * data.rows[:, :3]
@@ -154,9 +151,7 @@ def test_ties_are_put_in_order(device: Device, walk: int, arranged: bool) -> Non
     keys = np.repeat(np.arange(len(lengths), dtype=np.uint32) * 3, lengths)
     n = len(keys)
     lows, order = rng.integers(0, 7, n, np.uint32), rng.permutation(n).astype(np.uint32)
-    origins = (
-        rng.permutation(n).astype(np.uint32) if arranged else np.arange(n, dtype=np.uint32)
-    )
+    origins = rng.permutation(n).astype(np.uint32) if arranged else np.arange(n, dtype=np.uint32)
     flags, made = ordered(device, walk, keys, lows, order, *([origins] if arranged else []))
     assert flags == (False, False)
     np.testing.assert_array_equal(made, order_ties_reference(keys, lows, origins, order))
@@ -178,9 +173,7 @@ def test_ties_among_millions_are_put_in_order(device: Device) -> None:
 
 @pytest.mark.parametrize("place", [0, 1, MOST_TIED - 1, MOST_TIED, 2 * MOST_TIED, 299])
 @pytest.mark.parametrize("walk", [4, 64])
-def test_long_ties_out_of_order_are_announced(
-    device: Device, walk: int, place: int
-) -> None:
+def test_long_ties_out_of_order_are_announced(device: Device, walk: int, place: int) -> None:
     """Wherever in the tie two are the wrong way around; one that is in order is no trouble."""
     before, n = 37, 301
     keys = np.append(np.arange(before), np.full(n, 50)).astype(np.uint32)
@@ -191,9 +184,9 @@ def test_long_ties_out_of_order_are_announced(
         assert flags == (False, False)
         np.testing.assert_array_equal(made, order)
     swapped = order.copy()
-    swapped[before + place : before + place + 2] = swapped[
-        before + place : before + place + 2
-    ][::-1]
+    swapped[before + place : before + place + 2] = swapped[before + place : before + place + 2][
+        ::-1
+    ]
     assert ordered(device, walk, keys, swapped, order)[0] == (True, False)
     assert ordered(device, walk, keys, swapped, order, origins)[0] == (True, False)
     flags, made = ordered(device, walk, keys, same, order, swapped)
@@ -261,9 +254,7 @@ def confused(scene: Scene, seen_by: Camera) -> bool:
 
 
 @pytest.mark.parametrize("name", NEAR_TIES)
-def test_near_ties_are_as_in_float64(
-    renderer: Renderer, quads: Renderer, name: str
-) -> None:
+def test_near_ties_are_as_in_float64(renderer: Renderer, quads: Renderer, name: str) -> None:
     scene, seen_by = NEAR_TIES[name]()
     assert confused(scene, seen_by)
     wanted = oracle.render(scene, seen_by)
@@ -331,9 +322,7 @@ def test_models_apart_are_as_one(renderer: Renderer, name: str) -> None:
     scene, seen_by = NEAR_TIES[name]()
     one = scene.sets[0]
     parts = [
-        SplatSet(
-            SplatData(one.data.rows[part], one.data.appearance[part], "rgb"), one.transform
-        )
+        SplatSet(SplatData(one.data.rows[part], one.data.appearance[part], "rgb"), one.transform)
         for part in (slice(0, 110), slice(110, None))
     ]
     apart = renderer.render(Scene(parts), seen_by, outputs=ALL)

@@ -57,9 +57,7 @@ def test_more_splats_than_a_dispatch_has_is_an_error(
     scene = Scene([cloud(5000, size=0.01)])
     renderer.render(scene, camera())
     monkeypatch.setattr(plans, "MOST_GROUPS", 1 if renderer.device.software else 16)
-    with pytest.raises(
-        CapacityExceeded, match=r"scene: has 4,\d+ splats .* takes 4,096 at"
-    ):
+    with pytest.raises(CapacityExceeded, match=r"scene: has 4,\d+ splats .* takes 4,096 at"):
         renderer.render(scene, camera())
 
 
@@ -101,9 +99,7 @@ def test_what_no_device_has_is_an_error_before_it_is_asked(device: Device) -> No
 
 @pytest.mark.parametrize("compact", [False, True])
 @pytest.mark.parametrize("half", [False, True])
-def test_what_gaussians_take_is_known_before(
-    device: Device, half: bool, compact: bool
-) -> None:
+def test_what_gaussians_take_is_known_before(device: Device, half: bool, compact: bool) -> None:
     rng = np.random.default_rng(0)
     dtype = np.float16 if half else np.float32
     colors = rng.uniform(size=(64, 27)).astype(dtype)
@@ -181,9 +177,7 @@ def test_no_adapter_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.parametrize(
     "background", [(0, 0, 0), (0, 0, 0, 2), (np.nan, 0, 0, 1), (0, 0, 0, -0.1)]
 )
-def test_a_background_that_is_none(
-    renderer: Renderer, background: tuple[float, ...]
-) -> None:
+def test_a_background_that_is_none(renderer: Renderer, background: tuple[float, ...]) -> None:
     with pytest.raises(SceneInvalid, match=r"background: is .* alpha from 0 to 1"):
         renderer.render(Scene([single()]), camera(), background=background)
 

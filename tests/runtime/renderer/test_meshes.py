@@ -76,14 +76,7 @@ def quads(device: Device) -> Renderer:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "through_the_middle",
-        "several",
-        "flat_camera",
-        "alone",
-        "panorama_seam",
-        "panorama_poles",
-    ],
+    ["through_the_middle", "several", "flat_camera", "alone", "panorama_seam", "panorama_poles"],
 )
 def test_quads_are_hidden_by_meshes_too(quads: Renderer, name: str) -> None:
     scene, seen_by = MESH_SCENES[name]()
@@ -99,12 +92,8 @@ def test_quads_are_hidden_by_meshes_too(quads: Renderer, name: str) -> None:
 def test_a_splat_is_hidden_by_what_is_in_front_of_it_alone(renderer: Renderer) -> None:
     splat = single(depth=3.0, opacity=0.9)
     bare = renderer.render(Scene([splat]), camera())
-    behind = renderer.render(
-        Scene([splat], meshes=[wall(3.01)]), camera(), outputs=EVERYTHING
-    )
-    before = renderer.render(
-        Scene([splat], meshes=[wall(2.99)]), camera(), outputs=EVERYTHING
-    )
+    behind = renderer.render(Scene([splat], meshes=[wall(3.01)]), camera(), outputs=EVERYTHING)
+    before = renderer.render(Scene([splat], meshes=[wall(2.99)]), camera(), outputs=EVERYTHING)
     middle = (23, 30)
     red = 0.9 * bare.alpha[middle]
     assert behind.rgba[middle][0] == pytest.approx(
@@ -143,23 +132,14 @@ def test_many_triangles_are_as_two(renderer: Renderer) -> None:
     coarse = MeshData(points[ends], np.array([[0, 1, 2], [0, 2, 3]]), colors[ends])
     splats = cloud(100, 12)
     compare(Scene([splats], meshes=[coarse]), camera(), renderer)
-    many, two = (
-        renderer.render(Scene([splats], meshes=[one]), camera()) for one in (fine, coarse)
-    )
+    many, two = (renderer.render(Scene([splats], meshes=[one]), camera()) for one in (fine, coarse))
     edge = oracle.render(Scene([splats], meshes=[coarse]), camera()).fragile
     assert np.abs(many.rgba - two.rgba)[~edge].max() <= 1e-4
 
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "several",
-        "near_plane",
-        "textured",
-        "flat_camera",
-        "panorama_poles",
-        "panorama_textured",
-    ],
+    ["several", "near_plane", "textured", "flat_camera", "panorama_poles", "panorama_textured"],
 )
 def test_the_twin_sees_the_same(renderer: Renderer, name: str) -> None:
     scene, seen_by = MESH_SCENES[name]()
@@ -177,9 +157,7 @@ def test_the_twin_sees_the_same(renderer: Renderer, name: str) -> None:
     np.testing.assert_allclose(
         seen.rgba[there & ~edge][:, :3], best[there & ~edge][:, :3], atol=2e-5
     )
-    np.testing.assert_allclose(
-        seen.depth[there & ~edge], best[there & ~edge][:, 7], rtol=1e-4
-    )
+    np.testing.assert_allclose(seen.depth[there & ~edge], best[there & ~edge][:, 7], rtol=1e-4)
     normal = best[there & ~edge][:, 4:7] @ seen_by.view[:3, :3]
     np.testing.assert_allclose(seen.normal[there & ~edge], normal, atol=2e-3)
 
@@ -197,25 +175,18 @@ def test_two_layers_are_the_twins(device: Device, variant: str) -> None:
     plan = renderer.plan(placed, seen_by, frozenset(["color"]))
     rng = np.random.default_rng(16)
     shown = rng.uniform(size=(2, 47, 61, 4)).astype(np.float32)
-    depths = np.stack(
-        [np.linspace(2.5, 6, 61 * 47).reshape(47, 61), np.full((47, 61), 6.5)]
-    )
+    depths = np.stack([np.linspace(2.5, 6, 61 * 47).reshape(47, 61), np.full((47, 61), 6.5)])
     depths[:, :9] = np.inf
     depths[1, :, 40:] = NOWHERE
     shown[1, ..., 3] = 1
     shown[depths >= NOWHERE] = 0
     depths = depths.astype(np.float32)
-    buffers = [
-        other.storage("layers", shown.nbytes),
-        other.storage("depths", depths.nbytes),
-    ]
+    buffers = [other.storage("layers", shown.nbytes), other.storage("depths", depths.nbytes)]
     for buffer, values in zip(buffers, (shown, depths), strict=True):
         other.write(buffer, values)
     kernel = BlendTiles(other, pick=False, layers=2).kernel
     (own,) = plan.stages["blend"][0].binds
-    step = Step(
-        kernel, (own, kernel.bind(*buffers, group=1)), plan.stages["blend"][0].groups
-    )
+    step = Step(kernel, (own, kernel.bind(*buffers, group=1)), plan.stages["blend"][0].groups)
     encoder = other.raw.create_command_encoder()
     run(encoder, [step], "layers")
     other.raw.queue.submit([encoder.finish()])
@@ -225,9 +196,7 @@ def test_two_layers_are_the_twins(device: Device, variant: str) -> None:
     splats = project_reference(scene.sets[0].data, frame, page)
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
     order = order[splats.drawn[order]]
-    splats = Projected(
-        **{field: getattr(splats, field)[order] for field in Projected.__slots__}
-    )
+    splats = Projected(**{field: getattr(splats, field)[order] for field in Projected.__slots__})
     wanted = blend_reference(
         splats, frame["origin"], (61, 47), list(zip(shown, depths, strict=True))
     )
@@ -281,9 +250,7 @@ def test_vertices_may_move(renderer: Renderer) -> None:
     fresh = MeshData(other.vertices, shape.faces, shape.colors)
     wanted = renderer.render(Scene([scene.sets[0]], meshes=[fresh]), camera())
     assert np.array_equal(after.rgba, wanted.rgba)
-    with pytest.raises(
-        SceneInvalid, match=r"vertices: float32 \[3, 3\], expected .* \[4, 3\]"
-    ):
+    with pytest.raises(SceneInvalid, match=r"vertices: float32 \[3, 3\], expected .* \[4, 3\]"):
         shape.update(other.vertices[:3])
 
 
@@ -309,9 +276,7 @@ def test_nothing_shows_through_a_panorama_s_joints(renderer: Renderer) -> None:
                 assert (frame.alpha == 1).all(), (len(shape), place, width)
 
 
-def test_a_panorama_s_mesh_is_where_a_splat_of_the_same_place_is(
-    renderer: Renderer,
-) -> None:
+def test_a_panorama_s_mesh_is_where_a_splat_of_the_same_place_is(renderer: Renderer) -> None:
     """In all directions, a small triangle around a direction hides the splat just behind it."""
     rng = np.random.default_rng(30)
     for toward in [*rng.normal(size=(6, 3)), (0, 0, -1), (0, 1, 0), (0, -1, 0)]:
@@ -345,10 +310,7 @@ def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
     rng = np.random.default_rng(0)
     upright = rng.normal(size=(40, 1, 3))
     upright /= np.linalg.norm(upright, axis=-1, keepdims=True)
-    pixel, depth = (
-        rng.uniform(0, (160, 120), (40, 3, 2)),
-        np.exp(rng.uniform(0, 3, (40, 3))),
-    )
+    pixel, depth = (rng.uniform(0, (160, 120), (40, 3, 2)), np.exp(rng.uniform(0, 3, (40, 3))))
     seen_by = Camera(np.eye(4), fx=100.0, fy=100.0, cx=80.0, cy=60.0, width=160, height=120)
     points = np.concatenate([(pixel - (80, 60)) / 100, np.ones((40, 3, 1))], -1)
     points *= depth[..., None]
@@ -388,9 +350,7 @@ def test_triangles_from_before_the_nose_to_the_horizon(renderer: Renderer) -> No
 
 
 @pytest.mark.parametrize("around", [False, True])
-def test_a_floor_to_the_horizon_is_as_far_as_it_should_be(
-    renderer: Renderer, around: bool
-) -> None:
+def test_a_floor_to_the_horizon_is_as_far_as_it_should_be(renderer: Renderer, around: bool) -> None:
     """Corners are kilometres away; the floor under the eye is not."""
     floor = quad([[-9e3, 1, -9e3], [9e3, 1, -8e3], [9e3, 1, 9e3], [-8e3, 1, 9e3]])
     seen_by = camera().all_around(64, 32) if around else camera(fx=20.0, fy=20.0)
@@ -447,20 +407,14 @@ def _with_nan() -> np.ndarray:
     ("make", "match"),
     [
         (lambda: MeshData(_with_nan(), FACE), r"vertices: 1 of 3 rows .* row 1 is .*nan"),
-        (
-            lambda: MeshData(np.full((3, 3), np.inf), FACE),
-            "vertices: 3 of 3 rows are not finite",
-        ),
+        (lambda: MeshData(np.full((3, 3), np.inf), FACE), "vertices: 3 of 3 rows are not finite"),
         (lambda: MeshData(POINTS[:, :2], FACE), r"vertices: float32 \[3, 2\], expected"),
         (lambda: MeshData(POINTS, FACE + 1), r"row 0 is \[1, 2, 3\], but there are 3 vert"),
         (lambda: MeshData(POINTS, FACE - 1), r"row 0 is \[-1, 0, 1\]"),
         (lambda: MeshData(POINTS, FACE / 1), r"faces: float64 \[1, 3\], expected integers"),
         (lambda: MeshData(POINTS, FACE, POINTS[:2]), r"colors: float32 \[2, 3\]"),
         (lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2]), "texture: is absent"),
-        (
-            lambda: MeshData(POINTS, FACE, texture=np.zeros((1, 1, 3), np.uint8)),
-            "uv: is absent",
-        ),
+        (lambda: MeshData(POINTS, FACE, texture=np.zeros((1, 1, 3), np.uint8)), "uv: is absent"),
         (
             lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2], texture=np.zeros((1, 1, 3))),
             r"texture: float64 \[1, 1, 3\], expected uint8",

@@ -14,9 +14,7 @@ from support.rendering.splat_scenes import SCENES, camera, cloud, single, turned
 EVERYTHING = ("color", "depth", "normal")
 
 
-@pytest.mark.parametrize(
-    "name", ["many", "placed", "flat_cameras", "not_finite", "panorama"]
-)
+@pytest.mark.parametrize("name", ["many", "placed", "flat_cameras", "not_finite", "panorama"])
 def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()
     seen = renderer.render(scene, camera, outputs=EVERYTHING)
@@ -40,9 +38,7 @@ def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
 
 
 def test_where_nothing_is(renderer: Renderer) -> None:
-    frame = renderer.render(
-        Scene([]), camera(), outputs=EVERYTHING, background=(1, 1, 1, 1)
-    )
+    frame = renderer.render(Scene([]), camera(), outputs=EVERYTHING, background=(1, 1, 1, 1))
     assert np.array_equal(frame.rgba, np.ones((47, 61, 4)))
     assert not frame.alpha.any()
     assert np.isposinf(frame.depth).all()

@@ -9,11 +9,7 @@ from scipy.ndimage import map_coordinates
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.geometry import symmetric
 from gsgen.runtime.errors import SceneInvalid
-from gsgen.runtime.kernels.project.project import (
-    frame_uniform,
-    page_uniform,
-    project_reference,
-)
+from gsgen.runtime.kernels.project.project import frame_uniform, page_uniform, project_reference
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.playback.camera_options import viewpoint
 from gsgen.runtime.renderer.renderer import Renderer
@@ -61,18 +57,14 @@ def test_directions_are_where_they_should_be(
     seen = center_of(renderer.render(Scene([ball(direction)]), camera).alpha)
     away = abs(seen[0] - x)
     assert min(away, WIDTH - away) < 0.05
-    assert seen[1] == pytest.approx(
-        y, abs=0.15
-    )  # away from the equator, shapes are not symmetric
+    assert seen[1] == pytest.approx(y, abs=0.15)  # away from the equator, shapes are not symmetric
 
 
 def test_a_camera_is_placed_and_level() -> None:
     camera = Camera.panorama((1, 2, 3), (1, 1, 5), up=(0, 0, 1), width=40)
     np.testing.assert_allclose(camera.eye, [1, 2, 3])
     np.testing.assert_allclose(camera.view[1, :3], [0, 0, -1], atol=1e-12)  # down
-    np.testing.assert_allclose(
-        camera.view[2, :3], np.array([1, 1, 0]) / np.sqrt(2), atol=1e-12
-    )
+    np.testing.assert_allclose(camera.view[2, :3], np.array([1, 1, 0]) / np.sqrt(2), atol=1e-12)
     assert (camera.width, camera.height) == (40, 20)
     part = Camera.panorama((0, 0, 0), longitudes=(-30, 60), latitudes=(-10, 20), width=90)
     assert (part.height, part.cx, part.cy) == (30, pytest.approx(30), pytest.approx(20))
@@ -89,10 +81,7 @@ def test_a_camera_is_placed_and_level() -> None:
         ({"latitudes": (10, 10)}, "latitudes: are 10 to 10"),
         ({"latitudes": (-80, 100)}, r"camera\.cy: .*latitudes from -80 to 100 degrees"),
         ({"toward": (0, 3, 0)}, "no direction on the horizon"),
-        (
-            {"toward": (0, 0, 0)},
-            r"camera\.toward: is \[0, 0, 0\], which is not a direction",
-        ),
+        ({"toward": (0, 0, 0)}, r"camera\.toward: is \[0, 0, 0\], which is not a direction"),
         ({"width": 0}, r"camera\.width: is 0"),
         ({"height": 0}, r"camera\.height: is 0"),
         ({"near": 0}, r"camera\.near: is 0"),
@@ -105,9 +94,7 @@ def test_panoramas_that_are_none_say_why(change: dict[str, object], words: str) 
 
 def test_more_than_a_turn_is_refused() -> None:
     whole = Camera.panorama((0, 0, 0), width=100)
-    with pytest.raises(
-        SceneInvalid, match=r"camera\.fx: .* a turn, but the image is 100 wide"
-    ):
+    with pytest.raises(SceneInvalid, match=r"camera\.fx: .* a turn, but the image is 100 wide"):
         Camera(
             whole.view,
             fx=10,
@@ -128,9 +115,7 @@ def test_covariances_are_those_of_the_projection_s_derivative(renderer: Renderer
     data = cloud(200, 12, size=0.2)
     toward = rng.normal(size=(200, 3)) * (1, rng.choice([1, 5, 30]), 1)
     data.rows[:, :3] = toward * rng.uniform(0.5, 3, (200, 1))
-    camera = Camera.panorama(
-        (0.1, 0.2, 0.3), (1, 0, 2), up=(0.2, -1, 0.3), width=400, height=180
-    )
+    camera = Camera.panorama((0.1, 0.2, 0.3), (1, 0, 2), up=(0.2, -1, 0.3), width=400, height=180)
     page = page_uniform(SplatSet(data), camera, 0, 200, 200)
     made = project_reference(data, frame_uniform(camera, np.zeros(3)), page)
     focal = np.array([camera.fx, camera.fy])
@@ -150,9 +135,7 @@ def test_covariances_are_those_of_the_projection_s_derivative(renderer: Renderer
         wanted = jacobian @ sigma[number] @ jacobian.T
         xx, xy, yy = made.conic[number]
         found = np.linalg.inv([[xx, xy], [xy, yy]]) - 0.3 * np.eye(2)
-        np.testing.assert_allclose(
-            found, wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max()
-        )
+        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
         checked += 1
     assert checked > 150
 
@@ -211,8 +194,7 @@ def looked_up(image: np.ndarray, rays: np.ndarray) -> np.ndarray:
     places = np.stack([down * height - 0.5, across * width - 0.5 + width])
     twice = np.concatenate([image, image, image], axis=1)
     return np.stack(
-        [map_coordinates(twice[..., c], places, order=1, mode="nearest") for c in range(4)],
-        -1,
+        [map_coordinates(twice[..., c], places, order=1, mode="nearest") for c in range(4)], -1
     )
 
 

@@ -90,9 +90,7 @@ def test_a_device_is_measured_once(
     assert [path.name for path in kept.parent.iterdir()] == [kept.name]
 
 
-def test_other_adapters_are_kept_beside_it(
-    gpu: Device, kernels: Kernels, kept: Path
-) -> None:
+def test_other_adapters_are_kept_beside_it(gpu: Device, kernels: Kernels, kept: Path) -> None:
     kept.parent.mkdir()
     kept.write_text('{"another": {"tiles": 1.0, "quads": 3.0}}')
     assert choose(gpu, kernels, Stopwatch(2.0, 1.0)) == "quads"
@@ -152,13 +150,7 @@ def test_the_probe_draws_both_ways(device: Device, kernels: Kernels, clock: bool
 def test_probed_scenes_are_crowded(device: Device) -> None:
     width, height = rasteriser_choice._SIZE
     camera = Camera(
-        np.eye(4),
-        fx=width,
-        fy=width,
-        cx=width / 2,
-        cy=height / 2,
-        width=width,
-        height=height,
+        np.eye(4), fx=width, fy=width, cx=width / 2, cy=height / 2, width=width, height=height
     )
     data = rasteriser_choice._crowd(rasteriser_choice._GAUSSIANS, height / width)
     own = Renderer(device, rasteriser="tiles")  # it keeps the room that it has made

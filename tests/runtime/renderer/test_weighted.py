@@ -90,14 +90,8 @@ def test_the_goldens_need_cells_and_their_tiles() -> None:
 
 def test_the_order_within_cells_does_not_count(renderer: Renderer) -> None:
     data = celled(120, 7, 3, size=0.5, share=0.7)
-    order = (
-        np.random.default_rng(0)
-        .permuted(np.arange(840).reshape(120, 7), axis=1)
-        .reshape(-1)
-    )
-    other = SplatData(
-        data.rows[order], data.appearance[order], "rgb", cells=data.cells, per_cell=7
-    )
+    order = np.random.default_rng(0).permuted(np.arange(840).reshape(120, 7), axis=1).reshape(-1)
+    other = SplatData(data.rows[order], data.appearance[order], "rgb", cells=data.cells, per_cell=7)
     one, two = (
         renderer.render(Scene([summed(each)]), camera(), outputs=EVERYTHING)
         for each in (data, other)
@@ -130,16 +124,11 @@ def test_pages_do_not_show(device: Device) -> None:
         Renderer(device, rasteriser="tiles", page_rows=64),
     )
     whole._pairs = paged._pairs = 512
-    one, two = (
-        each.render(scene, seen_by, outputs=("color", "depth")) for each in (whole, paged)
-    )
+    one, two = (each.render(scene, seen_by, outputs=("color", "depth")) for each in (whole, paged))
     assert one.pairs > 512
     assert np.array_equal(one.rgba, two.rgba)
     assert np.array_equal(one.ids, two.ids)
-    assert {scene.locate(int(each))[0] for each in np.unique(one.ids[one.ids >= 0])} == {
-        0,
-        1,
-    }
+    assert {scene.locate(int(each))[0] for each in np.unique(one.ids[one.ids >= 0])} == {0, 1}
 
 
 def test_values_change_without_new_buffers(device: Device) -> None:
@@ -167,9 +156,7 @@ def test_a_depth_range_follows_the_size_of_its_set(renderer: Renderer) -> None:
 
 def test_the_same_data_is_sorted_or_summed(renderer: Renderer) -> None:
     data = celled(60, seed=43)
-    sums, blended = (
-        renderer.render(Scene([each]), camera()) for each in (summed(data), data)
-    )
+    sums, blended = (renderer.render(Scene([each]), camera()) for each in (summed(data), data))
     again = renderer.render(Scene([summed(data)]), camera())
     assert not np.allclose(sums.rgba, blended.rgba, atol=0.05)
     assert np.array_equal(sums.rgba, again.rgba)
@@ -221,6 +208,4 @@ def test_cells_that_do_not_fit() -> None:
     with pytest.raises(SceneInvalid, match="expected float32 as before"):
         data.update(cells=data.cells.astype(np.float16))
     with pytest.raises(SceneInvalid, match="expected none as before"):
-        SplatData(data.rows, data.appearance, "rgb").update(
-            cells=np.repeat(data.cells, 5, 0)
-        )
+        SplatData(data.rows, data.appearance, "rgb").update(cells=np.repeat(data.cells, 5, 0))

@@ -42,17 +42,13 @@ def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
 
 
 @pytest.mark.parametrize("variant", ["without subgroups", "as on a GPU"])
-def test_every_cut_of_the_kernels_sums(
-    device: Device, renderer: Renderer, variant: str
-) -> None:
+def test_every_cut_of_the_kernels_sums(device: Device, renderer: Renderer, variant: str) -> None:
     other = Device(device.raw)
     other.subgroups = False
     other.software = variant == "without subgroups"
     cut = Renderer(other, rasteriser="tiles")
     scene, seen_by = WEIGHTED["many_cells"]()
-    one, two = (
-        each.render(scene, seen_by, outputs=("color", "depth")) for each in (renderer, cut)
-    )
+    one, two = (each.render(scene, seen_by, outputs=("color", "depth")) for each in (renderer, cut))
     np.testing.assert_allclose(one.rgba, two.rgba, atol=1e-6)
     assert np.array_equal(one.ids, two.ids)
     if not other.software:  # the other takes long to compile with layers
@@ -77,9 +73,7 @@ def test_something_behind_the_camera_changes_nothing(renderer: Renderer) -> None
 def test_a_mesh_hides_all_that_is_summed_behind_it(renderer: Renderer) -> None:
     sums = summed(celled(80, seed=61, depth=(4, 8)))
     near = wall(2)
-    hidden, bare = (
-        renderer.render(Scene(sets, meshes=[near]), camera()) for sets in ([sums], [])
-    )
+    hidden, bare = (renderer.render(Scene(sets, meshes=[near]), camera()) for sets in ([sums], []))
     there = bare.alpha > 0
     assert there.any()
     assert np.array_equal(hidden.rgba[there], bare.rgba[there])

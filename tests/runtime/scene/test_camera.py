@@ -71,15 +71,7 @@ def test_a_flat_camera_shows_the_same_at_its_distance() -> None:
         Camera.from_dict(GOOD | {"kind": "fisheye"})
 
 
-GOOD = {
-    "view": np.eye(4).tolist(),
-    "fx": 10,
-    "fy": 10,
-    "cx": 5,
-    "cy": 5,
-    "width": 10,
-    "height": 10,
-}
+GOOD = {"view": np.eye(4).tolist(), "fx": 10, "fy": 10, "cx": 5, "cy": 5, "width": 10, "height": 10}
 
 
 @pytest.mark.parametrize(

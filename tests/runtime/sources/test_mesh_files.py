@@ -73,9 +73,7 @@ def test_colors_of_faces(tmp_path: Path) -> None:
     colors = np.random.default_rng(3).integers(0, 255, (80, 4), np.uint8)
     (mesh,) = read_mesh(written(tmp_path / "a.ply", painted(face_colors=colors)))
     np.testing.assert_allclose(
-        mesh.data.colors[mesh.data.faces],
-        np.repeat(colors[:, None, :3], 3, 1) / 255,
-        atol=1e-6,
+        mesh.data.colors[mesh.data.faces], np.repeat(colors[:, None, :3], 3, 1) / 255, atol=1e-6
     )
 
 
@@ -216,9 +214,7 @@ def test_mutants_end_in_an_error_or_a_mesh(tmp_path: Path) -> None:
     ):
         whole = written(tmp_path / f"a.{suffix}", made).read_bytes()
         for number in range(40):
-            mutant = bytearray(
-                whole[: rng.integers(len(whole))] if number % 4 == 0 else whole
-            )
+            mutant = bytearray(whole[: rng.integers(len(whole))] if number % 4 == 0 else whole)
             for _ in range(number % 4):
                 mutant[rng.integers(min(len(mutant), 3000))] = rng.integers(256)
             path = tmp_path / f"m.{suffix}"

@@ -188,10 +188,7 @@ def test_the_command_s_exit_codes(folder: Path, capsys: pytest.CaptureFixture[st
 A = {"path": "a.npz"}
 WRONG = {
     "empty": ({}, "has neither models nor meshes"),
-    "version": (
-        {"gsgen_scene": "2.0", "models": [A]},
-        r"gsgen_scene: is '2.0', expected 1.0",
-    ),
+    "version": ({"gsgen_scene": "2.0", "models": [A]}, r"gsgen_scene: is '2.0', expected 1.0"),
     "unknown": ({"models": [A], "mesh": []}, "unknown field 'mesh'\n.*'meshes'"),
     "nearest": (
         {"models": [A | {"opacty_scale": 1}]},
@@ -225,23 +222,14 @@ WRONG = {
         {"models": [A | {"rotate": {"axes": [0, 0, 1], "degrees": 2}}]},
         r"rotate: unknown field 'axes'\n.*'axis'",
     ),
-    "clip": (
-        {"models": [A | {"clip": {"low": [1, 1, 1], "high": [0, 0, 0]}}]},
-        "with low <= high",
-    ),
+    "clip": ({"models": [A | {"clip": {"low": [1, 1, 1], "high": [0, 0, 0]}}]}, "with low <= high"),
     "inputs": ({"models": [A | {"inputs": {"time": "now"}}]}, r"inputs\.time: is 'now'"),
     "shading": (
         {"meshes": [A | {"shading": "phong"}]},
         r"meshes\[0\]\.shading: unknown word 'phong'",
     ),
-    "background": (
-        {"models": [A], "background": "puce"},
-        "background: 'puce' is not a colour",
-    ),
-    "numbers": (
-        {"models": [A], "background": [1, 2, 3]},
-        "background: '1,2,3' is not a colour",
-    ),
+    "background": ({"models": [A], "background": "puce"}, "background: 'puce' is not a colour"),
+    "numbers": ({"models": [A], "background": [1, 2, 3]}, "background: '1,2,3' is not a colour"),
     "camera": ({"models": [A], "camera": {"fx": 1}}, r"camera: lacks view"),
     "width": ({"models": [A], "width": 0}, "width: is 0, expected a whole number from 1"),
     "fov": ({"models": [A], "fov": 180}, "fov: is 180 degrees, expected more than 0"),
@@ -278,11 +266,7 @@ def test_what_fails_when_it_is_opened_says_where(folder: Path) -> None:
     cases: list[tuple[object, type[GsgenError], str]] = [
         ("gone.ply", SceneUnreadable, r"models\[0\]\.path: \S+gone\.ply: cannot be read"),
         ("scene.json", SceneInvalid, r"models\[0\]\.path: is a scene file"),
-        (
-            A | {"inputs": {"tme": 1}},
-            UnknownName,
-            r"models\[0\]\.inputs: unknown input 'tme'",
-        ),
+        (A | {"inputs": {"tme": 1}}, UnknownName, r"models\[0\]\.inputs: unknown input 'tme'"),
         (
             {"path": "drift.onnx", "inputs": {"time": 7}},
             GsgenError,

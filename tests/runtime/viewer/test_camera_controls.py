@@ -75,9 +75,7 @@ def test_panning_keeps_what_is_grasped_under_the_hand() -> None:
     before = made.camera(*SIZE)
     made.pan(17, -9, *SIZE)
     after = made.camera(*SIZE)
-    np.testing.assert_allclose(
-        seen(after, CENTER) - seen(before, CENTER), [17, -9], atol=1e-9
-    )
+    np.testing.assert_allclose(seen(after, CENTER) - seen(before, CENTER), [17, -9], atol=1e-9)
 
 
 def test_no_drag_goes_over_the_pole_or_wears_the_rotation_out() -> None:

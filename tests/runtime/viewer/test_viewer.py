@@ -34,11 +34,7 @@ def expected(
     viewer = hand.viewer
     camera = viewer.controls.camera(*SIZE)
     frame = painter.renderer.render(
-        viewer.playback.scene(),
-        camera,
-        outputs=(MODES[mode],),
-        background=(0, 0, 0, 1),
-        **options,
+        viewer.playback.scene(), camera, outputs=(MODES[mode],), background=(0, 0, 0, 1), **options
     )
     made = picture_of(frame, mode, viewer.playback.depths(camera))
     made = made[..., :3] if made.ndim == 3 else np.repeat(made[..., None], 3, axis=-1)
@@ -56,9 +52,7 @@ def test_each_mode_is_that_of_render(
     assert len(np.unique(wanted)) > 20  # there is something to be compared
 
 
-def test_linear_colours_are_shown_as_srgb(
-    cloud: SplatData, painter: SurfaceRenderer
-) -> None:
+def test_linear_colours_are_shown_as_srgb(cloud: SplatData, painter: SurfaceRenderer) -> None:
     hand = Hand(LivePlayback(sources_of(Scene([cloud], "linear"))), painter)
     plain = Hand(LivePlayback(sources_of(cloud)), painter).bare()
     made = hand.bare()
@@ -115,8 +109,7 @@ def test_keys_fly_while_they_are_held(still: Hand) -> None:
 def test_double_click_looks_at_what_is_there(painter: SurfaceRenderer) -> None:
     row = np.array([[0.6, 0.3, 0.5, 0.95, 0.01, 0, 0, 0.01, 0, 0.01]], np.float32)
     hand = Hand(
-        LivePlayback(sources_of(SplatData(row, np.ones((1, 3), np.float32), "rgb"))),
-        painter,
+        LivePlayback(sources_of(SplatData(row, np.ones((1, 3), np.float32), "rgb"))), painter
     )
     bright = hand.bare()[..., :3].sum(axis=-1)
     y, x = np.unravel_index(bright.argmax(), bright.shape)
@@ -288,9 +281,7 @@ def test_another_size_is_another_picture(still: Hand, painter: SurfaceRenderer) 
     made = still.look()
     assert made.shape == (70, 90, 4)
     camera = still.viewer.controls.camera(90, 70)
-    frame = painter.renderer.render(
-        still.viewer.playback.scene(), camera, background=(0, 0, 0, 1)
-    )
+    frame = painter.renderer.render(still.viewer.playback.scene(), camera, background=(0, 0, 0, 1))
     assert np.abs(made - frame.srgb8.astype(int)).max() <= 1
 
 
@@ -389,9 +380,7 @@ def test_other_cameras_are_looked_through_too(
     along = camera.view[:3, :3] @ pivot
     if kind == "panorama":
         np.testing.assert_allclose(
-            pivot / np.linalg.norm(pivot),
-            (ahead - camera.eye) / np.linalg.norm(local),
-            atol=0.05,
+            pivot / np.linalg.norm(pivot), (ahead - camera.eye) / np.linalg.norm(local), atol=0.05
         )
     else:
         np.testing.assert_allclose(along[:2], local[:2], atol=0.05)

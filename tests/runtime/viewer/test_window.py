@@ -61,10 +61,7 @@ def test_view_shows_a_scene_on_any_canvas(cloud: SplatData) -> None:
 
 
 def test_files_that_are_dropped_on_a_window_are_opened(
-    cloud: SplatData,
-    painter: SurfaceRenderer,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
+    cloud: SplatData, painter: SurfaceRenderer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """glfw gives what is dropped to who asked for it; there is no screen here to drop on."""
     glfw = pytest.importorskip("glfw")
@@ -84,9 +81,7 @@ def test_files_that_are_dropped_on_a_window_are_opened(
     assert opened == [[tmp_path / "a.ply", tmp_path / "b.ply"]]
 
 
-def test_what_nobody_foresaw_ends_the_window(
-    still: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_nobody_foresaw_ends_the_window(still: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
     def fall(*_: object, **__: object) -> None:
         raise ZeroDivisionError("odd")
 

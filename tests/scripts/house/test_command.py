@@ -87,12 +87,8 @@ def test_an_entry_without_a_reason_is_refused(checkout, capsys, entries, message
 
 def test_an_entry_for_an_unknown_check_is_refused(tmp_path):
     table = tmp_path / "table.toml"
-    table.write_text(
-        '[[exception]]\ncheck = "nosuch"\npath = "*"\nreason = "long enough to pass"'
-    )
-    with pytest.raises(
-        ExceptionsInvalid, match=r"entry 1: check 'nosuch'; expected one of any, "
-    ):
+    table.write_text('[[exception]]\ncheck = "nosuch"\npath = "*"\nreason = "long enough to pass"')
+    with pytest.raises(ExceptionsInvalid, match=r"entry 1: check 'nosuch'; expected one of any, "):
         read_exceptions(table, NAMES)
 
 

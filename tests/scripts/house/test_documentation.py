@@ -53,10 +53,7 @@ def test_examples_and_indented_blocks_are_read(measure):
     code = "from gsgen.sdk import passes\n"
     tab = '=== "Tab"\n\n    ```python\n    ' + code + "    ```\n"
     result = measure("documentation", {**PRODUCT, "docs/a.py": code, "docs/b.md": tab})
-    assert [(v.path, v.line) for v in result.violations] == [
-        ("docs/a.py", 1),
-        ("docs/b.md", 4),
-    ]
+    assert [(v.path, v.line) for v in result.violations] == [("docs/a.py", 1), ("docs/b.md", 4)]
 
 
 def test_blocks_in_other_languages_are_left_out(measure):

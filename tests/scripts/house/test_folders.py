@@ -3,9 +3,7 @@
 import pytest
 
 
-@pytest.mark.parametrize(
-    ("count", "passed"), [(1, True), (15, True), (16, False), (40, False)]
-)
+@pytest.mark.parametrize(("count", "passed"), [(1, True), (15, True), (16, False), (40, False)])
 @pytest.mark.parametrize("folder", ["sdk/gsgen/sdk/room", "tests/support", "scripts/parts"])
 def test_a_folder_holds_at_most_fifteen_modules(measure, folder, count, passed):
     modules = {f"{folder}/module_{number}.py": "" for number in range(count)}

@@ -63,16 +63,11 @@ def test_the_shortest_cycle_of_a_group_is_shown(measure):
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), max_size=30))
 def test_components_are_the_modules_that_reach_each_other(edges):
     names = [str(number) for number in range(10)]
-    graph = {
-        name: {str(b): 0 for a, b in edges if str(a) == name and a != b} for name in names
-    }
+    graph = {name: {str(b): 0 for a, b in edges if str(a) == name and a != b} for name in names}
     reached = {name: {name} | set(graph[name]) for name in names}
     for _ in names:  # paths of at most ten steps
         reached = {
-            name: {end for step in ends for end in reached[step]}
-            for name, ends in reached.items()
+            name: {end for step in ends for end in reached[step]} for name, ends in reached.items()
         }
     groups = {tuple(sorted(b for b in reached[a] if a in reached[b])) for a in names}
-    assert strong_components(graph) == sorted(
-        list(group) for group in groups if len(group) > 1
-    )
+    assert strong_components(graph) == sorted(list(group) for group in groups if len(group) > 1)

@@ -33,14 +33,10 @@ def test_every_phrase_has_examples():
     assert set(BANNED) == {phrase.name for phrase in PHRASES}
 
 
-@pytest.mark.parametrize(
-    ("name", "text"), [(n, t) for n, texts in BANNED.items() for t in texts]
-)
+@pytest.mark.parametrize(("name", "text"), [(n, t) for n, texts in BANNED.items() for t in texts])
 def test_a_banned_phrase_is_reported(measure, name, text):
     result = measure("phrases", {"docs/page.md": f"A title\n\n{text}\n"})
-    assert [(v.subject, v.path, v.line) for v in result.violations] == [
-        (name, "docs/page.md", 3)
-    ]
+    assert [(v.subject, v.path, v.line) for v in result.violations] == [(name, "docs/page.md", 3)]
     assert not result.passed
 
 

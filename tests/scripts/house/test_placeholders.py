@@ -37,9 +37,7 @@ class Box:
 
 
 def test_every_kind_of_binding_is_found_once_in_its_scope():
-    names = sorted(
-        (name.scope, name.name, name.kind) for name in bindings(ast.parse(BINDINGS))
-    )
+    names = sorted((name.scope, name.name, name.kind) for name in bindings(ast.parse(BINDINGS)))
     parameters = ["first", "second", "third", "fourth", "fifth", "eighteenth"]
     variables = ["sixth", "seventh", "eighth", "ninth", "tenth", "eleventh", "twelfth"]
     variables += ["thirteenth", "fourteenth", "fifteenth", "seventeenth"]
@@ -98,9 +96,7 @@ def test_the_meaning_must_stand_in_the_same_scope(measure, code):
 def test_one_binding_in_a_hundred_may_be_a_placeholder(measure, others, passed):
     names = "".join(f"name_of_{number} = 1\n" for number in range(others))
     names = names.replace("name_of_", "name_")
-    result = measure(
-        "placeholders", {"sdk/a.py": names.replace(" = 1", "_a = 1") + "made = 1"}
-    )
+    result = measure("placeholders", {"sdk/a.py": names.replace(" = 1", "_a = 1") + "made = 1"})
     assert result.passed is passed
     assert result.figure == pytest.approx(100 / (others + 1))
 

@@ -43,13 +43,7 @@ def test_five_positional_fields_are_reported(measure, code, line):
 
 @pytest.mark.parametrize(
     "signature",
-    [
-        "a: bool",
-        "a=True",
-        "x, a: bool = False",
-        "a: bool, /",
-        "self, x, a: bool | None = None",
-    ],
+    ["a: bool", "a=True", "x, a: bool = False", "a: bool, /", "self, x, a: bool | None = None"],
 )
 def test_a_positional_boolean_is_reported(measure, signature):
     result = measure("booleans", {"sdk/a.py": f"def f({signature}): pass"})

@@ -10,18 +10,13 @@ def test_a_function_has_at_most_eighty_lines(measure, kind, lines, passed):
     code = f"class A:\n    @decorated(\n    1)\n    {kind} long(self):\n{body}"
     result = measure("functions", {"tests/test_a.py": code})
     assert result.passed is passed
-    assert [(v.subject, v.line) for v in result.violations] == (
-        [] if passed else [("A.long", 4)]
-    )
+    assert [(v.subject, v.line) for v in result.violations] == ([] if passed else [("A.long", 4)])
 
 
 def test_a_function_inside_of_another_counts_for_both(measure):
     inner = "".join("            x = 1\n" for _ in range(90))
     code = f"def outer():\n    if True:\n        def inner():\n{inner}"
-    names = {
-        violation.subject
-        for violation in measure("functions", {"sdk/a.py": code}).violations
-    }
+    names = {violation.subject for violation in measure("functions", {"sdk/a.py": code}).violations}
     assert names == {"outer", "outer.inner"}
 
 

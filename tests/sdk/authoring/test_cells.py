@@ -73,16 +73,10 @@ def test_a_frame_of_a_model_without_cells_has_none(tmp_path: Path) -> None:
         _ = session.run({}).cells
 
 
-def test_cells_go_into_half_precision_with_their_rows(
-    made: Exported, tmp_path: Path
-) -> None:
+def test_cells_go_into_half_precision_with_their_rows(made: Exported, tmp_path: Path) -> None:
     halved = write_float16(made.path, tmp_path / "half.onnx")
-    assert {"cell position", "cell visibility"} <= {
-        one.field for one in halved.parity.fields
-    }
-    subject = inspect_model(
-        open_model(tmp_path / "half.onnx"), load_target("core"), Limits()
-    )
+    assert {"cell position", "cell visibility"} <= {one.field for one in halved.parity.fields}
+    subject = inspect_model(open_model(tmp_path / "half.onnx"), load_target("core"), Limits())
     assert subject.declared_cells == CellsOutput("cells", EACH, "float16")
     assert subject.cells is not None
     assert subject.cells.dtype == "float16"
@@ -109,19 +103,14 @@ def test_cells_behind_the_count_are_not_visible() -> None:
 
 
 def test_a_capacity_that_splits_a_cell_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        GeneratorInvalid, match=r"(?s)25 rows are not a multiple of 3.* 3 divides"
-    ):
+    with pytest.raises(GeneratorInvalid, match=r"(?s)25 rows are not a multiple of 3.* 3 divides"):
         export(Bunches(), tmp_path / "m.onnx", capacity=25)
     assert not (tmp_path / "m.onnx").exists()
 
 
 @pytest.mark.parametrize(
     ("weights", "keep", "said"),
-    [
-        (None, True, "weighted_sum is not set"),
-        (WEIGHTS, False, "forward returns no cells"),
-    ],
+    [(None, True, "weighted_sum is not set"), (WEIGHTS, False, "forward returns no cells")],
 )
 def test_cells_and_weights_go_together(
     weights: WeightedSum | None, keep: bool, said: str, tmp_path: Path
@@ -170,15 +159,11 @@ def test_single_rows_do_not_leave_their_cells() -> None:
 # ---- Wrapping ----------------------------------------------------------------------------------
 
 
-FIELDS = {
-    name: name for name in ("position", "opacity", "scale", "rotation", "rgb", "cells")
-}
+FIELDS = {name: name for name in ("position", "opacity", "scale", "rotation", "rgb", "cells")}
 
 
 def test_a_module_with_cells_is_wrapped() -> None:
-    generator = wrapped(
-        Bunches(), inputs=[inputs.time()], outputs=FIELDS, weighted_sum=WEIGHTS
-    )
+    generator = wrapped(Bunches(), inputs=[inputs.time()], outputs=FIELDS, weighted_sum=WEIGHTS)
     with torch.no_grad():
         made = generator(torch.full((1,), 0.5))
     assert generator.weighted_sum == WEIGHTS
@@ -190,15 +175,11 @@ def test_a_module_with_cells_is_wrapped() -> None:
 def test_cells_of_a_wrapped_module_must_be_cells() -> None:
     outputs = FIELDS | {"cells": "position"}
     generator = wrapped(Bunches(), inputs=[inputs.time()], outputs=outputs)
-    with pytest.raises(
-        GeneratorInvalid, match=r"outputs\['cells'\].*expected gsgen.sdk.Cells"
-    ):
+    with pytest.raises(GeneratorInvalid, match=r"outputs\['cells'\].*expected gsgen.sdk.Cells"):
         generator(torch.ones(1))
 
 
-def test_rows_that_never_change_are_written_without_cells(
-    made: Exported, tmp_path: Path
-) -> None:
+def test_rows_that_never_change_are_written_without_cells(made: Exported, tmp_path: Path) -> None:
     rows, color = np.zeros((24, 10), np.float32), np.zeros((24, 3), np.float32)
     with pytest.raises(GeneratorInvalid, match="declares cells"):
         write_constant(rows, color, made.manifest, tmp_path / "m.onnx")
@@ -226,8 +207,6 @@ def test_cells_of_both_devices_are_compared(
     gpu = {name: value.copy() for name, value in cpu.items()}
     gpu["cells"][cell, column] += by
     frame = Frame(Probe(label="p", inputs={}), cpu, gpu, None)
-    live = Live(
-        subject=subject, adapter="a", nodes=(), accepted=True, stop=None, frames=(frame,)
-    )
+    live = Live(subject=subject, adapter="a", nodes=(), accepted=True, stop=None, frames=(frame,))
     found = [place for place, _, _ in disagreements(live)]
     assert found == ([f"field {field}"] if field else [])

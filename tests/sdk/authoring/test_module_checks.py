@@ -63,12 +63,7 @@ class NamedInputs(Cloud):
             "'time' is not an input",
             "gsgen.sdk.authoring.inputs",
         ),
-        (
-            NamedInputs,
-            "NamedInputs.inputs",
-            "is str, expected a tuple of inputs",
-            "inputs.time()",
-        ),
+        (NamedInputs, "NamedInputs.inputs", "is str, expected a tuple of inputs", "inputs.time()"),
         (lambda: Cloud, "Cloud", "is a class, expected an instance", "Cloud()"),
         (dict, "dict", "is not a torch module", "GaussianGenerator"),
         (
@@ -94,9 +89,7 @@ def test_offsets_may_make_single_scales_negative(tmp_path: Path) -> None:
         def forward(self, time: torch.Tensor) -> Gaussians:
             made = super().forward(time)
             assert made.scale is not None
-            return replace(
-                made, scale=made.scale * torch.tensor([1.0] * 5 + [-1.0] * 3)[:, None]
-            )
+            return replace(made, scale=made.scale * torch.tensor([1.0] * 5 + [-1.0] * 3)[:, None])
 
     static = Settings(level=Level.STATIC)
     assert export(Offset(), tmp_path / "model.onnx", settings=static).parity.holds

@@ -12,13 +12,7 @@ from gsgen.contract.errors import UnknownName
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
-from gsgen.sdk import (
-    GeneratorInvalid,
-    ParityFailed,
-    PostProcess,
-    export_post_process,
-    inputs,
-)
+from gsgen.sdk import GeneratorInvalid, ParityFailed, PostProcess, export_post_process, inputs
 from gsgen.sdk.plugins.factory import load_factory
 
 STATIC = Settings(level=Level.STATIC)
@@ -30,11 +24,7 @@ class Darken(PostProcess):
 
     def __init__(self, size: tuple[int, int] | None = None, share: float = 0.5) -> None:
         super().__init__()
-        self.inputs = [
-            inputs.image(3, size),
-            inputs.timestep(10),
-            inputs.conditioning(2, 3),
-        ]
+        self.inputs = [inputs.image(3, size), inputs.timestep(10), inputs.conditioning(2, 3)]
         self.share = torch.nn.Parameter(torch.tensor(share))
 
     def forward(self, image: Any, timestep: Any, conditioning: Any) -> Any:
@@ -58,12 +48,8 @@ def test_a_model_of_open_size_takes_every_size(tmp_path: Path) -> None:
 
 def test_float16_is_of_images_and_weights(tmp_path: Path) -> None:
     model = Darken((4, 6))
-    made = export_post_process(
-        model, tmp_path / "half.onnx", dtype="float16", settings=VALUES
-    )
-    types = {
-        one.name: one.type for one in onnxruntime.InferenceSession(made.path).get_inputs()
-    }
+    made = export_post_process(model, tmp_path / "half.onnx", dtype="float16", settings=VALUES)
+    types = {one.name: one.type for one in onnxruntime.InferenceSession(made.path).get_inputs()}
     assert types["image"] == "tensor(float16)"
     assert types["timestep"] == types["conditioning"] == "tensor(float)"
     assert made.manifest.outputs.image.dtype == "float16"

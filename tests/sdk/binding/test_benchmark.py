@@ -54,16 +54,11 @@ def test_a_model_that_needs_a_size_says_which_option_gives_it(tmp_path):
 
 def test_a_child_that_dies_is_reported_and_no_other(models, tmp_path, monkeypatch):
     """A worker that kills itself stands for a driver that does."""
-    (tmp_path / "deadly.py").write_text(
-        "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
-    )
+    (tmp_path / "deadly.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(benchmark, "_WORKER", "deadly")
     dead = time_frames(models["drift-float32"], "webgpu", frames=1)
-    assert (dead.state, dead.reason) == (
-        "crashed",
-        f"ended by signal {signal.SIGSEGV.name}",
-    )
+    assert (dead.state, dead.reason) == ("crashed", f"ended by signal {signal.SIGSEGV.name}")
     monkeypatch.undo()
     assert time_frames(models["drift-float32"], "cpu", frames=1).state == "measured"
 
@@ -74,17 +69,9 @@ def test_the_command_prints_a_table_and_writes_json(models, tmp_path):
     assert ran.code == 0, ran.err
     results = json.loads(out.read_text())["results"]
     named = [(Path(one["model"]).stem, one["provider"], one["state"]) for one in results]
-    assert named == [
-        ("round_on_the_cpu", provider, "measured") for provider in ("cpu", "webgpu")
-    ]
+    assert named == [("round_on_the_cpu", provider, "measured") for provider in ("cpu", "webgpu")]
     assert results[1]["nodes_on_cpu"] == ["Round"]
-    for words in (
-        "p50 ms",
-        "first ms",
-        "copies",
-        "nodes on the CPU (Round)",
-        "not captured: ",
-    ):
+    for words in ("p50 ms", "first ms", "copies", "nodes on the CPU (Round)", "not captured: "):
         assert words in ran.out
     for one in results:
         assert f"{1000 * one['p50_seconds']:.3f}" in ran.out

@@ -58,9 +58,7 @@ def test_nodes_that_fell_back_to_the_cpu_are_reported(models):
 
 
 def test_capture_can_be_left_off(models):
-    with FrameSession(
-        models["output_from_idle_sum"], provider="webgpu", capture=False
-    ) as one:
+    with FrameSession(models["output_from_idle_sum"], provider="webgpu", capture=False) as one:
         assert (one.captured, one.cause) == (False, "")
         moves(one)
 
@@ -120,11 +118,7 @@ def test_a_scatter_that_meets_its_own_leftovers_is_caught(base, tmp_path):
         "high": np.full(1, 2),
         "base": np.ones((5, 3), np.float32),
     }
-    used = {
-        name: array
-        for name, array in weights.items()
-        if f"{name}," in body or name == "high"
-    }
+    used = {name: array for name, array in weights.items() if f"{name}," in body or name == "high"}
     drifting().reworded(end, body).weighing(**used).write(tmp_path / "a.onnx")
     with pytest.warns(CaptureOff, match=r"computed from ScatterND \(node ScatterND\)$"):
         session = FrameSession(tmp_path / "a.onnx", provider="webgpu")

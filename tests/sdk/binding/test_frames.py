@@ -39,9 +39,7 @@ def camera(angle: float) -> Camera:
 @BOTH
 @DTYPES
 def test_gaussians_are_where_they_are_at_each_time(provider, dtype, models):
-    weights = {
-        name: a.astype(np.float64) for name, a in drifting(dtype=dtype).weights.items()
-    }
+    weights = {name: a.astype(np.float64) for name, a in drifting(dtype=dtype).weights.items()}
     with FrameSession(models[f"drift-{dtype}"], provider=provider) as session:
         assert (session.provider, session.captured) == (provider, provider == "webgpu")
         assert session.cause == ""
@@ -104,11 +102,7 @@ def test_a_frame_is_gone_after_the_next_unless_it_was_copied(provider, models):
         lent, kept = session.run({"time": 0}), session.run({"time": 1}, copy=True)
         before = kept["gaussians"].copy()
         session.run({"time": 0})
-        for read in (
-            lambda: lent["gaussians"],
-            lent.gaussians,
-            lambda: lent.handle("color"),
-        ):
+        for read in (lambda: lent["gaussians"], lent.gaussians, lambda: lent.handle("color")):
             with pytest.raises(FrameGone, match="frame 0 was overwritten by frame 2"):
                 read()
         np.testing.assert_array_equal(kept["gaussians"], before)
@@ -132,9 +126,7 @@ def test_outputs_lie_where_they_always_do(provider, models):
 
 def test_an_output_is_copied_from_the_device_once_a_frame(models, monkeypatch):
     read, copied = DeviceBuffer.read, []
-    monkeypatch.setattr(
-        DeviceBuffer, "read", lambda one: (copied.append(one), read(one))[1]
-    )
+    monkeypatch.setattr(DeviceBuffer, "read", lambda one: (copied.append(one), read(one))[1])
     with FrameSession(models["drift-float32"], provider="webgpu") as session:
         copied.clear()
         for time in (0, 1):
@@ -225,9 +217,7 @@ def test_a_run_that_fails_says_so_and_spoils_the_frame_before(models, monkeypatc
 
 @BOTH
 def test_an_output_that_is_an_input_holds_what_was_fed(provider, tmp_path):
-    text = (
-        "g (float[2] x) => (float[2] y, float[2] x) <float two = {2}> { y = Mul (x, two) }"
-    )
+    text = "g (float[2] x) => (float[2] y, float[2] x) <float two = {2}> { y = Mul (x, two) }"
     ir.save(parsed(text), tmp_path / "m.onnx")
     with FrameSession(tmp_path / "m.onnx", provider=provider) as session:
         for fed in ([1, 5], [-2, 3]):
@@ -250,9 +240,7 @@ def test_an_output_whose_size_depends_on_values_says_so(provider, tmp_path):
         with pytest.raises(RunFailed) as raised:
             session.run({"t": 3})
         assert raised.value.where == "output y"
-        assert raised.value.message.startswith(
-            "has shape [3,2], but had [0,2] when the session"
-        )
+        assert raised.value.message.startswith("has shape [3,2], but had [0,2] when the session")
         assert "num_points" in raised.value.hint
         assert session.run({"t": 0})["y"].shape == (0, 2)
 

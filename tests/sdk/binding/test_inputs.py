@@ -7,12 +7,7 @@ from hypothesis import strategies as st
 from onnx import parser
 
 from gsgen.conformance.fixtures.builders.moving import driven
-from gsgen.contract.errors import (
-    ConfigInvalid,
-    GsgenError,
-    ManifestInvalid,
-    ModelUnreadable,
-)
+from gsgen.contract.errors import ConfigInvalid, GsgenError, ManifestInvalid, ModelUnreadable
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.geometry import perspective
 from gsgen.contract.spec.manifest import Input
@@ -66,16 +61,12 @@ def test_what_does_not_fit_is_refused(values, said, session):
     with pytest.raises(GsgenError) as raised:
         session.run({"b": 0.9} | values)
     assert said in str(raised.value)
-    np.testing.assert_array_equal(
-        session.run()["gaussians"], before
-    )  # b is not updated either
+    np.testing.assert_array_equal(session.run()["gaussians"], before)  # b is not updated either
 
 
 def test_a_role_stands_for_the_one_input_that_has_it(session):
     one = session.run({"frame_index": 2, "a": 0, "b": 0}, copy=True)["gaussians"]
-    two = session.run({"index": np.int64(2), "pose": np.zeros((1, 3))}, copy=True)[
-        "gaussians"
-    ]
+    two = session.run({"index": np.int64(2), "pose": np.zeros((1, 3))}, copy=True)["gaussians"]
     np.testing.assert_array_equal(one, two)
 
 
@@ -95,9 +86,7 @@ def test_a_camera_needs_a_manifest_and_two_matrices(session, tmp_path):
             session.run(camera=wrong)
     path = save(tmp_path / "a.onnx", moving(good_rows(2)))
     with FrameSession(path, provider="cpu") as bare:
-        with pytest.raises(
-            InputInvalid, match="no manifest declares the camera inputs"
-        ) as raised:
+        with pytest.raises(InputInvalid, match="no manifest declares the camera inputs") as raised:
             bare.run(camera=(np.eye(4), np.eye(4)))
         assert "gsgen inspect --emit-manifest" in raised.value.hint
 
@@ -130,9 +119,7 @@ def test_intrinsics_project_to_the_pixels_that_they_say(cx, cy, x, y, z):
 
 
 def test_intrinsics_in_the_middle_give_the_projection_of_the_conventions():
-    camera = Camera(
-        np.eye(4), fx=500, fy=500, cx=320, cy=240, width=640, height=480, near=0.01
-    )
+    camera = Camera(np.eye(4), fx=500, fy=500, cx=320, cy=240, width=640, height=480, near=0.01)
     wanted = perspective(2 * np.arctan(320 / 500), 640 / 480, 0.01, 1000)
     np.testing.assert_allclose(pinhole_projection(camera), wanted, rtol=1e-12)
 
@@ -148,11 +135,7 @@ def test_intrinsics_in_the_middle_give_the_projection_of_the_conventions():
         (Input(name="x", role="pose", default="identity"), (4, 4), [[1, 0, 0, 0]] * 4),
         (Input(name="x", role="root_rotation", default="identity"), (3,), [0, 0, 0]),
         (Input(name="x", role="root_rotation", default="identity"), (3, 3), np.eye(3)),
-        (
-            Input(name="x", role="pose", default=(1, 2, 3, 4, 5, 6)),
-            (2, 3),
-            [[1, 2, 3], [4, 5, 6]],
-        ),
+        (Input(name="x", role="pose", default=(1, 2, 3, 4, 5, 6)), (2, 3), [[1, 2, 3], [4, 5, 6]]),
     ],
 )
 def test_defaults_are_those_of_the_specification(entry, shape, wanted):
@@ -164,9 +147,7 @@ def test_a_default_that_does_not_fill_its_input_is_refused():
         default_tensor(Input(name="x", role="pose", default=(1, 2)), (2, 3))
 
 
-@given(
-    st.lists(st.floats(-5, 5), min_size=16, max_size=16), st.sampled_from(["row", "column"])
-)
+@given(st.lists(st.floats(-5, 5), min_size=16, max_size=16), st.sampled_from(["row", "column"]))
 def test_matrices_are_transposed_for_column_order_alone(numbers, order):
     matrix = np.array(numbers).reshape(4, 4)
     entry = Input(name="m", role="view")
@@ -234,9 +215,7 @@ def test_what_is_no_model_is_refused(tmp_path):
 def test_outputs_that_nothing_can_hold_are_refused(provider, tmp_path):
     text = "g (float[1] t) => (float[8,1099511627776] y) { s = Constant <value_ints = [8, 1099511627776]> () y = Expand (t, s) }"
     path = save(tmp_path / "a.onnx", parser.parse_model(HEAD + text))
-    with pytest.raises(
-        RunFailed, match=r"output y: shape \[8, 1.*\] takes 35184.4 GB, more than"
-    ):
+    with pytest.raises(RunFailed, match=r"output y: shape \[8, 1.*\] takes 35184.4 GB, more than"):
         FrameSession(path, provider=provider, capture=False)
 
 

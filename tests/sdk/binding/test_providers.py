@@ -8,13 +8,7 @@ import onnxruntime
 import pytest
 
 from gsgen.contract.errors import UnknownName
-from gsgen.sdk.binding import (
-    CaptureOff,
-    FrameSession,
-    NodesOnCpu,
-    ProviderUnavailable,
-    warm_up,
-)
+from gsgen.sdk.binding import CaptureOff, FrameSession, NodesOnCpu, ProviderUnavailable, warm_up
 from gsgen.sdk.binding.providers import selection, webgpu
 from gsgen.sdk.binding.providers.selection import (
     Choice,
@@ -45,11 +39,7 @@ def test_a_gpu_is_preferred(monkeypatch):
     gpu = Adapter(None, "Fast Card", "0", hardware=True)
     monkeypatch.setattr(selection, "find_adapter", lambda: gpu)
     chosen = choose_provider()
-    assert (chosen.provider, chosen.device, chosen.is_requested) == (
-        "webgpu",
-        "Fast Card",
-        False,
-    )
+    assert (chosen.provider, chosen.device, chosen.is_requested) == ("webgpu", "Fast Card", False)
     assert chosen.reason == "WebGPU has a GPU: Fast Card"
 
 
@@ -74,9 +64,7 @@ def test_a_missing_package_is_named(monkeypatch):
 
 def test_an_onnx_runtime_without_plug_ins_is_named(monkeypatch):
     monkeypatch.delattr(onnxruntime, "register_execution_provider_library")
-    with pytest.raises(
-        AdapterMissing, match="does not support plug-in providers"
-    ) as raised:
+    with pytest.raises(AdapterMissing, match="does not support plug-in providers") as raised:
         find_adapter()
     assert raised.value.hint == "pip install -U onnxruntime"
 
@@ -102,14 +90,10 @@ def test_a_provider_that_does_not_exist_is_refused(models):
     assert raised.value.hint == "Did you mean 'webgpu'?"
 
 
-def test_a_provider_that_fails_gives_way_to_the_cpu_if_nobody_asked_for_it(
-    models, monkeypatch
-):
+def test_a_provider_that_fails_gives_way_to_the_cpu_if_nobody_asked_for_it(models, monkeypatch):
     adapter = find_adapter()
     monkeypatch.setattr(
-        selection,
-        "find_adapter",
-        lambda: Adapter(adapter.device, "Card", "0", hardware=True),
+        selection, "find_adapter", lambda: Adapter(adapter.device, "Card", "0", hardware=True)
     )
     with FrameSession(models["split_into_many"]) as session:
         assert session.provider == "cpu"
@@ -127,12 +111,9 @@ def test_a_session_without_its_provider_is_no_session(models, monkeypatch):
             return ["CPUExecutionProvider"]
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", Fallen)
-    with pytest.raises(
-        ProviderUnavailable, match=r"runs on CPUExecutionProvider, expected WebGpu"
-    ):
+    with pytest.raises(ProviderUnavailable, match=r"runs on CPUExecutionProvider, expected WebGpu"):
         open_session(
-            models["drift-float32"],
-            SessionOptions(choice=choose_provider("webgpu"), capture=True),
+            models["drift-float32"], SessionOptions(choice=choose_provider("webgpu"), capture=True)
         )
 
 
@@ -171,9 +152,7 @@ def test_cuda_is_told_to_record_a_graph(capture, models, monkeypatch, with_cuda)
         return SimpleNamespace(get_providers=lambda: with_cuda)
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", remember)
-    open_session(
-        models["drift-float32"], SessionOptions(choice=choose_provider(), capture=capture)
-    )
+    open_session(models["drift-float32"], SessionOptions(choice=choose_provider(), capture=capture))
     options = {"device_id": "0", "enable_cuda_graph": "1" if capture else "0"}
     assert told == {
         "model": str(models["drift-float32"]),
@@ -218,9 +197,7 @@ def test_the_way_of_a_frame_through_cuda_on_a_stand_in(models, stand_in):
     """All but the device: capture is asked for and checked, inputs and outputs are copied."""
     with FrameSession(models["drift-float32"], provider="cpu") as reference:
         wanted = [reference.run({"time": t}, copy=True)["gaussians"] for t in (0, 1)]
-    with pytest.warns(
-        NodesOnCpu, match=r"cuda: 3 of 3 nodes run on the CPU \(Mul, Add, Concat\)"
-    ):
+    with pytest.warns(NodesOnCpu, match=r"cuda: 3 of 3 nodes run on the CPU \(Mul, Add, Concat\)"):
         opened = FrameSession(models["drift-float32"], provider="cuda")
     with opened as session:
         assert (session.provider, session.captured) == ("cuda", True)

@@ -16,10 +16,7 @@ BOTH = pytest.mark.parametrize("provider", ["cpu", "webgpu"])
 def test_threads_get_the_frame_that_they_asked_for(provider, models):
     """Two sessions with three threads each: every frame fits the time that was asked for."""
     path, wrong, done = models["drift-float32"], [], []
-    with (
-        FrameSession(path, provider=provider) as one,
-        FrameSession(path, provider=provider) as two,
-    ):
+    with FrameSession(path, provider=provider) as one, FrameSession(path, provider=provider) as two:
         rest, end = (one.run({"time": t}, copy=True)["gaussians"][:, :3] for t in (0, 1))
 
         def work(session, seed):
@@ -82,9 +79,6 @@ def test_closing_releases_the_session_of_onnx_runtime(provider, models):
 
 
 def test_an_error_inside_the_block_closes_the_session(models):
-    with (
-        pytest.raises(KeyError),
-        FrameSession(models["drift-float32"], provider="cpu") as session,
-    ):
+    with pytest.raises(KeyError), FrameSession(models["drift-float32"], provider="cpu") as session:
         raise KeyError
     assert session.closed

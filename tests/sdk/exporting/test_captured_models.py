@@ -11,12 +11,7 @@ import pytest
 import torch
 
 from gsgen.contract.model.model_file import open_model, write_manifest
-from gsgen.contract.spec.manifest import (
-    ImageOutput,
-    Input,
-    PostProcessManifest,
-    PostProcessOutputs,
-)
+from gsgen.contract.spec.manifest import ImageOutput, Input, PostProcessManifest, PostProcessOutputs
 from gsgen.contract.spec.manifest_io import parse
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target
@@ -27,13 +22,7 @@ from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.rewriting.rewrite import GraphStats, graph_stats, rewrite_graph
 from support.models.captured import assert_captured
-from support.models.reference_models import (
-    Avatar,
-    Denoiser,
-    HexPlane,
-    ScaffoldDecoder,
-    rotation_of,
-)
+from support.models.reference_models import Avatar, Denoiser, HexPlane, ScaffoldDecoder, rotation_of
 from support.models.traced import traced
 
 LIVE = Settings(level=Level.LIVE, target=load_target("webgpu"))
@@ -130,9 +119,7 @@ def test_a_model_as_torch_exports_it_is_not_captured_everywhere(
     assert rewritten[name].before.uncaptured
 
 
-def test_wide_joins_of_exporters_are_narrow_afterwards(
-    rewritten: dict[str, Case],
-) -> None:
+def test_wide_joins_of_exporters_are_narrow_afterwards(rewritten: dict[str, Case]) -> None:
     for case in rewritten.values():
         joins = [n for n in onnx.load(case.path).graph.node if n.op_type == "Concat"]
         assert max((len(node.input) for node in joins), default=0) <= 7

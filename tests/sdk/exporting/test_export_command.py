@@ -134,7 +134,7 @@ def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
     assert told["options"]["opset"] == 19
     assert isinstance(told["rewrites"], list)
     assert {field["field"] for field in told["parity"]["fields"]} == {
-        *("position", "covariance", "opacity", "appearance"),
+        *("position", "covariance", "opacity", "appearance")
     }
     assert told["validation"]["verdict"] == "conforms"
     assert told["validation"]["target"].startswith("webgpu")
@@ -167,9 +167,7 @@ def test_what_torch_cannot_export_is_reported_with_its_line(folder: Path) -> Non
 
 
 def test_how_far_a_model_is_off_stands_in_the_report() -> None:
-    worst = FieldParity(
-        field="position", error=math.inf, excess=math.inf, probe="time=1", row=3
-    )
+    worst = FieldParity(field="position", error=math.inf, excess=math.inf, probe="time=1", row=3)
     error = ParityFailed("off", where="m.onnx", parity=Parity((worst,), 13))
     outcome = Outcome(written=False, parity=error.parity, error=error)
     write_report(Path("r.json"), ExportRequest(output=Path("m.onnx")), "dots:Dots", outcome)
@@ -301,21 +299,14 @@ def clashing(dtype: str) -> object:
 
 
 CLASHING = Plugin(
-    name="clashing",
-    summary="It clashes.",
-    reads="Reads nothing.",
-    inputs=(),
-    build=clashing,
+    name="clashing", summary="It clashes.", reads="Reads nothing.", inputs=(), build=clashing
 )
 
 
 def test_a_plugin_that_cannot_be_used_spoils_only_itself(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    values = {
-        "absent": "no_such_module:PLUGIN",
-        "clashing": f"{__name__}:CLASHING",
-    }
+    values = {"absent": "no_such_module:PLUGIN", "clashing": f"{__name__}:CLASHING"}
     points = {
         name: Command(name, EntryPoint(name, value, "gsgen.generators"), ())
         for name, value in values.items()

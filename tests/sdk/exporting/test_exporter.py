@@ -120,25 +120,17 @@ def test_outputs_end_on_operators_that_capture_records(tmp_path: Path) -> None:
     export(Reshaping(), tmp_path / "m.onnx")
     model = onnx.load(tmp_path / "m.onnx")
     makers = {name: node.op_type for node in model.graph.node for name in node.output}
-    assert {makers[output.name] for output in model.graph.output} <= {
-        "Mul",
-        "Concat",
-        "Cast",
-    }
+    assert {makers[output.name] for output in model.graph.output} <= {"Mul", "Concat", "Cast"}
 
 
 class Baked(Drift):
     """Turns time into a constant while tracing, as a numpy round trip does."""
 
     def forward(self, time: torch.Tensor) -> Gaussians:
-        return super().forward(
-            torch.from_numpy(np.array(time.detach().tolist(), np.float32))
-        )
+        return super().forward(torch.from_numpy(np.array(time.detach().tolist(), np.float32)))
 
 
-def test_a_constant_baked_by_tracing_is_an_error_and_nothing_is_written(
-    tmp_path: Path,
-) -> None:
+def test_a_constant_baked_by_tracing_is_an_error_and_nothing_is_written(tmp_path: Path) -> None:
     with pytest.raises((ParityFailed, ExportFailed)) as caught:
         export(Baked(), tmp_path / "m.onnx")
     assert caught.value.hint
@@ -189,9 +181,7 @@ class Logits(Drift):
         return Gaussians(made.position, logit, made.scale, made.rotation, sh=self.sh)
 
 
-def test_a_model_that_breaks_a_rule_is_rejected_and_what_stood_there_stays(
-    tmp_path: Path,
-) -> None:
+def test_a_model_that_breaks_a_rule_is_rejected_and_what_stood_there_stays(tmp_path: Path) -> None:
     path = tmp_path / "m.onnx"
     path.write_text("what stood there")
     with pytest.raises(ExportRejected) as caught:
@@ -205,10 +195,7 @@ def test_a_model_that_breaks_a_rule_is_rejected_and_what_stood_there_stays(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (
-            {"opacity": torch.ones(7)},
-            "Gaussians.opacity: shape is [7], expected [5] or [5, 1]",
-        ),
+        ({"opacity": torch.ones(7)}, "Gaussians.opacity: shape is [7], expected [5] or [5, 1]"),
         ({"sh": torch.zeros(5, 3, 16), "rgb": None}, "transpose(1, 2)"),
         ({"sh": torch.zeros(5, 48), "rgb": None}, "Reshape to [N, K, 3]"),
         ({"rgb": None}, "exactly one of sh and rgb"),
@@ -259,13 +246,9 @@ def test_an_empty_scene_is_refused(tmp_path: Path) -> None:
     class Nothing(Drift):
         def forward(self, time: torch.Tensor) -> Gaussians:
             made = super().forward(time)
-            return Gaussians(
-                made.position, made.opacity * 0, made.scale, made.rotation, sh=self.sh
-            )
+            return Gaussians(made.position, made.opacity * 0, made.scale, made.rotation, sh=self.sh)
 
-    with pytest.raises(
-        GeneratorInvalid, match="no probe gives a single finite, visible Gaussian"
-    ):
+    with pytest.raises(GeneratorInvalid, match="no probe gives a single finite, visible Gaussian"):
         export(Nothing(), tmp_path / "m.onnx")
 
 

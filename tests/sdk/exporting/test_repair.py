@@ -74,13 +74,9 @@ def test_the_order_of_sh_is_changed_on_request_only(tmp_path: Path) -> None:
     assert done.after.findings == ()
     (old,) = (v for v in emitted(source).values() if v.ndim == 2 and v.shape[1] == 48)
     (new,) = (
-        v
-        for v in emitted(tmp_path / "fixed.onnx").values()
-        if v.ndim == 2 and v.shape[1] == 48
+        v for v in emitted(tmp_path / "fixed.onnx").values() if v.ndim == 2 and v.shape[1] == 48
     )
-    np.testing.assert_array_equal(
-        new.reshape(-1, 16, 3).transpose(0, 2, 1).reshape(-1, 48), old
-    )
+    np.testing.assert_array_equal(new.reshape(-1, 16, 3).transpose(0, 2, 1).reshape(-1, 48), old)
 
 
 def test_renaming_makes_a_viewer_find_the_outputs(tmp_path: Path) -> None:
@@ -114,12 +110,7 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
     derived = gsgen("inspect", source, "--emit-manifest")
     (tmp_path / "manifest.json").write_text(derived.out)
     ran = gsgen(
-        "fix",
-        source,
-        "-o",
-        tmp_path / "fixed.onnx",
-        "--manifest",
-        tmp_path / "manifest.json",
+        "fix", source, "-o", tmp_path / "fixed.onnx", "--manifest", tmp_path / "manifest.json"
     )
     assert ran.code == 0, ran.out + ran.err
     assert "GM001: embedded the given manifest" in ran.out
@@ -154,10 +145,7 @@ def test_a_dry_run_says_as_json_what_would_change(tmp_path: Path) -> None:
     made = json.loads(ran.out)
     assert made["path"] is None
     assert made["repairs"] == [{"what": "dimension N is 5", "rule": "GO004"}]
-    assert [made[when]["verdict"] for when in ("before", "after")] == [
-        "invalid",
-        "conforms",
-    ]
+    assert [made[when]["verdict"] for when in ("before", "after")] == ["invalid", "conforms"]
     assert made["after"]["subject"]["uri"] == str(source)
     assert sorted(tmp_path.iterdir()) == here
     fixed = tmp_path / "fixed.onnx"

@@ -111,17 +111,11 @@ def test_a_hazard_that_does_not_matter_is_not_told(tmp_path: Path) -> None:
 
 # ---- Why a model differs, where no line was seen -----------------------------------------------
 
-MANIFEST = GeneratorManifest(
-    name="m", outputs=GeneratorOutputs(), inputs=tuple(Drift.inputs)
-)
-PROBES = [
-    Probe(label=f"time={t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.4, 1.0)
-]
+MANIFEST = GeneratorManifest(name="m", outputs=GeneratorOutputs(), inputs=tuple(Drift.inputs))
+PROBES = [Probe(label=f"time={t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.4, 1.0)]
 
 
-def explained(
-    module: Drift, *, frozen: bool = False, rewritten: bool = True
-) -> tuple[str, str]:
+def explained(module: Drift, *, frozen: bool = False, rewritten: bool = True) -> tuple[str, str]:
     """Explain a model that always emits its first frame, or one that follows."""
 
     def run(probes: list[Probe]) -> list[ModelOutput]:

@@ -134,17 +134,7 @@ def test_what_overflows_stays(tmp_path: Path) -> None:
     assert made.path is None
 
 
-_WEIGHTS = (
-    "rest",
-    "origin",
-    "velocity",
-    "sigma",
-    "logit",
-    "extra",
-    "first",
-    "second",
-    "live",
-)
+_WEIGHTS = ("rest", "origin", "velocity", "sigma", "logit", "extra", "first", "second", "live")
 
 
 def test_tolerances_decide(tmp_path: Path) -> None:
@@ -350,11 +340,7 @@ def test_the_command_says_what_stays_and_why(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "code", "said"),
-    [
-        ("bare.onnx", 1, "no manifest"),
-        ("text.onnx", 4, "text.onnx"),
-        ("none.onnx", 4, "none"),
-    ],
+    [("bare.onnx", 1, "no manifest"), ("text.onnx", 4, "text.onnx"), ("none.onnx", 4, "none")],
 )
 def test_what_cannot_be_converted_is_said(
     tmp_path: Path, name: str, code: int, said: str, capsys: pytest.CaptureFixture[str]
@@ -385,9 +371,7 @@ cloud (float[1] time) => (float[40,10] gaussians, float[40,3] color, int32[1] nu
 """
 
 
-def test_tables_that_are_read_once_are_stored_in_float16_unless_that_shows(
-    tmp_path: Path,
-) -> None:
+def test_tables_that_are_read_once_are_stored_in_float16_unless_that_shows(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     arrays = {
         "far": 400 + rng.uniform(-1, 1, (N, 3)),

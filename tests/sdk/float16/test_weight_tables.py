@@ -20,9 +20,7 @@ ROWS = LEAST_ELEMENTS
 
 def drawn(columns: int, spread: float, far: float, tail: bool) -> np.ndarray:
     rng = np.random.default_rng(columns)
-    numbers = (
-        rng.standard_t(2, (ROWS, columns)) if tail else rng.normal(size=(ROWS, columns))
-    )
+    numbers = rng.standard_t(2, (ROWS, columns)) if tail else rng.normal(size=(ROWS, columns))
     table = far * (1 + np.arange(columns)) + spread * numbers
     return np.clip(table, -65504, 65504).astype(np.float32)
 
@@ -91,9 +89,7 @@ def test_channels_have_steps_of_their_own(shape: tuple[int, ...]) -> None:
     """A plane's channels lie behind one another, wherever their axis is."""
     rng = np.random.default_rng(4)
     axis = shape.index(8)
-    reach = np.logspace(-4, 3, 8).reshape(
-        [8 if k == axis else 1 for k in range(len(shape))]
-    )
+    reach = np.logspace(-4, 3, 8).reshape([8 if k == axis else 1 for k in range(len(shape))])
     array = (rng.uniform(0, 1, shape) * reach).astype(np.float32)
     made = half_table(array)
     assert made.numbers.shape == shape

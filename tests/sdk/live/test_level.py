@@ -190,10 +190,7 @@ def test_a_model_that_takes_too_long_on_the_gpu_breaks_a_rule(tmp_path):
 
 def lived(path, *frames, **changes) -> Live:
     subject = inspect_model(open_model(path), LIVE.target, Limits())
-    made = [
-        Frame(Probe(label=f"probe {k}", inputs={}), *three)
-        for k, three in enumerate(frames)
-    ]
+    made = [Frame(Probe(label=f"probe {k}", inputs={}), *three) for k, three in enumerate(frames)]
     facts = {"nodes": (), "accepted": True, "stop": None} | changes
     return Live(subject=subject, adapter="made up", frames=tuple(made), **facts)
 
@@ -222,9 +219,7 @@ def test_cpu_and_gpu_are_compared_field_by_field(good, row, column, by, field):
     changed = rows.copy()
     changed[row, column] += by
     same = outputs(rows)
-    found = list(
-        disagreements(lived(good, (same, same, None), (same, outputs(changed), None)))
-    )
+    found = list(disagreements(lived(good, (same, same, None), (same, outputs(changed), None))))
     assert [place for place, _, _ in found] == ([f"field {field}"] if field else [])
     if field:
         assert f"row {row}, " in found[0][1]
@@ -259,9 +254,7 @@ def test_what_the_cpu_does_not_know_either_is_no_wrong_replay(good):
     rows[2, 0] = np.nan
     other = rows.copy()
     other[2, 0] = 3
-    assert not list(
-        wrong_replays(lived(good, (outputs(rows), outputs(rows), outputs(other))))
-    )
+    assert not list(wrong_replays(lived(good, (outputs(rows), outputs(rows), outputs(other)))))
 
 
 def frames_of(plain, replayed):
@@ -306,9 +299,7 @@ def test_replays_are_compared_with_plain_runs(good, replayed, how):
     ],
 )
 def test_the_operator_to_blame_is_named(text, said, tmp_path):
-    proto = parser.parse_model(
-        f"{HEAD} g (float[8] time) => (float[8] gaussians) {{ {text} }}"
-    )
+    proto = parser.parse_model(f"{HEAD} g (float[8] time) => (float[8] gaussians) {{ {text} }}")
     given = {
         "s": np.array([8], np.int64),
         "base": np.zeros(8, np.float32),

@@ -84,8 +84,7 @@ def test_what_is_wrong_is_said_in_words(broken):
         "expected a session that captures"
     )
     assert said["GB015"] == (
-        "node Round (Round): runs in CPUExecutionProvider; "
-        "expected a kernel in the WebGPU provider"
+        "node Round (Round): runs in CPUExecutionProvider; expected a kernel in the WebGPU provider"
     )
     assert said["GB016"] == (
         "output gaussians: repeats frame 0 in all 6 replays; made by ReduceSum (node ReduceSum); "
@@ -99,19 +98,13 @@ def test_what_is_wrong_is_said_in_words(broken):
     ("operator", "end", "dtype"),
     [
         ("Reshape", "gaussians = Reshape (packed, shape)", "float16"),
-        (
-            "Squeeze",
-            "on = Unsqueeze (packed, first) gaussians = Squeeze (on, first)",
-            "float32",
-        ),
+        ("Squeeze", "on = Unsqueeze (packed, first) gaussians = Squeeze (on, first)", "float32"),
         ("Max", "gaussians = Max (packed)", "float32"),
         ("", "gaussians = Mul (packed, unit)", "float16"),
         ("", "on = Reshape (packed, shape) gaussians = Clip (on)", "float32"),
     ],
 )
-def test_an_output_that_is_a_copy_is_caught_and_its_operator_named(
-    operator, end, dtype, tmp_path
-):
+def test_an_output_that_is_a_copy_is_caught_and_its_operator_named(operator, end, dtype, tmp_path):
     wide = "packed = Concat <axis = 1> (moved, opacity, spread)"
     half = dtype == "float16"
     narrow = f"{wide.replace('packed', 'wide')} packed = Cast <to = 10> (wide)"

@@ -39,9 +39,7 @@ def seen_on_image(points: np.ndarray, view: np.ndarray, lens: np.ndarray) -> np.
 
 @ORDERS
 @pytest.mark.parametrize("flip", [1, -1])
-def test_nothing_that_is_seen_is_culled_and_most_of_the_rest_is(
-    order: str, flip: int
-) -> None:
+def test_nothing_that_is_seen_is_culled_and_most_of_the_rest_is(order: str, flip: int) -> None:
     lens = perspective(1.0, 1.6, 0.1, 20.0)
     lens[1] *= flip
     points = RNG.normal(0, 6, (4000, 3)).astype(np.float32)
@@ -86,7 +84,4 @@ def test_spheres_on_the_border_are_kept_by_their_radius_and_the_margin() -> None
 
 def test_matrices_of_zeros_keep_all_and_nan_goes() -> None:
     points = torch.tensor([[0.0, 0, 0], [np.nan, 0, 0]])
-    assert math.frustum_mask(points, torch.zeros(4, 4), torch.zeros(4, 4)).tolist() == [
-        1,
-        0,
-    ]
+    assert math.frustum_mask(points, torch.zeros(4, 4), torch.zeros(4, 4)).tolist() == [1, 0]

@@ -15,9 +15,7 @@ def sample(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 def test_covariances_are_those_of_the_oracle() -> None:
     scale, quaternions = sample(500)
-    seen = math.covariance_upper(
-        torch.from_numpy(scale), torch.from_numpy(quaternions)
-    ).numpy()
+    seen = math.covariance_upper(torch.from_numpy(scale), torch.from_numpy(quaternions)).numpy()
     wanted = geometry.covariance_upper(scale, quaternions)
     trace = wanted[:, [0, 3, 5]].sum(axis=1, keepdims=True)
     np.testing.assert_array_less(np.abs(seen - wanted) / trace, 2e-6)
@@ -40,7 +38,5 @@ def test_a_linear_map_of_a_covariance_is_that_of_the_oracle(each: bool) -> None:
     wide = turn.astype(np.float64)
     full = wide @ geometry.symmetric(upper) @ wide.swapaxes(-1, -2)
     wanted = full[:, geometry.COVARIANCE_INDEX[0], geometry.COVARIANCE_INDEX[1]]
-    size = np.abs(
-        np.linalg.norm(wide, axis=(-2, -1)) ** 2 * upper[:, [0, 3, 5]].sum(axis=1)
-    )
+    size = np.abs(np.linalg.norm(wide, axis=(-2, -1)) ** 2 * upper[:, [0, 3, 5]].sum(axis=1))
     np.testing.assert_array_less(np.abs(seen - wanted).max(axis=1) / size, 2e-6)

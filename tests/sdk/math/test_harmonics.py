@@ -52,16 +52,10 @@ def test_a_colour_is_the_same_from_everywhere() -> None:
     [
         (lambda: math.sh_from_channel_major(torch.zeros(5, 4, 3)), "shape is [5, 4, 3]"),
         (lambda: math.sh_from_channel_major(torch.zeros(5, 46)), "expected [N, 3, K]"),
-        (
-            lambda: math.sh_from_coefficient_major(torch.zeros(5, 3, 4)),
-            "expected [N, K, 3]",
-        ),
+        (lambda: math.sh_from_coefficient_major(torch.zeros(5, 3, 4)), "expected [N, K, 3]"),
         (lambda: math.sh_from_coefficient_major(torch.zeros(5, 21)), "K = 1, 4, 9 or 16"),
         (lambda: math.sh_from_ply(torch.zeros(5, 3), torch.zeros(5, 48)), "[N, 45]"),
-        (
-            lambda: math.sh_of_degree(torch.zeros(5, 4, 3), 4),
-            "degree is 4, expected 0 to 3",
-        ),
+        (lambda: math.sh_of_degree(torch.zeros(5, 4, 3), 4), "degree is 4, expected 0 to 3"),
     ],
 )
 def test_other_shapes_are_refused(call, words: str) -> None:

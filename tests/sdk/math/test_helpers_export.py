@@ -40,9 +40,7 @@ CALLS: dict[str, Call] = {
     "sh_from_coefficient_major": lambda x, v, p, t: math.sh_from_coefficient_major(
         torch.cat([x, x], dim=1)
     ),
-    "sh_from_ply": lambda x, v, p, t: math.sh_from_ply(
-        x[:, :3], torch.cat([x, x[:, :3]], dim=1)
-    ),
+    "sh_from_ply": lambda x, v, p, t: math.sh_from_ply(x[:, :3], torch.cat([x, x[:, :3]], dim=1)),
     "sh_from_rgb": lambda x, v, p, t: math.sh_from_rgb(x[:, :3]),
     "sh_of_degree": lambda x, v, p, t: math.sh_of_degree(x[:, None, :3], 2),
     "camera_centre": lambda x, v, p, t: math.camera_centre(v),
@@ -59,8 +57,7 @@ CALLS: dict[str, Call] = {
         math.axis_angle_to_matrix(x[:JOINTS, :3]), x[:JOINTS, 3:], PARENTS, x[0, :3]
     ),
     "skin": lambda x, v, p, t: torch.cat(
-        [one.reshape(N, -1) for one in math.skin(x[:, :3], x, v[None, :3].expand(6, 3, 4))],
-        dim=1,
+        [one.reshape(N, -1) for one in math.skin(x[:, :3], x, v[None, :3].expand(6, 3, 4))], dim=1
     ),
 }
 
@@ -120,12 +117,7 @@ def test_the_exported_helper_gives_what_torch_gives(
 class Ensemble(GaussianGenerator):
     """Skinned Gaussians with features of planes, culled and moved forward."""
 
-    inputs = (
-        inputs.view(),
-        inputs.projection(),
-        inputs.time(range=(-1, 1)),
-        inputs.pose(JOINTS),
-    )
+    inputs = (inputs.view(), inputs.projection(), inputs.time(range=(-1, 1)), inputs.pose(JOINTS))
     family = "avatar"
 
     def __init__(self) -> None:
@@ -139,15 +131,11 @@ class Ensemble(GaussianGenerator):
     def forward(
         self, view: torch.Tensor, proj: torch.Tensor, time: torch.Tensor, pose: torch.Tensor
     ) -> Gaussians:
-        transforms = math.skinning_transforms(
-            math.axis_angle_to_matrix(pose), self.joints, PARENTS
-        )
+        transforms = math.skinning_transforms(math.axis_angle_to_matrix(pose), self.joints, PARENTS)
         feature = math.sample_plane(self.plane, self.rest[:, :2] + 0.3 * time)
         position, turn = math.skin(self.rest + 0.05 * feature, self.weights, transforms)
         scale = torch.full((N, 3), 0.05) * torch.tensor([1.0, 0.5, 0.2])
-        covariance = math.rotate_covariance(
-            math.covariance_upper(scale, self.rotation), turn
-        )
+        covariance = math.rotate_covariance(math.covariance_upper(scale, self.rotation), turn)
         towards = math.safe_normalize(position - math.camera_centre(view))
         mask = math.frustum_mask(position, view, proj, margin=-0.3)  # some go
         rows, count = math.keep_rows(mask, N)

@@ -9,9 +9,7 @@ from gsgen.sdk import GeneratorInvalid, math
 
 RNG = np.random.default_rng(9)
 # Inside, on corners and borders, just and far outside.
-EDGES = np.array(
-    list(itertools.product((-1e6, -1.5, -1.01, -1, 0, 0.999, 1, 1.2, 3e9), repeat=2))
-)
+EDGES = np.array(list(itertools.product((-1e6, -1.5, -1.01, -1, 0, 0.999, 1, 1.2, 3e9), repeat=2)))
 POINTS = np.concatenate([RNG.uniform(-1.3, 1.3, (200, 2)), EDGES]).astype(np.float32)
 
 
@@ -48,9 +46,7 @@ def test_samples_are_those_of_the_definition_and_of_torch(
         align_corners=align_corners,
         padding=padding,
     ).numpy()
-    np.testing.assert_allclose(
-        seen, bilinear(plane, POINTS, align_corners, padding), atol=3e-6
-    )
+    np.testing.assert_allclose(seen, bilinear(plane, POINTS, align_corners, padding), atol=3e-6)
     theirs = functional.grid_sample(
         torch.from_numpy(plane)[None],
         torch.from_numpy(POINTS)[None, None],

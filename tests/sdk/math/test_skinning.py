@@ -49,9 +49,7 @@ def test_a_chain_is_that_of_the_loop(name: str) -> None:
         turns, torch.from_numpy(joints), parents, torch.from_numpy(move)
     )
     np.testing.assert_allclose(seen.numpy(), wanted, atol=1e-5)
-    wide = math.skinning_transforms(
-        turns.double(), torch.from_numpy(joints).double(), parents
-    )
+    wide = math.skinning_transforms(turns.double(), torch.from_numpy(joints).double(), parents)
     wanted[:, :, 3] -= move
     np.testing.assert_allclose(wide.numpy(), wanted, atol=1e-5)
 
@@ -76,9 +74,7 @@ def test_points_are_blended_as_by_the_oracle() -> None:
     points, weights = rng.normal(size=(50, 3)), rng.random((50, 5))
     weights /= weights.sum(axis=1, keepdims=True)
     transforms = rng.normal(size=(5, 3, 4))
-    inputs = (
-        torch.from_numpy(one.astype(np.float32)) for one in (points, weights, transforms)
-    )
+    inputs = (torch.from_numpy(one.astype(np.float32)) for one in (points, weights, transforms))
     position, turn = math.skin(*inputs)
     blended = np.einsum("nj,jab->nab", weights, transforms)
     wanted = np.einsum("nab,nb->na", blended[:, :, :3], points) + blended[:, :, 3]

@@ -42,9 +42,7 @@ def test_multiply_matrices_keeps_the_product(name: str, level: object) -> None:
     result = MultiplyMatrices()(ir.serde.deserialize_model(proto))
     assert result.modified is ("vector" in name)
     rng = np.random.default_rng(0)
-    shapes = [
-        [d.dim_value for d in v.type.tensor_type.shape.dim] for v in proto.graph.input
-    ]
+    shapes = [[d.dim_value for d in v.type.tensor_type.shape.dim] for v in proto.graph.input]
     a, b = (rng.normal(size=shape).astype(np.float32) for shape in shapes)
     made = ir.serde.serialize_model(result.model)
     onnx.checker.check_model(made, full_check=True)
@@ -61,9 +59,7 @@ def test_a_camera_centre_is_right_at_every_level_of_optimisation(level: object) 
         "g (float[3,3] r, float[3] t) => (float[3] y) "
         "{ s = Transpose<perm = [1, 0]>(r)\n p = MatMul(s, t)\n y = Neg(p) }"
     )
-    made = ir.serde.serialize_model(
-        MultiplyMatrices()(ir.serde.deserialize_model(proto)).model
-    )
+    made = ir.serde.serialize_model(MultiplyMatrices()(ir.serde.deserialize_model(proto)).model)
     rng = np.random.default_rng(1)
     r, t = rng.normal(size=(3, 3)).astype(np.float32), rng.normal(size=3).astype(np.float32)
     (seen,) = run(made, level, r=r, t=t)

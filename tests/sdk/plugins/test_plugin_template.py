@@ -90,9 +90,7 @@ def test_every_template_is_used() -> None:
         ("static", "'static' is a plugin that is installed"),
     ],
 )
-def test_names_that_cannot_be_used_are_refused(
-    tmp_path: Path, name: str, words: str
-) -> None:
+def test_names_that_cannot_be_used_are_refused(tmp_path: Path, name: str, words: str) -> None:
     with pytest.raises(ConfigInvalid) as caught:
         write_plugin_package(name, tmp_path)
     assert words in str(caught.value)

@@ -36,9 +36,7 @@ def test_a_folder_that_is_made_meanwhile_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "known"), [("pose_of_open_size", "J"), ("drift", "none")])
 def test_a_size_for_no_dimension_is_refused(tmp_path: Path, name: str, known: str) -> None:
     with pytest.raises(UnknownName) as caught:
-        repair(
-            find(name).write(tmp_path), tmp_path / "m.onnx", RepairRequest(sizes={"Q": 3})
-        )
+        repair(find(name).write(tmp_path), tmp_path / "m.onnx", RepairRequest(sizes={"Q": 3}))
     assert str(caught.value) == f"--size: unknown dimension 'Q'\n  Known: {known}."
     assert not (tmp_path / "m.onnx").exists()
 
@@ -67,9 +65,7 @@ def test_harmonics_that_would_not_fill_words_stay_float32(
     tmp_path: Path, name: str, channels: int
 ) -> None:
     source, target = find(name).write(tmp_path), tmp_path / "half.onnx"
-    with pytest.raises(
-        RewriteFailed, match=rf"{channels} channels of SH(.|\n)*--keep-outputs"
-    ):
+    with pytest.raises(RewriteFailed, match=rf"{channels} channels of SH(.|\n)*--keep-outputs"):
         write_float16(source, target)
     assert not target.exists()
     write_float16(source, target, outputs=False)

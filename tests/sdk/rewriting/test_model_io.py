@@ -49,17 +49,9 @@ def test_small_weights_stay_in_the_model(tmp_path: Path, floats: int, beside: bo
 def test_saving_leaves_a_model_as_it_was(tmp_path: Path, beside: bool) -> None:
     save_model(model_of(100), tmp_path / "m.onnx", external_weights=True)
     read = ir.load(tmp_path / "m.onnx")
-    before = [
-        value.const_value
-        for graph in read.graphs()
-        for value in graph.initializers.values()
-    ]
+    before = [value.const_value for graph in read.graphs() for value in graph.initializers.values()]
     save_model(read, tmp_path / "again.onnx", external_weights=beside)
-    after = [
-        value.const_value
-        for graph in read.graphs()
-        for value in graph.initializers.values()
-    ]
+    after = [value.const_value for graph in read.graphs() for value in graph.initializers.values()]
     assert all(a is b for a, b in zip(before, after, strict=True))
     assert has_external_weights(ir.load(tmp_path / "again.onnx")) == beside
 

@@ -14,13 +14,9 @@ from gsgen.sdk.rewriting.output_equivalence import _room, compare_files
 from support.passes import parsed
 
 
-def test_integers_are_compared_where_a_double_cannot_tell_them_apart(
-    tmp_path: Path,
-) -> None:
+def test_integers_are_compared_where_a_double_cannot_tell_them_apart(tmp_path: Path) -> None:
     for name, added in (("before", 0), ("after", 1)):
-        text = (
-            f"g (int64[1] x) => (int64[1] y) <int64 c = {{{added}}}> {{ y = Add (x, c) }}"
-        )
+        text = f"g (int64[1] x) => (int64[1] y) <int64 c = {{{added}}}> {{ y = Add (x, c) }}"
         ir.save(parsed(text), tmp_path / f"{name}.onnx")
     files = tmp_path / "before.onnx", tmp_path / "after.onnx"
     probes = [Probe(label="large", inputs={"x": np.array([1 << 53], np.int64)})]
@@ -51,9 +47,7 @@ def test_an_output_without_numbers_is_not_judged(
         <float zero = {{0}}, float d = {{{divisor}}}, float[0, 2] none = {{}}>
         {{ q = Mul (x, zero) y = Div (q, d) e = Identity (none) z = Neg (x) }}"""
     ir.save(parsed(text), tmp_path / "m.onnx")
-    probes = [
-        Probe(label=str(i), inputs={"x": np.full(2, i, np.float32)}) for i in range(2)
-    ]
+    probes = [Probe(label=str(i), inputs={"x": np.full(2, i, np.float32)}) for i in range(2)]
     files = tmp_path / "m.onnx", tmp_path / "m.onnx"
     made = compare_files(*files, ["y", "e", "z"], probes, Limits(), BITS, "a pass")
     assert made.differences == ()

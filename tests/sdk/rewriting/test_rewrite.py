@@ -19,13 +19,7 @@ from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.manifest_io import parse
 from gsgen.contract.spec.targets import known_targets, load_target
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.passes.framework.base import (
-    BITS,
-    ErrorBudget,
-    NodeRewrite,
-    RewriteTarget,
-    is_op,
-)
+from gsgen.sdk.passes.framework.base import BITS, ErrorBudget, NodeRewrite, RewriteTarget, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.registry import REWRITES
 from gsgen.sdk.rewriting import rewrite as pipeline
@@ -141,9 +135,7 @@ def test_functions_and_branches_are_reached(tmp_path: Path) -> None:
 
 def test_weights_beside_the_model_stay_beside_it(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
-    model = parsed(
-        "g (float[64,64] x) => (float[64,64] y) { r = Round (x) y = Add (r, w) }"
-    )
+    model = parsed("g (float[64,64] x) => (float[64,64] y) { r = Round (x) y = Add (r, w) }")
     weight = np.random.default_rng(0).normal(size=(64, 64)).astype(np.float32)
     (adding,) = (node for node in model.graph if node.op_type == "Add")
     value = adding.inputs[1]
@@ -152,10 +144,7 @@ def test_weights_beside_the_model_stay_beside_it(tmp_path: Path) -> None:
     model.graph.register_initializer(value)
     ir.save(model, tmp_path / "a" / "in.onnx", external_data="weights.bin")
     rewrite_file(tmp_path / "a" / "in.onnx", tmp_path / "b" / "out.onnx", WEBGPU)
-    assert {file.name for file in (tmp_path / "b").iterdir()} == {
-        "out.onnx",
-        "out.onnx.data",
-    }
+    assert {file.name for file in (tmp_path / "b").iterdir()} == {"out.onnx", "out.onnx.data"}
     session = onnxruntime.InferenceSession(tmp_path / "b" / "out.onnx")
     x = np.full((64, 64), 2.5, np.float32)
     np.testing.assert_array_equal(session.run(None, {"x": x})[0], 2 + weight)
@@ -208,9 +197,7 @@ def test_a_pass_that_changes_more_than_it_declares_writes_nothing(
     source = written(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
     (tmp_path / "out.onnx").write_bytes(b"old")
     if fails:
-        with pytest.raises(
-            RewriteFailed, match=r"output 'y' differs by .* at probe"
-        ) as caught:
+        with pytest.raises(RewriteFailed, match=r"output 'y' differs by .* at probe") as caught:
             rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
         assert caught.value.where == "scale"
         assert (tmp_path / "out.onnx").read_bytes() == b"old"
@@ -228,9 +215,7 @@ def test_passes_that_undo_each_other_are_found_out(monkeypatch) -> None:
         rewrite_graph(model, RewriteTarget.of(WEBGPU))
 
 
-def test_a_pass_that_leaves_no_valid_graph_is_found_out(
-    monkeypatch, tmp_path: Path
-) -> None:
+def test_a_pass_that_leaves_no_valid_graph_is_found_out(monkeypatch, tmp_path: Path) -> None:
     def spoil(_, node: ir.Node) -> None:
         node.attributes["no_such"] = ir.AttrInt64("no_such", 1)
 
@@ -263,9 +248,7 @@ def test_a_model_that_does_not_run_cannot_be_compared(tmp_path: Path) -> None:
         ("custom_operator", "does not run in ONNX Runtime"),
     ],
 )
-def test_a_model_that_is_broken_is_refused_for_that(
-    name: str, told: str, tmp_path: Path
-) -> None:
+def test_a_model_that_is_broken_is_refused_for_that(name: str, told: str, tmp_path: Path) -> None:
     source = find(name).write(tmp_path)
     with pytest.raises(RewriteFailed, match=told):
         rewrite_file(source, tmp_path / "out.onnx", CORE)
@@ -296,9 +279,7 @@ def test_an_input_that_is_an_output_keeps_its_name(tmp_path: Path) -> None:
     done = rewrite_file(source, tmp_path / "out.onnx", CORE)
     made = onnx.load(tmp_path / "out.onnx")
     assert done.path is not None
-    assert {v.name for v in made.graph.output} == {
-        v.name for v in onnx.load(source).graph.output
-    }
+    assert {v.name for v in made.graph.output} == {v.name for v in onnx.load(source).graph.output}
 
 
 def test_a_manifest_about_other_shapes_gives_way_to_the_graph(tmp_path: Path) -> None:
@@ -361,10 +342,7 @@ def test_outputs_that_are_no_numbers_prove_nothing(tmp_path: Path) -> None:
     assert ran.exit_code == 0, ran.output
     assert "nothing differs; y could not be compared" in ran.stdout
     assert "equal bits" not in ran.stdout
-    assert (
-        "y: no finite number at any of 5 probes, so the rewrite is not verified"
-        in ran.stderr
-    )
+    assert "y: no finite number at any of 5 probes, so the rewrite is not verified" in ran.stderr
     assert json.loads(gsgen(*words, "--json").stdout)["unjudged"] == ["y"]
 
 
@@ -373,11 +351,9 @@ def test_the_command_prints_json(tmp_path: Path) -> None:
     ran = gsgen(str(source), "--dry-run", "--json", "--target", "webgpu")
     made = json.loads(ran.stdout)
     assert made["path"] is None
-    assert {
-        "name": "round-by-floor",
-        "exactness": "bit for bit",
-        "nodes": ["r (Round)"],
-    } in made["passes"]
+    assert {"name": "round-by-floor", "exactness": "bit for bit", "nodes": ["r (Round)"]} in made[
+        "passes"
+    ]
     assert made["after"]["uncaptured"] == []
 
 
@@ -397,11 +373,7 @@ def test_the_command_lists_its_passes() -> None:
         (["in.onnx"], 2, "is missing, expected the path of the copy"),
         (["in.onnx", "-o", "out.onnx", "--pass", "chunk"], 2, "Did you mean"),
         (["in.onnx", "-o", "out.onnx", "--target", "webgp"], 2, "Did you mean 'webgpu'?"),
-        (
-            ["in.onnx", "-o", "out.onnx", "--size", "N"],
-            2,
-            "--size: is 'N', expected SYMBOL=SIZE",
-        ),
+        (["in.onnx", "-o", "out.onnx", "--size", "N"], 2, "--size: is 'N', expected SYMBOL=SIZE"),
         (
             ["in.onnx", "-o", "out.onnx", "--freeze", "N"],
             2,

@@ -140,9 +140,7 @@ def followed(
     big = turns_of(spread(body))
     none = np.zeros(0)
     big_pose_transforms = chain(body, big, none)
-    vertices = skinned(
-        big_pose_transforms, body.weights, body.template + blendshapes(body, big)
-    )
+    vertices = skinned(big_pose_transforms, body.weights, body.template + blendshapes(body, big))
     vid = nearest(moved, vertices)
     weights = corrected(nets, body.weights[vid], canonical)
     blend = np.einsum("nj,jab->nab", weights, big_pose_transforms)
@@ -178,14 +176,10 @@ def gauhuman(read: GauHumanCheckpoint, pose_inputs: PoseInputs) -> ExpectedGauss
     position, covariance = followed(read.body, read.nets, pose_inputs, xyz, xyz, sigma)
     opacity = torch.sigmoid(cloud.logit_opacity.double()).numpy()[:, 0]
     color = cloud.sh.flatten(1).double().numpy()
-    return ExpectedGaussians(
-        np.ones(len(xyz), bool), position, opacity, upper(covariance), color
-    )
+    return ExpectedGaussians(np.ones(len(xyz), bool), position, opacity, upper(covariance), color)
 
 
-def lhm(
-    read: LHMCheckpoint, face: Face | None, pose_inputs: PoseInputs
-) -> ExpectedGaussians:
+def lhm(read: LHMCheckpoint, face: Face | None, pose_inputs: PoseInputs) -> ExpectedGaussians:
     """aigc3d/LHM: `gs_renderer.py` and `smpl_x_voxel_dense_sampling.py`."""
     body, betas = read.body, read.betas.double().numpy()
     vid = nearest(read.samples, body.template)
@@ -211,9 +205,7 @@ def lhm(
     sigma = turned @ covariances(scale, quaternion) @ turned.transpose(0, 2, 1)
     opacity = read.opacity.double().numpy()[:, 0]
     rgb = read.rgb.double().numpy()
-    return ExpectedGaussians(
-        np.ones(len(point), bool), position, opacity, upper(sigma), rgb
-    )
+    return ExpectedGaussians(np.ones(len(point), bool), position, opacity, upper(sigma), rgb)
 
 
 def quaternion_of(m: np.ndarray) -> np.ndarray:
@@ -244,9 +236,7 @@ def r3(read: R3Checkpoint, pose_inputs: PoseInputs) -> ExpectedGaussians:
     xyz = read.canonical.position.double()
     low, high = read.aabb.double()
     scaled = (xyz - low) * 2 / (high - low) - 1
-    time = torch.full(
-        (len(xyz), 1), pose_inputs.pose_id / read.origin - 1, dtype=torch.float64
-    )
+    time = torch.full((len(xyz), 1), pose_inputs.pose_id / read.origin - 1, dtype=torch.float64)
     coordinates = torch.cat([scaled, time], 1)
     features = []
     for planes in read.grids:
@@ -269,9 +259,7 @@ def r3(read: R3Checkpoint, pose_inputs: PoseInputs) -> ExpectedGaussians:
     canonical = xyz.numpy()
     sigma = covariances(outputs["scaling"] ** 2, outputs["rotation"])
     moved = canonical + outputs["warp"]
-    position, covariance = followed(
-        read.body, read.nets, pose_inputs, canonical, moved, sigma
-    )
+    position, covariance = followed(read.body, read.nets, pose_inputs, canonical, moved, sigma)
     opacity = 1 / (1 + np.exp(-outputs["opacity"][:, 0]))
     color = read.canonical.sh.flatten(1).double().numpy()
     return ExpectedGaussians(

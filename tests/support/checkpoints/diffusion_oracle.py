@@ -25,17 +25,12 @@ class _Blocks:
 
     def residual(self, name: str, x: torch.Tensor, shrink: float = 1.0) -> torch.Tensor:
         h = conv(
-            self.w,
-            f"{name}.conv1",
-            F.silu(norm(self.w, f"{name}.norm1", x, self.groups, self.eps)),
+            self.w, f"{name}.conv1", F.silu(norm(self.w, f"{name}.norm1", x, self.groups, self.eps))
         )
         moment = linear(self.w, f"{name}.time_emb_proj", self.time)[0, :, None, None]
         if self.cfg.get("resnet_time_scale_shift") == "scale_shift":
             scale, shift = moment.split(len(moment) // 2)
-            h = (
-                norm(self.w, f"{name}.norm2", h, self.groups, self.eps) * (1 + scale)
-                + shift
-            )
+            h = norm(self.w, f"{name}.norm2", h, self.groups, self.eps) * (1 + scale) + shift
         else:
             h = norm(self.w, f"{name}.norm2", h + moment, self.groups, self.eps)
         h = conv(self.w, f"{name}.conv2", F.silu(h))
@@ -49,9 +44,7 @@ class _Blocks:
             return self.transform(name, x)
         width = self.cfg.get("attention_head_dim", 8)
         heads = 1 if width is None else c // width
-        tokens = (
-            norm(self.w, f"{name}.group_norm", x, self.groups, self.eps).reshape(c, n).T
-        )
+        tokens = norm(self.w, f"{name}.group_norm", x, self.groups, self.eps).reshape(c, n).T
         attended = attention(self.w, name, tokens, tokens, heads)
         return (x + attended.T.reshape(x.shape)) / shrink
 
@@ -67,12 +60,8 @@ class _Blocks:
             normalised = layer_norm(self.w, f"{b}.norm1", tokens)
             tokens = tokens + attention(self.w, f"{b}.attn1", normalised, normalised, heads)
             two = layer_norm(self.w, f"{b}.norm2", tokens)
-            tokens = tokens + attention(
-                self.w, f"{b}.attn2", two, self.context[0].double(), heads
-            )
-            three = linear(
-                self.w, f"{b}.ff.net.0.proj", layer_norm(self.w, f"{b}.norm3", tokens)
-            )
+            tokens = tokens + attention(self.w, f"{b}.attn2", two, self.context[0].double(), heads)
+            three = linear(self.w, f"{b}.ff.net.0.proj", layer_norm(self.w, f"{b}.norm3", tokens))
             value, gate = three.split(three.shape[1] // 2, dim=1)
             bell = 0.5 * gate * (1 + torch.erf(gate / math.sqrt(2)))
             tokens = tokens + linear(self.w, f"{b}.ff.net.2", value * bell)
@@ -156,8 +145,7 @@ def waves(cfg: Mapping[str, Any], value: float, width: int) -> torch.Tensor:
     """Sines and cosines of one number."""
     half = width // 2
     rates = [
-        math.exp(-math.log(10000) * i / (half - cfg.get("freq_shift", 0)))
-        for i in range(half)
+        math.exp(-math.log(10000) * i / (half - cfg.get("freq_shift", 0))) for i in range(half)
     ]
     sines = [math.sin(value * r) for r in rates]
     cosines = [math.cos(value * r) for r in rates]
@@ -181,9 +169,7 @@ def norm(w: Weights, name: str, x: torch.Tensor, groups: int, eps: float) -> tor
     parts = x.reshape(groups, -1)
     mean, spread = parts.mean(1, keepdim=True), parts.var(1, keepdim=True, correction=0)
     normalised = ((parts - mean) / torch.sqrt(spread + eps)).reshape(x.shape)
-    return (
-        normalised * w[f"{name}.weight"][:, None, None] + w[f"{name}.bias"][:, None, None]
-    )
+    return normalised * w[f"{name}.weight"][:, None, None] + w[f"{name}.bias"][:, None, None]
 
 
 def layer_norm(w: Weights, name: str, x: torch.Tensor) -> torch.Tensor:
@@ -205,7 +191,6 @@ def attention(
     for head in range(heads):
         columns = slice(head * size, (head + 1) * size)
         head_outputs.append(
-            torch.softmax(q[:, columns] @ k[:, columns].T / math.sqrt(size), dim=1)
-            @ v[:, columns]
+            torch.softmax(q[:, columns] @ k[:, columns].T / math.sqrt(size), dim=1) @ v[:, columns]
         )
     return linear(w, f"{name}.to_out.0", torch.cat(head_outputs, dim=1))

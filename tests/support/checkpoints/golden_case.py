@@ -17,8 +17,7 @@ def read_safetensors(path: Path) -> dict[str, np.ndarray]:
     header = json.loads(raw[8:start])
     return {
         name: np.frombuffer(
-            raw[start + entry["data_offsets"][0] : start + entry["data_offsets"][1]],
-            np.float32,
+            raw[start + entry["data_offsets"][0] : start + entry["data_offsets"][1]], np.float32
         ).reshape(entry["shape"])
         for name, entry in header.items()
         if name != "__metadata__"
@@ -30,23 +29,13 @@ def golden_case(path: Path) -> tuple[SplatData, Camera, np.ndarray]:
     tensors = read_safetensors(path)
     opacity = 1 / (1 + np.exp(-tensors["opacities"].astype(np.float64)))
     scale = np.exp(tensors["scales"].astype(np.float64))
-    columns = [
-        tensors["means"],
-        opacity[:, None],
-        covariance_upper(scale, tensors["quats"]),
-    ]
+    columns = [tensors["means"], opacity[:, None], covariance_upper(scale, tensors["quats"])]
     rows = np.concatenate(columns, axis=1).astype(np.float32)
     image = tensors["out_img"]
     height, width = image.shape[:2]
     view = np.eye(4)
     view[:3, 3] = -0.123, -0.456, 8
     camera = Camera(
-        view,
-        fx=width / 2,
-        fy=width / 2,
-        cx=width / 2,
-        cy=height / 2,
-        width=width,
-        height=height,
+        view, fx=width / 2, fy=width / 2, cx=width / 2, cy=height / 2, width=width, height=height
     )
     return SplatData(rows, tensors["coeffs"].reshape(4, 48), "sh"), camera, image

@@ -21,9 +21,7 @@ MARGIN = 3
 ALLOWED = {"position": 2e-5, "opacity": 2e-5, "covariance": 5e-5, "color": 2e-5}
 
 
-def eager(
-    generator: GaussianGenerator, *inputs: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def eager(generator: GaussianGenerator, *inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return packed rows and appearance."""
     tensors = [torch.from_numpy(np.array(value)) for value in inputs]
     with torch.no_grad():
@@ -33,9 +31,7 @@ def eager(
     return rows.numpy(), color.numpy()
 
 
-def camera(
-    rng: np.random.Generator, distance: float = 4.0, scale: float = 1.0
-) -> np.ndarray:
+def camera(rng: np.random.Generator, distance: float = 4.0, scale: float = 1.0) -> np.ndarray:
     """Return a view matrix in column order, of a model that is ``scale`` times its size."""
     eye = rng.normal(size=3)
     eye *= distance / np.linalg.norm(eye)

@@ -78,9 +78,7 @@ def anchors(
     shape = ask(nets.covariance).reshape(-1, 7)[opaque]
     base = log_scale.exp().repeat_interleave(k, 0)[opaque]
     scale = base[:, 3:] * torch.sigmoid(shape[:, :3])
-    position = (
-        anchor.repeat_interleave(k, 0)[opaque] + offset.reshape(-1, 3)[opaque] * base[:, :3]
-    )
+    position = anchor.repeat_interleave(k, 0)[opaque] + offset.reshape(-1, 3)[opaque] * base[:, :3]
     retained = torch.zeros(n, k, dtype=torch.bool)
     retained[visible] = opaque.reshape(-1, k)
     return ExpectedGaussians(
@@ -102,9 +100,7 @@ def _levels(
     voxel, standard = cloud.info[:2].double()
     middle = cloud.position.double() + (voxel / 2 / fork**level)[:, None]
     distance = (middle - centre).norm(dim=1)
-    level_of_distance = (
-        torch.log2(standard / distance) / np.log2(fork) + cloud.extra_level.double()
-    )
+    level_of_distance = torch.log2(standard / distance) / np.log2(fork) + cloud.extra_level.double()
     top = level.max() - level.min()
     fade = None
     if mode == "progressive":
@@ -137,9 +133,7 @@ def hexplane(read: HexPlaneCheckpoint, time: float) -> ExpectedGaussians:
         features.append(product)
     hidden = torch.cat(features, 1)
     for index, (weight, bias) in enumerate(nets.feature):
-        hidden = F.linear(
-            torch.relu(hidden) if index else hidden, weight.double(), bias.double()
-        )
+        hidden = F.linear(torch.relu(hidden) if index else hidden, weight.double(), bias.double())
 
     def head(pair: tuple) -> torch.Tensor:
         (a, b), (c, d) = pair
@@ -230,9 +224,7 @@ def deformation(read: DeformationCheckpoint, time: float) -> ExpectedGaussians:
         w, v = _skew(axis / theta + 1e-5), v / theta + 1e-5
         angle, eye = theta[:, :, None], torch.eye(3, dtype=torch.float64)
         turn = eye + torch.sin(angle) * w + (1 - torch.cos(angle)) * w @ w
-        carry = (
-            angle * eye + (1 - torch.cos(angle)) * w + (angle - torch.sin(angle)) * w @ w
-        )
+        carry = angle * eye + (1 - torch.cos(angle)) * w + (angle - torch.sin(angle)) * w @ w
         position = (turn @ x[:, :, None] + carry @ v[:, :, None])[:, :, 0]
     scale = canonical.log_scale.double().exp() + last(net.scaling)
     q = F.normalize(canonical.rotation.double(), dim=1) + last(net.rotation)

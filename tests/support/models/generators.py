@@ -19,9 +19,7 @@ class Drift(GaussianGenerator):
         self.register_buffer("rotation", torch.randn(n, 4, generator=seeded))
         self.register_buffer("scale", 0.05 + 0.1 * torch.rand(n, 3, generator=seeded))
         self.register_buffer("opacity", 0.2 + 0.7 * torch.rand(n, 1, generator=seeded))
-        self.register_buffer(
-            "sh", 0.2 * torch.randn(n, (degree + 1) ** 2, 3, generator=seeded)
-        )
+        self.register_buffer("sh", 0.2 * torch.randn(n, (degree + 1) ** 2, 3, generator=seeded))
 
     def forward(self, time: torch.Tensor) -> Gaussians:
         return Gaussians(
@@ -47,9 +45,7 @@ class Lit(GaussianGenerator):
         self.net = torch.nn.Sequential(
             torch.nn.Linear(3, 16), torch.nn.ReLU(), torch.nn.Linear(16, 4)
         )
-        self.register_buffer(
-            "covariance", torch.tensor([[0.01, 0, 0, 0.01, 0, 0.01]]).repeat(n, 1)
-        )
+        self.register_buffer("covariance", torch.tensor([[0.01, 0, 0, 0.01, 0, 0.01]]).repeat(n, 1))
 
     def forward(self, view: torch.Tensor, proj: torch.Tensor) -> Gaussians:
         eye = -(view[:3, :3].T @ view[:3, 3])

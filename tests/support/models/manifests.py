@@ -14,8 +14,7 @@ from gsgen.contract.spec.schema_text import Hint
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: (
-        st.lists(inner, max_size=3)
-        | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
     ),
     max_leaves=5,
 )
@@ -29,9 +28,7 @@ def manifests():
 def _any(hint: Any, limits: Hint) -> st.SearchStrategy:
     origin, args = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return _any(
-            args[0], next((one for one in args[1:] if isinstance(one, Hint)), limits)
-        )
+        return _any(args[0], next((one for one in args[1:] if isinstance(one, Hint)), limits))
     if origin is Literal:
         return st.sampled_from(args)
     if origin in (typing.Union, types.UnionType):

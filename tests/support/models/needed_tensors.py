@@ -64,9 +64,7 @@ def of_hexplane(read: HexPlaneCheckpoint) -> int:
     nets, total = read.nets, _canonical(read.canonical)
     for six in nets.grids:
         for index, plane in enumerate(six):
-            reached = (
-                plane[:, (plane.shape[1] - 1) // 2 :] if index in _TIME_PLANES else plane
-            )
+            reached = plane[:, (plane.shape[1] - 1) // 2 :] if index in _TIME_PLANES else plane
             total += _sum([reached])
     layers = [*nets.feature, *(layer for pair in nets.heads.values() for layer in pair)]
     layers += nets.static or ()

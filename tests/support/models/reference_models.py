@@ -124,9 +124,7 @@ class Avatar(GaussianGenerator):
         axis = pose / angle
         zero = torch.zeros_like(axis[:, 0])
         x, y, z = axis.unbind(1)
-        cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=1).reshape(
-            -1, 3, 3
-        )
+        cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=1).reshape(-1, 3, 3)
         sine, cosine = torch.sin(angle)[..., None], torch.cos(angle)[..., None]
         turn = torch.eye(3) + sine * cross + (1 - cosine) * (cross @ cross)
         rotations, places = [turn[0]], [self.joint[0]]
@@ -156,17 +154,13 @@ class Denoiser(nn.Module):
         super().__init__()
         with torch.random.fork_rng():
             torch.manual_seed(14)
-            self.embed = nn.Sequential(
-                nn.Linear(8, width), nn.SiLU(), nn.Linear(width, width)
-            )
+            self.embed = nn.Sequential(nn.Linear(8, width), nn.SiLU(), nn.Linear(width, width))
             self.enter = nn.Conv2d(3, width, 3, padding=1)
             self.down = nn.Conv2d(width, 2 * width, 3, stride=2, padding=1)
             self.middle = nn.Conv2d(2 * width, 2 * width, 3, padding=1)
             self.up = nn.Conv2d(3 * width, width, 3, padding=1)
             self.leave = nn.Conv2d(width, 3, 3, padding=1)
-            self.norms = nn.ModuleList(
-                nn.GroupNorm(2, size) for size in (width, 2 * width, width)
-            )
+            self.norms = nn.ModuleList(nn.GroupNorm(2, size) for size in (width, 2 * width, width))
         self.register_buffer("frequency", 2.0 ** torch.arange(4))
 
     def forward(self, image: torch.Tensor, timestep: torch.Tensor) -> torch.Tensor:

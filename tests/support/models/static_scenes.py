@@ -3,11 +3,7 @@
 from pathlib import Path
 
 from gsgen.contract.spec.manifest import GeneratorManifest
-from gsgen.sdk.exporting.constant_generator import (
-    ConstantRows,
-    constant_manifest,
-    write_constant,
-)
+from gsgen.sdk.exporting.constant_generator import ConstantRows, constant_manifest, write_constant
 
 
 def write_scene(

@@ -23,14 +23,10 @@ class Traced:
     probes: tuple[Probe, ...]
 
 
-def traced(
-    generator: GaussianGenerator, name: str, rows: int, degree: int | None
-) -> Traced:
+def traced(generator: GaussianGenerator, name: str, rows: int, degree: int | None) -> Traced:
     """Trace a generator of ``rows`` Gaussians; ``degree`` is that of its SH, None for RGB."""
     bounds = Bounds((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
     manifest = _manifest(generator.eval(), name, "float32", degree, rows, bounds)
     probes = _probes(manifest)
     module = PackedGenerator(generator, Packed(torch.float32, rows))
-    return Traced(
-        trace_generator(module, probes[1], manifest, 18), module, manifest, probes
-    )
+    return Traced(trace_generator(module, probes[1], manifest, 18), module, manifest, probes)

@@ -78,9 +78,7 @@ def unsorted(device: Device, sizes: list[int]) -> list[str]:
             keys_out, places = sort(keys)
             taken = [time.process_time() - taken[0], time.perf_counter() - taken[1]]
             wanted = sort_reference(keys, 32)
-            if not (
-                np.array_equal(places, wanted) and np.array_equal(keys_out, keys[wanted])
-            ):
+            if not (np.array_equal(places, wanted) and np.array_equal(keys_out, keys[wanted])):
                 wrong.append(f"{n} keys, {kind}, blocks of {cut.block}")
             sys.stderr.write(
                 f"  {n:>9,} keys, {kind:9}, blocks of {cut.block:>5,}: "

@@ -21,9 +21,7 @@ def named(make: Callable[[], tuple[Scene, Camera]]) -> Callable[[], tuple[Scene,
 def quad(corners: object, seed: int = 0, **more: object) -> MeshData:
     """Two triangles between four points, with a colour at each."""
     colors = np.random.default_rng(seed).uniform(0.1, 0.9, (4, 3)).astype(np.float32)
-    return MeshData(
-        np.array(corners, np.float32), np.array([[0, 1, 2], [0, 2, 3]]), colors, **more
-    )
+    return MeshData(np.array(corners, np.float32), np.array([[0, 1, 2], [0, 2, 3]]), colors, **more)
 
 
 def wall(depth: float, half: float = 1.0, seed: int = 0) -> MeshData:
@@ -37,9 +35,7 @@ def ball(rings: int = 6, spokes: int = 9, seed: int = 1) -> MeshData:
     up = np.linspace(0, np.pi, rings + 1)[:, None]
     around = np.linspace(0, 2 * np.pi, spokes, endpoint=False)
     points = np.stack(
-        np.broadcast_arrays(
-            np.sin(up) * np.cos(around), np.cos(up), np.sin(up) * np.sin(around)
-        ),
+        np.broadcast_arrays(np.sin(up) * np.cos(around), np.cos(up), np.sin(up) * np.sin(around)),
         -1,
     ).reshape(-1, 3)
     ring, spoke = np.divmod(np.arange(rings * spokes), spokes)
@@ -84,9 +80,7 @@ def several() -> tuple[Scene, Camera]:
         Mesh(ball(seed=2), moved(0, -0.6, 5, np.diag([-1.0, 1, 1, 1])), "headlight"),
     ]
     turn = moved(0.1, 0.2, 0.3, turned(0.3, (0, 0, 1)))
-    return Scene(
-        [cloud(150, 4), SplatSet(cloud(150, 5, degree=2), turn)], meshes=meshes
-    ), camera()
+    return Scene([cloud(150, 4), SplatSet(cloud(150, 5, degree=2), turn)], meshes=meshes), camera()
 
 
 @named
@@ -148,9 +142,7 @@ def linear_scene() -> tuple[Scene, Camera]:
 def linear_mesh() -> tuple[Scene, Camera]:
     shape = ball()
     data = MeshData(shape.vertices, shape.faces, shape.colors, color_space="linear")
-    return Scene(
-        [cloud(80, 10)], meshes=[Mesh(data, moved(0, 0, 4), "headlight")]
-    ), camera()
+    return Scene([cloud(80, 10)], meshes=[Mesh(data, moved(0, 0, 4), "headlight")]), camera()
 
 
 @named
@@ -240,9 +232,7 @@ def panorama_textured() -> tuple[Scene, Camera]:
     corners = [[-4, -2, -3], [4, -2, -2], [4, 1, -2], [-4, 2, -4]]
     away = moved(1e4, -3e3, 7e3)
     wall_of_it = Mesh(quad(corners, uv=uv, texture=picture), away, "headlight")
-    scene = Scene(
-        [SplatSet(all_around(60, 26), away)], color_space="linear", meshes=[wall_of_it]
-    )
+    scene = Scene([SplatSet(all_around(60, 26), away)], color_space="linear", meshes=[wall_of_it])
     return scene, Camera.panorama(away[:3, 3], width=64)
 
 
@@ -252,6 +242,4 @@ def panorama_part() -> tuple[Scene, Camera]:
     part = {"longitudes": (100.0, 250.0), "latitudes": (-30.0, 90.0)}
     room = Mesh(ball(4, 5, 5), np.diag([2.5, 2.5, 2.5, 1]))
     meshes = [room, quad([[-1, -1, -2], [1, -1, -2], [1, 1, -2], [-1, 1, -2]])]
-    return Scene([all_around(150, 27)], meshes=meshes), Camera.panorama(
-        (0, 0, 0), width=60, **part
-    )
+    return Scene([all_around(150, 27)], meshes=meshes), Camera.panorama((0, 0, 0), width=60, **part)

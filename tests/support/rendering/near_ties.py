@@ -20,9 +20,7 @@ def named(make: Callable[[], tuple[Scene, Camera]]) -> Callable[[], tuple[Scene,
     return make
 
 
-def plane(
-    n: int = 300, seed: int = 0, opacity: tuple[float, float] = (0.3, 0.9)
-) -> SplatData:
+def plane(n: int = 300, seed: int = 0, opacity: tuple[float, float] = (0.3, 0.9)) -> SplatData:
     """Large Gaussians around a plane across the sight of :func:`camera`, many over each pixel."""
     data = cloud(n, seed, depth=(4, 4), size=0.25, opacity=opacity)
     data.rows[:, 2] = 4
@@ -113,9 +111,7 @@ def several_models() -> tuple[Scene, Camera]:
         sheared[0, 1] += 0.2 * number
         sets.append(SplatSet(plane(100, number), sheared))
     place = turned(0.4, (1, 2, 3))
-    return Scene([SplatSet(one.data, place @ one.transform) for one in sets]), seen_through(
-        place
-    )
+    return Scene([SplatSet(one.data, place @ one.transform) for one in sets]), seen_through(place)
 
 
 @named

@@ -35,9 +35,7 @@ KEYS: dict[str, Callable[[int, np.random.Generator], np.ndarray]] = {
     "reversed": lambda n, rng: np.arange(n, dtype=np.uint32)[::-1] * np.uint32(977),
     "sawtooth": lambda n, rng: np.arange(n, dtype=np.uint32) % 4097 * np.uint32(65_537),
     "high bits": lambda n, rng: rng.integers(0, 255, n, np.uint32) << np.uint32(24),
-    "one lower": lambda n, rng: np.append(np.full(n, 7, np.uint32), np.uint32(6))[
-        -n or n :
-    ],
+    "one lower": lambda n, rng: np.append(np.full(n, 7, np.uint32), np.uint32(6))[-n or n :],
 }
 """By name: ``n`` keys, of which each tries another thing."""
 

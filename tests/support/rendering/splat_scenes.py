@@ -37,9 +37,7 @@ def cloud(
     """Random Gaussians in front of :func:`camera`, of all sizes, turns and opacities."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(*depth, n)
-    position = np.stack(
-        [rng.uniform(-0.6, 0.6, n) * z, rng.uniform(-0.5, 0.5, n) * z, z], 1
-    )
+    position = np.stack([rng.uniform(-0.6, 0.6, n) * z, rng.uniform(-0.5, 0.5, n) * z, z], 1)
     scale = size * np.exp(thin * rng.normal(size=(n, 3)))
     covariance = covariance_upper(scale, rng.normal(size=(n, 4)))
     columns = [position, rng.uniform(*opacity, (n, 1)), covariance]
@@ -50,18 +48,14 @@ def cloud(
     return SplatData(rows, color.astype(dtype), "sh")
 
 
-def single(
-    *, depth: float = 3.0, opacity: float = 0.9, variance: object = 0.01
-) -> SplatData:
+def single(*, depth: float = 3.0, opacity: float = 0.9, variance: object = 0.01) -> SplatData:
     row = np.zeros((1, 10), np.float32)
     row[0, 2:4] = depth, opacity
     row[0, [4, 7, 9]] = variance
     return SplatData(row, np.array([[0.9, 0.5, 0.1]], np.float32), "rgb")
 
 
-def turned(
-    angle: float, axis: tuple[float, float, float], scale: object = 1.0
-) -> np.ndarray:
+def turned(angle: float, axis: tuple[float, float, float], scale: object = 1.0) -> np.ndarray:
     """A rotation times a scale, as [4, 4]."""
     x, y, z = np.asarray(axis) / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -251,13 +245,7 @@ def far_from_the_origin() -> tuple[Scene, Camera]:
     view = np.eye(4)
     view[:3, 3] = -away[:3, 3]
     there = Camera(
-        view,
-        fx=here.fx,
-        fy=here.fy,
-        cx=here.cx,
-        cy=here.cy,
-        width=here.width,
-        height=here.height,
+        view, fx=here.fx, fy=here.fy, cx=here.cx, cy=here.cy, width=here.width, height=here.height
     )
     return Scene([SplatSet(cloud(200, 47, degree=3), away)]), there
 
@@ -280,9 +268,7 @@ def panorama() -> tuple[Scene, Camera]:
     sets = [all_around(60, 60 + d, degree=d) for d in range(4)]
     wrong = np.float32([np.nan, np.inf, -np.inf])
     sets[0].rows[np.arange(30), np.arange(30) % 10] = wrong[np.arange(30) // 10]
-    around = Camera.panorama(
-        (0.1, 0.2, 0), (1, 0, 1), up=(0.1, -1, 0.2), width=101, height=47
-    )
+    around = Camera.panorama((0.1, 0.2, 0), (1, 0, 1), up=(0.1, -1, 0.2), width=101, height=47)
     return Scene([*sets, SplatSet(sets[3], placed, antialias="mip")]), around
 
 
@@ -315,6 +301,4 @@ def panorama_huge() -> tuple[Scene, Camera]:
 def panorama_part() -> tuple[Scene, Camera]:
     """From over the left shoulder to behind the right one, from below the horizon to the pole."""
     part = {"longitudes": (100.0, 250.0), "latitudes": (-90.0, 10.0)}
-    return Scene([all_around(200, 67, degree=1)]), Camera.panorama(
-        (0, 0, 0), width=90, **part
-    )
+    return Scene([all_around(200, 67, degree=1)]), Camera.panorama((0, 0, 0), width=90, **part)

@@ -23,9 +23,7 @@ class Hand:
         said: What was printed.
     """
 
-    def __init__(
-        self, playback: LivePlayback, renderer: SurfaceRenderer, **options: Any
-    ) -> None:
+    def __init__(self, playback: LivePlayback, renderer: SurfaceRenderer, **options: Any) -> None:
         self.now, self.said = 0.0, list[str]()
         view = options.pop("view", None) or viewpoint("look-at:0,0,-4,0,0,0", *SIZE)
         self.viewer = Viewer(
@@ -47,16 +45,10 @@ class Hand:
         self.send("key_down", key=name, modifiers=modifiers)
 
     def drag(
-        self,
-        start: tuple[float, float],
-        end: tuple[float, float],
-        button: int = 1,
-        *held: str,
+        self, start: tuple[float, float], end: tuple[float, float], button: int = 1, *held: str
     ) -> None:
         for kind, place in (("down", start), ("move", end), ("up", end)):
-            self.send(
-                f"pointer_{kind}", x=place[0], y=place[1], button=button, modifiers=held
-            )
+            self.send(f"pointer_{kind}", x=place[0], y=place[1], button=button, modifiers=held)
 
     def send(self, kind: str, **words: Any) -> None:
         self.canvas.submit_event({"event_type": kind, **words})

@@ -37,9 +37,7 @@ def celled(
     """Random cells in front of :func:`camera`, with smaller Gaussians in each."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(*depth, cells)
-    middle = np.stack(
-        [rng.uniform(-0.6, 0.6, cells) * z, rng.uniform(-0.5, 0.5, cells) * z, z], 1
-    )
+    middle = np.stack([rng.uniform(-0.6, 0.6, cells) * z, rng.uniform(-0.5, 0.5, cells) * z, z], 1)
     extent = size * np.exp(0.3 * rng.normal(size=(cells, 3)))
     ellipsoid = covariance_upper(extent, rng.normal(size=(cells, 4)))
     own = np.concatenate([middle, rng.uniform(0.2, 1, (cells, 1)), ellipsoid], 1)
@@ -65,9 +63,7 @@ def summed(
     divisor: float = 1.0,
     **how: Any,
 ) -> SplatSet:
-    weighted = WeightedSum(
-        background=background, depth_range=depth_range, opacity_divisor=divisor
-    )
+    weighted = WeightedSum(background=background, depth_range=depth_range, opacity_divisor=divisor)
     return SplatSet(data, weighted=weighted, **how)
 
 
@@ -187,8 +183,7 @@ def needles_in_cells() -> tuple[Scene, Camera]:
     """Circles as large as the longer axis, which thin Gaussians fill badly."""
     data = celled(60, seed=14)
     data.rows[:, 4:] = covariance_upper(
-        np.tile([0.6, 0.02, 0.005], (300, 1)),
-        np.random.default_rng(14).normal(size=(300, 4)),
+        np.tile([0.6, 0.02, 0.005], (300, 1)), np.random.default_rng(14).normal(size=(300, 4))
     )
     return Scene([summed(data)]), camera()
 
@@ -197,9 +192,7 @@ def needles_in_cells() -> tuple[Scene, Camera]:
 def fewer_live_than_cells_have() -> tuple[Scene, Camera]:
     """The last live cell has lost some of its Gaussians."""
     data = celled(60, seed=15)
-    some = SplatData(
-        data.rows, data.appearance, "rgb", count=133, cells=data.cells, per_cell=5
-    )
+    some = SplatData(data.rows, data.appearance, "rgb", count=133, cells=data.cells, per_cell=5)
     return Scene([summed(some)]), camera()
 
 

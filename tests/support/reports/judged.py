@@ -36,8 +36,7 @@ def part_of_the_catalogue() -> Registry:
     """The chosen rules, in order of the catalogue; what else they need is left out."""
     rules = [one for one in installed_rules().rules.values() if one.id in _CHOSEN]
     return Registry.of(
-        replace(one, needs=tuple(need for need in one.needs if need in _CHOSEN))
-        for one in rules
+        replace(one, needs=tuple(need for need in one.needs if need in _CHOSEN)) for one in rules
     )
 
 

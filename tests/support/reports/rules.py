@@ -37,9 +37,7 @@ def made_up(
 
     slug = f"made-up-{id.lower().replace('/', '-')}"
     options = {"needs": needs, "kinds": kinds, "target": target, "limit": limit}
-    return rule(id, slug, severity, over=over, fixture="none", level=level, **options)(
-        check
-    )
+    return rule(id, slug, severity, over=over, fixture="none", level=level, **options)(check)
 
 
 def breaking(_: object) -> Iterator[Violation]:

@@ -54,11 +54,7 @@ class Seen:
 
 class _Handler(SimpleHTTPRequestHandler):
     def __init__(
-        self,
-        *words: object,
-        report: dict[str, object],
-        done: threading.Event,
-        **named: object,
+        self, *words: object, report: dict[str, object], done: threading.Event, **named: object
     ) -> None:
         self._report, self._done = report, done
         super().__init__(*words, **named)  # type: ignore[arg-type]

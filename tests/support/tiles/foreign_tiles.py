@@ -142,11 +142,7 @@ def spz_glb(splats: dict[str, np.ndarray], matrix: np.ndarray | None = None) -> 
         "meshes": [
             {
                 "primitives": [
-                    {
-                        "mode": 0,
-                        "attributes": {"POSITION": 0},
-                        "extensions": {names[0]: extension},
-                    }
+                    {"mode": 0, "attributes": {"POSITION": 0}, "extensions": {names[0]: extension}}
                 ]
             }
         ],
@@ -175,18 +171,10 @@ def east_north_up(longitude: float, latitude: float, height: float) -> np.ndarra
     n = a / math.sqrt(1 - e2 * math.sin(lat) ** 2)
     matrix = np.eye(4)
     matrix[:3, 0] = [-math.sin(lon), math.cos(lon), 0]
-    matrix[:3, 1] = [
-        -math.sin(lat) * math.cos(lon),
-        -math.sin(lat) * math.sin(lon),
-        math.cos(lat),
-    ]
+    matrix[:3, 1] = [-math.sin(lat) * math.cos(lon), -math.sin(lat) * math.sin(lon), math.cos(lat)]
     up = [math.cos(lat) * math.cos(lon), math.cos(lat) * math.sin(lon), math.sin(lat)]
     matrix[:3, 2] = up
-    matrix[:3, 3] = [
-        (n + height) * up[0],
-        (n + height) * up[1],
-        (n * (1 - e2) + height) * up[2],
-    ]
+    matrix[:3, 3] = [(n + height) * up[0], (n + height) * up[1], (n * (1 - e2) + height) * up[2]]
     return matrix
 
 
@@ -208,9 +196,7 @@ SPZ = {
 }
 
 
-def tileset(
-    root: dict[str, object], extensions: dict[str, object] = GLTF, **more: object
-) -> bytes:
+def tileset(root: dict[str, object], extensions: dict[str, object] = GLTF, **more: object) -> bytes:
     document = {
         "asset": {"version": "1.1"},
         "geometricError": 500,
@@ -223,11 +209,7 @@ def tileset(
 
 
 def subtree(
-    levels: int,
-    branching: int,
-    tiles: set[int],
-    contents: set[int],
-    below: set[int],
+    levels: int, branching: int, tiles: set[int], contents: set[int], below: set[int]
 ) -> bytes:
     """A binary subtree with two bitstreams in one buffer and one in another view."""
 

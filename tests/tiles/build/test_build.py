@@ -111,12 +111,7 @@ def test_every_engine_gives_the_same_bytes(scene, town, tmp_path, engine):
 def test_chunks_and_partitions_change_no_byte(scene, town, tmp_path, partition):
     with open_engine("serial") as engine:
         build_tileset(
-            [scene],
-            tmp_path / "a",
-            SMALL,
-            engine=engine,
-            progress=Silent(),
-            partition=partition,
+            [scene], tmp_path / "a", SMALL, engine=engine, progress=Silent(), partition=partition
         )
     assert digests(tmp_path / "a") == digests(town)
 
@@ -195,22 +190,14 @@ if __name__ == "__main__":
 def _started(tmp_path: Path, scene: Path, engine: str) -> "subprocess.Popen[str]":
     (tmp_path / "run.py").write_text(_SCRIPT)
     return subprocess.Popen(
-        [
-            sys.executable,
-            str(tmp_path / "run.py"),
-            str(scene),
-            str(tmp_path / "tiles"),
-            engine,
-        ],
+        [sys.executable, str(tmp_path / "run.py"), str(scene), str(tmp_path / "tiles"), engine],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
 
 
-def _wait_for(
-    folder: Path, pattern: str, count: int, process: "subprocess.Popen[str]"
-) -> None:
+def _wait_for(folder: Path, pattern: str, count: int, process: "subprocess.Popen[str]") -> None:
     end = time.monotonic() + 100
     while len(list(folder.glob(pattern))) < count:
         assert process.poll() is None, process.communicate()
@@ -228,9 +215,7 @@ def test_a_build_that_was_killed_goes_on(scene, town, tmp_path, engine):
     assert digests(tmp_path / "tiles") == digests(town)
 
 
-@pytest.mark.skipif(
-    not Path("/proc/self/task").exists(), reason="workers are found in /proc"
-)
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="workers are found in /proc")
 @pytest.mark.parametrize("engine", ["processes", "dask"])
 def test_a_killed_worker_changes_no_byte(scene, town, tmp_path, engine):
     if engine == "dask":

@@ -39,24 +39,17 @@ def test_harmonics_and_other_formats_are_put_together(tmp_path):
 
 def test_a_single_splat_is_a_tileset(tmp_path):
     splats = scattered(10)
-    write_ply(
-        tmp_path / "one.ply",
-        Splats(**{name: getattr(splats, name)[:1] for name in ARRAYS}),
-    )
+    write_ply(tmp_path / "one.ply", Splats(**{name: getattr(splats, name)[:1] for name in ARRAYS}))
     report = build([tmp_path / "one.ply"], tmp_path / "tiles")
     assert (report.splats, report.tiles) == (1, 1)
     np.testing.assert_allclose(
-        read_leaves(tmp_path / "tiles" / "tileset.json").position,
-        splats.position[:1],
-        atol=1e-3,
+        read_leaves(tmp_path / "tiles" / "tileset.json").position, splats.position[:1], atol=1e-3
     )
 
 
 def test_many_duplicates_are_divided_by_number(tmp_path):
     same = scattered(10)
-    row = Splats(
-        **{name: np.repeat(getattr(same, name)[:1], 3000, axis=0) for name in ARRAYS}
-    )
+    row = Splats(**{name: np.repeat(getattr(same, name)[:1], 3000, axis=0) for name in ARRAYS})
     write_ply(tmp_path / "same.ply", row)
     report = build([tmp_path / "same.ply"], tmp_path / "tiles")
     tileset = open_tileset(tmp_path / "tiles" / "tileset.json")
@@ -97,11 +90,7 @@ def test_rows_that_cannot_be_drawn_are_left_out_and_reported(tmp_path):
 
     with open_engine("serial") as engine:
         report = build_tileset(
-            [tmp_path / "bad.ply"],
-            tmp_path / "tiles",
-            SMALL,
-            engine=engine,
-            progress=Notes(),
+            [tmp_path / "bad.ply"], tmp_path / "tiles", SMALL, engine=engine, progress=Notes()
         )
     assert (report.splats, report.skipped) == (1995, 5)
     assert len(notes) == 1
@@ -138,9 +127,7 @@ def _write_unchecked(path: Path, splats: Splats) -> None:
     columns = (splats.position, splats.sh.reshape(len(splats), -1))
     columns += (splats.logit_opacity[:, None], splats.log_scale, splats.rotation)
     rows = np.concatenate(columns, axis=1).astype("<f4")
-    names = [
-        line.split()[-1] for line in header.decode().splitlines() if "property" in line
-    ]
+    names = [line.split()[-1] for line in header.decode().splitlines() if "property" in line]
     layout = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
     layout += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     path.write_bytes(header + rows[:, [layout.index(name) for name in names]].tobytes())
@@ -166,9 +153,7 @@ def test_one_enormous_splat_does_not_widen_the_tiles_below(tmp_path):
     assert sum(t.metadata["splats"] for t in tileset.tiles() if not t.children) == 5000
 
 
-def refused(
-    error: type[GsgenError], words: str, *arguments: object, **options: object
-) -> None:
+def refused(error: type[GsgenError], words: str, *arguments: object, **options: object) -> None:
     with pytest.raises(error) as caught:
         build(*arguments, **options)
     assert words in str(caught.value)
@@ -180,17 +165,10 @@ def test_a_faulty_scene_raises(tmp_path, scene):
     refused(InputUnreadable, "bytes", [tmp_path / "short.ply"], tmp_path / "tiles")
     points = PointCloud(np.zeros((2, 3), np.float32), np.zeros((2, 3), np.float32))
     write_ply(tmp_path / "points.ply", points)
-    refused(
-        InputUnreadable, "coloured points", [tmp_path / "points.ply"], tmp_path / "tiles"
-    )
+    refused(InputUnreadable, "coloured points", [tmp_path / "points.ply"], tmp_path / "tiles")
     splats = scattered(50)
     write_spz(tmp_path / "a.spz", replace(splats, antialiased=True))
-    refused(
-        ConfigInvalid,
-        "antialiased is False",
-        [tmp_path / "a.spz", scene],
-        tmp_path / "tiles",
-    )
+    refused(ConfigInvalid, "antialiased is False", [tmp_path / "a.spz", scene], tmp_path / "tiles")
     _write_unchecked(tmp_path / "nan.ply", _with(splats, slice(None), position=math.nan))
     refused(InputUnreadable, "no splat", [tmp_path / "nan.ply"], tmp_path / "tiles")
 

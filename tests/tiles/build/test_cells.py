@@ -52,12 +52,8 @@ def test_a_scene_of_one_point_has_a_cube():
 def test_rows_separate_where_their_prefixes_differ(seed):
     rng = np.random.default_rng(seed)
     bits = rng.integers(0, 64, 300)
-    codes = np.sort(
-        rng.integers(0, 1 << 63, 300, dtype=np.uint64) >> bits.astype(np.uint64)
-    )
-    codes = np.sort(
-        np.concatenate([codes, codes[:20], [0, (1 << 63) - 1]]).astype(np.uint64)
-    )
+    codes = np.sort(rng.integers(0, 1 << 63, 300, dtype=np.uint64) >> bits.astype(np.uint64))
+    codes = np.sort(np.concatenate([codes, codes[:20], [0, (1 << 63) - 1]]).astype(np.uint64))
     expected = []
     for before, after in zip(codes[:-1].tolist(), codes[1:].tolist(), strict=True):
         depths = [
@@ -74,17 +70,13 @@ def test_rows_separate_where_their_prefixes_differ(seed):
 def test_the_chosen_cells_are_those_nearest_to_the_target(depth, target):
     rng = np.random.default_rng(7)
     prefix = np.uint64(5) << np.uint64(3 * (DEPTH - depth)) if depth else np.uint64(0)
-    codes = (
-        np.sort(rng.integers(0, 1 << 3 * (DEPTH - depth), 400, dtype=np.uint64)) | prefix
-    )
+    codes = np.sort(rng.integers(0, 1 << 3 * (DEPTH - depth), 400, dtype=np.uint64)) | prefix
     chosen, starts = choose_cells(codes, depth, target)
     counts = [len(np.unique(cell_codes(codes, d))) for d in range(depth, DEPTH + 1)]
     errors = [abs(np.log(count / target)) for count in counts]
     assert errors[chosen - depth] == pytest.approx(min(errors))
     cells = cell_codes(codes, chosen)
-    assert starts.tolist() == [
-        i for i in range(len(cells)) if i == 0 or cells[i] != cells[i - 1]
-    ]
+    assert starts.tolist() == [i for i in range(len(cells)) if i == 0 or cells[i] != cells[i - 1]]
 
 
 def test_a_level_has_about_a_quarter_and_stays_in_its_cells():

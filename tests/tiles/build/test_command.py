@@ -41,9 +41,7 @@ def test_a_tileset_is_built_and_said(scene, tmp_path):
 
 
 def test_json_lines_tell_phases_and_the_result(scene, tmp_path):
-    done = gsgen(
-        scene, "-o", tmp_path / "tiles", "--engine", "serial", "--json", "--quality", 3
-    )
+    done = gsgen(scene, "-o", tmp_path / "tiles", "--engine", "serial", "--json", "--quality", 3)
     assert done.returncode == 0, done.stderr
     events = [json.loads(line) for line in done.stdout.splitlines()]
     phases = list(dict.fromkeys(event["phase"] for event in events if "phase" in event))
@@ -107,9 +105,7 @@ def test_wrong_words_are_explained(scene, tmp_path, monkeypatch, options, code, 
 
 
 def test_a_place_on_the_globe_is_in_the_transform(scene, tmp_path):
-    done = gsgen(
-        scene, "-o", tmp_path / "t", "--lon", 8.5, "--lat", 47.4, "--engine", "serial"
-    )
+    done = gsgen(scene, "-o", tmp_path / "t", "--lon", 8.5, "--lat", 47.4, "--engine", "serial")
     assert done.returncode == 0, done.stderr
     root = json.loads((tmp_path / "t" / "tileset.json").read_text())["root"]
     assert np.linalg.norm(root["transform"][12:15]) == pytest.approx(6.367e6, rel=1e-2)

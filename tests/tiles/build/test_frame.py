@@ -48,9 +48,7 @@ def test_axes_point_east_north_and_up(place):
     np.testing.assert_allclose(np.linalg.det(transform), 1, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "place", [(181, 0, 0), (0, 91, 0), (0, 0, 2e7), (float("nan"), 0, 0)]
-)
+@pytest.mark.parametrize("place", [(181, 0, 0), (0, 91, 0), (0, 0, 2e7), (float("nan"), 0, 0)])
 def test_places_that_are_nowhere_are_refused(place):
     with pytest.raises(ConfigInvalid):
         globe_transform(*place)

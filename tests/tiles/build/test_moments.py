@@ -53,16 +53,12 @@ def test_clusters_have_the_moments_of_their_members(seed, origin, spread, widen)
         if len(rows) == 1:
             continue
         mean, covariance, opacity, sh = merge_oracle(members, rows, spread, widen)
-        np.testing.assert_allclose(
-            merged.mean[index], mean, rtol=0, atol=1e-9 + origin * 1e-15
-        )
+        np.testing.assert_allclose(merged.mean[index], mean, rtol=0, atol=1e-9 + origin * 1e-15)
         # Offsets of members that are a million away have nine digits behind the point.
         tolerance = 1e-9 if origin == 0 else 1e-7
         actual = symmetric(merged.covariance)[index]
         np.testing.assert_allclose(actual, covariance, rtol=tolerance, atol=tolerance)
-        np.testing.assert_allclose(
-            merged.opacity[index], opacity, rtol=max(1e-9, tolerance)
-        )
+        np.testing.assert_allclose(merged.opacity[index], opacity, rtol=max(1e-9, tolerance))
         np.testing.assert_allclose(merged.sh[index], sh, rtol=1e-5, atol=1e-6)
         turned = rotation_matrix(merged.rotation[index : index + 1].astype(np.float64))[0]
         rebuilt = turned @ np.diag(merged.scale[index] ** 2) @ turned.T

@@ -36,14 +36,12 @@ def conformance(
     target: TargetName = None,
     level: LevelName = None,
     xfails: Annotated[
-        Path | None,
-        typer.Option(help="TOML file of expected failures, strict both ways."),
+        Path | None, typer.Option(help="TOML file of expected failures, strict both ways.")
     ] = None,
     fail_on: FailOn = None,
     config: Config = None,
     dump: Annotated[
-        Path | None,
-        typer.Option(help="Folder for inputs and outputs of failing probes (.npz)."),
+        Path | None, typer.Option(help="Folder for inputs and outputs of failing probes (.npz).")
     ] = None,
     format: Annotated[Format, typer.Option(help="How to print the result.")] = Format.TEXT,
     as_json: AsJson = False,
@@ -60,9 +58,7 @@ def conformance(
     from gsgen.contract.validation.settings_from_options import make_settings
 
     registry = installed_rules()
-    settings = make_settings(
-        registry, level=level, target=target, fail_on=fail_on, config=config
-    )
+    settings = make_settings(registry, level=level, target=target, fail_on=fail_on, config=config)
     suites = [find_suite(name).name for name in suite or ()]
     expected = read_expected(xfails, registry) if xfails else ()
     dumps = Dumps(dump) if dump else None
@@ -85,12 +81,7 @@ def _test(
 
     try:
         return run_model(
-            model,
-            settings,
-            suites=suites,
-            expected=expected,
-            dumps=dumps,
-            progress=progress,
+            model, settings, suites=suites, expected=expected, dumps=dumps, progress=progress
         )
     except ModelUnreadable as error:
         return Unreadable(str(model), error)

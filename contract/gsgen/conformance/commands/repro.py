@@ -21,14 +21,12 @@ def repro(
     model: Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)],
     rule: Annotated[str, typer.Option(help="The rule, by id or name.", show_default=False)],
     probe: Annotated[
-        str | None,
-        typer.Option(help="The probe, by label or number. [default: all probes]"),
+        str | None, typer.Option(help="The probe, by label or number. [default: all probes]")
     ] = None,
     target: TargetName = None,
     config: Config = None,
     dump: Annotated[
-        Path | None,
-        typer.Option(help="Write inputs and outputs of the failing probe here (.npz)."),
+        Path | None, typer.Option(help="Write inputs and outputs of the failing probe here (.npz).")
     ] = None,
     seed: Seed = None,
     timeout: Timeout = None,
@@ -67,19 +65,10 @@ def _show(model: Path, reproduction: "Reproduction") -> None:
     from gsgen.contract.reporters.text import Line, finding_lines
 
     where = (
-        f"{model} at probe {', '.join(reproduction.probes)}"
-        if reproduction.probes
-        else str(model)
+        f"{model} at probe {', '.join(reproduction.probes)}" if reproduction.probes else str(model)
     )
     if not reproduction.findings:
-        show(
-            [
-                Line(
-                    f"does not reproduce: {reproduction.rule.id} holds for {where}",
-                    "bold green",
-                )
-            ]
-        )
+        show([Line(f"does not reproduce: {reproduction.rule.id} holds for {where}", "bold green")])
         return
     show([Line(f"{where}:", "bold")])
     show(finding_lines(reproduction.findings))

@@ -83,9 +83,7 @@ class GeneratorConformance:
             pytest.fail(f"{error}", pytrace=False)
 
     @pytest.fixture
-    def _ready(
-        self, rule: Rule, conformance: ModelRun, request: pytest.FixtureRequest
-    ) -> None:
+    def _ready(self, rule: Rule, conformance: ModelRun, request: pytest.FixtureRequest) -> None:
         """Record the case of the rule; a crashed rule is an error, not a failure."""
         for case in conformance.cases:
             if case.rule.id == rule.id:
@@ -103,9 +101,7 @@ class GeneratorConformance:
 def _home(rule: Rule) -> str:
     """Return the suite of a rule for a generator that declares all features."""
     is_generator = GENERATOR in rule.kinds
-    suites = [
-        suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)
-    ]
+    suites = [suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
     return next(suite.name for suite in suites if suite.claims(rule))
 
 

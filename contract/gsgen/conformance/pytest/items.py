@@ -101,7 +101,5 @@ def stale_entries(session: pytest.Session) -> Iterator[StaleEntry]:
     """Yield an error for each entry of ``--gsgen-xfails`` that matches no collected model."""
     bench = ConformanceSession.of(session.config)
     if bench.tested:
-        for number, entry in enumerate(
-            unmatched_entries(bench.expected, bench.tested), start=1
-        ):
+        for number, entry in enumerate(unmatched_entries(bench.expected, bench.tested), start=1):
             yield StaleEntry.from_parent(session, name=f"xfail-{number}", entry=entry)

@@ -52,19 +52,13 @@ _OPTIONS = (
     ("fail-on", "SEVERITY", "Lowest severity that fails (default: error); others warn."),
     ("config", "FILE", "Configuration file (default: ./gsgen.toml, if it exists)."),
     ("xfails", "FILE", "TOML file of expected failures; one that holds fails too."),
-    (
-        "dump",
-        "DIR",
-        "Folder for inputs and outputs of failing probes (default: pytest's tmp).",
-    ),
+    ("dump", "DIR", "Folder for inputs and outputs of failing probes (default: pytest's tmp)."),
 )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Add the models to the collected paths; without other paths, only they are collected."""
-    config.addinivalue_line(
-        "markers", f"{_MARK}(request): give a test each rule of some models"
-    )
+    config.addinivalue_line("markers", f"{_MARK}(request): give a test each rule of some models")
     models = [str(Path(name)) for name in config.getoption("--gsgen")]
     if not models:
         return
@@ -76,9 +70,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.args += [model for model in models if model not in config.args]
 
 
-def pytest_collect_file(
-    file_path: Path, parent: pytest.Collector
-) -> "pytest.Collector | None":
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "pytest.Collector | None":
     """Collect the models that `--gsgen` names."""
     if file_path.suffix != _SUFFIX and not parent.config.getoption("--gsgen"):
         return None
@@ -98,18 +90,13 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         from gsgen.conformance.pytest.session import ConformanceSession
         from gsgen.conformance.pytest.testing import checks_for
 
-        bench, folder = (
-            ConformanceSession.of(metafunc.config),
-            metafunc.definition.path.parent,
-        )
+        bench, folder = (ConformanceSession.of(metafunc.config), metafunc.definition.path.parent)
         checks = checks_for(marker.args[0], bench, folder)
         metafunc.parametrize("check", checks, ids=[check.name for check in checks])
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(
-    session: pytest.Session, items: "list[pytest.Item]"
-) -> None:
+def pytest_collection_modifyitems(session: pytest.Session, items: "list[pytest.Item]") -> None:
     """Add an error for each expected failure that matches no tested rule."""
     if session.config.getoption("--gsgen-xfails"):
         from gsgen.conformance.pytest.items import stale_entries

@@ -68,9 +68,7 @@ class ConformanceSession:
         """The settings by the options."""
         return self.make_settings()
 
-    def make_settings(
-        self, *, target: str | None = None, level: str | None = None
-    ) -> Settings:
+    def make_settings(self, *, target: str | None = None, level: str | None = None) -> Settings:
         """Return settings by the options; arguments replace the options."""
         config = self.option("config")
         return make_settings(
@@ -85,9 +83,7 @@ class ConformanceSession:
     @cached_property
     def suites(self) -> tuple[str, ...]:
         """The names of the chosen suites; empty for all."""
-        return tuple(
-            find_suite(name, "--gsgen-suite").name for name in self.option("suite")
-        )
+        return tuple(find_suite(name, "--gsgen-suite").name for name in self.option("suite"))
 
     @cached_property
     def expected(self) -> tuple[ExpectedFailure, ...]:
@@ -111,9 +107,7 @@ class ConformanceSession:
         rules |= {rule.id for suite_rules in planned.values() for rule in suite_rules}
         return planned
 
-    def run(
-        self, path: Path, settings: Settings, expected: Iterable[ExpectedFailure]
-    ) -> ModelRun:
+    def run(self, path: Path, settings: Settings, expected: Iterable[ExpectedFailure]) -> ModelRun:
         """Validate a model once, and return the result."""
         entries = tuple(expected)
         stat = path.stat() if path.is_file() else None

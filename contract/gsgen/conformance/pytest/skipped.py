@@ -65,9 +65,7 @@ def _quiet(head: str, text: str) -> str:
     return "\n".join(line for line in text.splitlines() if not line.startswith(_CHATTER))
 
 
-def _lines(
-    item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]
-) -> Iterator[str]:
+def _lines(item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]) -> Iterator[str]:
     """Yield the author's own lines in the traceback of the error, the outermost first."""
     root = item.config.rootpath
     for entry in excinfo.traceback:

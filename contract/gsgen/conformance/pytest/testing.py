@@ -88,9 +88,7 @@ class Check:
         called: Whether the test has called it.
     """
 
-    def __init__(
-        self, model: Path, suite: str, rule: Rule, judge: Callable[[], ModelRun]
-    ) -> None:
+    def __init__(self, model: Path, suite: str, rule: Rule, judge: Callable[[], ModelRun]) -> None:
         self.model = model
         self.suite = suite
         self.rule = rule
@@ -138,9 +136,7 @@ def checks_for(request: Request, bench: ConformanceSession, folder: Path) -> lis
 
 
 def _checks(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
-    settings = request.settings or bench.make_settings(
-        target=request.target, level=request.level
-    )
+    settings = request.settings or bench.make_settings(target=request.target, level=request.level)
     suites = [find_suite(name, "suites").name for name in request.suites] or bench.suites
     expected = _expected(request.expected, bench, folder)
     models = request.models() if callable(request.models) else request.models
@@ -162,9 +158,7 @@ def _checks(request: Request, bench: ConformanceSession, folder: Path) -> list[C
 
 
 def _expected(
-    entries: PathLike | tuple[ExpectedFailure, ...] | None,
-    bench: ConformanceSession,
-    folder: Path,
+    entries: PathLike | tuple[ExpectedFailure, ...] | None, bench: ConformanceSession, folder: Path
 ) -> tuple[ExpectedFailure, ...]:
     if entries is None:
         return bench.expected

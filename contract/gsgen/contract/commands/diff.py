@@ -20,9 +20,7 @@ def diff(
     ],
     tolerance: Annotated[
         float,
-        typer.Option(
-            help="Largest absolute difference of outputs that counts as equal.", min=0.0
-        ),
+        typer.Option(help="Largest absolute difference of outputs that counts as equal.", min=0.0),
     ] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:

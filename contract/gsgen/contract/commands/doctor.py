@@ -19,9 +19,7 @@ _ORDER = ("contract", "sdk", "runtime")
 _STYLE = {"ok": "green", "missing": "yellow", "broken": "bold red"}
 
 
-def doctor(
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
-) -> None:
+def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False) -> None:
     """Show versions, drivers and adapters, and how to install missing parts.
 
     Exits 1 if something that is installed does not work.
@@ -30,14 +28,11 @@ def doctor(
     from gsgen.contract.reporters.text import Line
 
     checks_by_room = {point.name: _ask(point) for point in _rooms()}
-    broken = any(
-        check.state == "broken" for checks in checks_by_room.values() for check in checks
-    )
+    broken = any(check.state == "broken" for checks in checks_by_room.values() for check in checks)
     code = ExitCode.FAILURE if broken else ExitCode.SUCCESS
     if as_json:
         document = {
-            room: [asdict(check) for check in checks]
-            for room, checks in checks_by_room.items()
+            room: [asdict(check) for check in checks] for room, checks in checks_by_room.items()
         }
         typer.echo(json.dumps(document, indent=2))
         raise typer.Exit(code)
@@ -68,8 +63,4 @@ def _ask(point: EntryPoint) -> "list[Check]":
     try:
         return list(point.load()())
     except Exception as error:  # a check must not take the others down
-        return [
-            Check(
-                name=point.name, state="broken", detail=f"{type(error).__name__}: {error}"
-            )
-        ]
+        return [Check(name=point.name, state="broken", detail=f"{type(error).__name__}: {error}")]

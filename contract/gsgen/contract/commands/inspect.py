@@ -15,21 +15,13 @@ if TYPE_CHECKING:
 
 
 def inspect(
-    model: Annotated[
-        Path | None, typer.Argument(help="The ONNX file.", show_default=False)
-    ] = None,
+    model: Annotated[Path | None, typer.Argument(help="The ONNX file.", show_default=False)] = None,
     emit_manifest: Annotated[
-        bool,
-        typer.Option(
-            "--emit-manifest", help="Print the manifest, or a derived one, as JSON."
-        ),
+        bool, typer.Option("--emit-manifest", help="Print the manifest, or a derived one, as JSON.")
     ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print everything as JSON.")
-    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
     schema: Annotated[
-        str | None,
-        typer.Option(help="Print the JSON Schema of a kind of manifest instead."),
+        str | None, typer.Option(help="Print the JSON Schema of a kind of manifest instead.")
     ] = None,
 ) -> None:
     """Show a model's inputs, outputs and manifest; its weights are not read.
@@ -75,17 +67,13 @@ def _emit(subject: "InspectedModel") -> None:
 
     if subject.parsed is not None and subject.parsed.manifest is None:
         typer.echo(subject.file.manifest_text or "")
-        typer.echo(
-            "this manifest is invalid: see `gsgen validate --level static`", err=True
-        )
+        typer.echo("this manifest is invalid: see `gsgen validate --level static`", err=True)
         raise typer.Exit(ExitCode.FAILURE)
     manifest = subject.manifest
     assert manifest is not None
     typer.echo(dumps(manifest))
     if subject.candidate is not None:
-        typer.echo(
-            f"{subject.file.path} has no manifest; this one is derived. Confirm:", err=True
-        )
+        typer.echo(f"{subject.file.path} has no manifest; this one is derived. Confirm:", err=True)
         for guess in subject.candidate.guesses:
             typer.echo(f"  - {guess}", err=True)
 
@@ -115,14 +103,10 @@ def _tensor(name: str, dtype: str | None, dims: object) -> dict[str, object]:
 def _show(subject: "InspectedModel") -> None:
     facts, graph = _facts(subject), subject.graph
     opsets = ", ".join(f"{domain} {number}" for domain, number in facts["opsets"].items())
-    typer.echo(
-        f"{facts['path']}: {facts['bytes']:,} B, opset {opsets}, {facts['nodes']} nodes"
-    )
+    typer.echo(f"{facts['path']}: {facts['bytes']:,} B, opset {opsets}, {facts['nodes']} nodes")
     roles = {i.name: i.role for i in subject.manifest.inputs} if subject.manifest else {}
     for tensor in graph.inputs:
-        typer.echo(
-            f"  input   {tensor.name}: {tensor}  {roles.get(tensor.name, '')}".rstrip()
-        )
+        typer.echo(f"  input   {tensor.name}: {tensor}  {roles.get(tensor.name, '')}".rstrip())
     for tensor in graph.outputs:
         typer.echo(f"  output  {tensor.name}: {tensor}")
     if subject.parsed is None:

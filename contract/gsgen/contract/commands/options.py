@@ -1,15 +1,6 @@
 """Options that several commands share, with one name, default and help text each."""
 
-__all__ = [
-    "AsJson",
-    "Config",
-    "FailOn",
-    "LevelName",
-    "Memory",
-    "Seed",
-    "TargetName",
-    "Timeout",
-]
+__all__ = ["AsJson", "Config", "FailOn", "LevelName", "Memory", "Seed", "TargetName", "Timeout"]
 
 from pathlib import Path
 from typing import Annotated
@@ -19,29 +10,22 @@ import typer
 LevelName = Annotated[
     str | None,
     typer.Option(
-        help="How far to go: static, values, behaviour, live or render.",
-        show_default="behaviour",
+        help="How far to go: static, values, behaviour, live or render.", show_default="behaviour"
     ),
 ]
 TargetName = Annotated[
     str | None,
     typer.Option(
-        help="Consumer to validate for: core, webgpu, visionary, gsgen.",
-        show_default="core",
+        help="Consumer to validate for: core, webgpu, visionary, gsgen.", show_default="core"
     ),
 ]
 FailOn = Annotated[
     str | None,
-    typer.Option(
-        help="Lowest severity that fails: error, warning or info.", show_default="error"
-    ),
+    typer.Option(help="Lowest severity that fails: error, warning or info.", show_default="error"),
 ]
-AsJson = Annotated[
-    bool, typer.Option("--json", help="Print as JSON: the same as --format json.")
-]
+AsJson = Annotated[bool, typer.Option("--json", help="Print as JSON: the same as --format json.")]
 Config = Annotated[
-    Path | None,
-    typer.Option(help="Configuration file.", show_default="./gsgen.toml, if it exists"),
+    Path | None, typer.Option(help="Configuration file.", show_default="./gsgen.toml, if it exists")
 ]
 Timeout = Annotated[
     float | None,
@@ -51,8 +35,6 @@ Timeout = Annotated[
 ]
 Memory = Annotated[
     int | None,
-    typer.Option(
-        help="Memory limit for running a model, in MiB.", show_default="2048", min=64
-    ),
+    typer.Option(help="Memory limit for running a model, in MiB.", show_default="2048", min=64),
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed of the probe set.", min=0)]

@@ -39,9 +39,7 @@ def append_text(path: Path, text: str) -> None:
         with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text)
     except OSError as error:
-        raise ConfigInvalid(
-            f"cannot be written: {error.strerror}", where=str(path)
-        ) from error
+        raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(path)) from error
 
 
 def write_text(path: Path, text: str) -> None:
@@ -64,6 +62,4 @@ def write_text(path: Path, text: str) -> None:
     except OSError as error:
         with suppress(OSError):
             temporary.unlink()
-        raise ConfigInvalid(
-            f"cannot be written: {error.strerror}", where=str(path)
-        ) from error
+        raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(path)) from error

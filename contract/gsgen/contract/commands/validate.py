@@ -83,15 +83,13 @@ def validate(
         typer.Option(help="An earlier JSON report, whose findings do not fail the model."),
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Write the report to a file instead."),
+        Path | None, typer.Option("-o", "--output", help="Write the report to a file instead.")
     ] = None,
     strict: Annotated[bool, typer.Option(help="A missing manifest is an error.")] = False,
     timeout: Timeout = None,
     memory: Memory = None,
     verbose: Annotated[
-        bool,
-        typer.Option("-v", "--verbose", help="List every rule, tolerance and probe."),
+        bool, typer.Option("-v", "--verbose", help="List every rule, tolerance and probe.")
     ] = False,
     quiet: Annotated[
         bool, typer.Option("-q", "--quiet", help="Print one line per model: the verdict.")
@@ -149,12 +147,7 @@ def _validated(
 
 
 def _print(
-    entries: "list[Entry]",
-    format: Format,
-    output: Path | None,
-    *,
-    verbose: bool,
-    quiet: bool,
+    entries: "list[Entry]", format: Format, output: Path | None, *, verbose: bool, quiet: bool
 ) -> None:
     from gsgen.contract.commands.output import show, write_text
     from gsgen.contract.commands.progress import clear

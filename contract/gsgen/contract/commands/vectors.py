@@ -61,9 +61,7 @@ def vectors(
     from gsgen.contract.tools.test_vector_files import record_vectors
     from gsgen.contract.validation.settings_from_options import make_settings
 
-    settings = make_settings(
-        installed_rules(), config=config, timeout=timeout, memory=memory
-    )
+    settings = make_settings(installed_rules(), config=config, timeout=timeout, memory=memory)
     folder = into or model.with_name(f"{model.stem}-vectors")
     try:
         recorded = record_vectors(

@@ -7,9 +7,7 @@ Measured with ONNX Runtime's WebGPU provider: views, and operators that have not
 __all__ = ["is_copy"]
 
 _VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
-_VARIADIC = frozenset(
-    {"Max", "Min"}
-)  # with one input they return it; Sum and Mean have no kernel
+_VARIADIC = frozenset({"Max", "Min"})  # with one input they return it; Sum and Mean have no kernel
 
 
 def is_copy(operator: str, inputs: int, *, keeps_all_axes: bool) -> bool:

@@ -25,9 +25,7 @@ Dims = tuple[int | str | None, ...]
 
 _MAX_DEPTH = 64
 _SPELLED = {"FLOAT": "float32", "DOUBLE": "float64", "UNDEFINED": None}
-_DTYPES = {
-    code: _SPELLED.get(name, name.lower()) for name, code in TensorProto.DataType.items()
-}
+_DTYPES = {code: _SPELLED.get(name, name.lower()) for name, code in TensorProto.DataType.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +44,7 @@ class Tensor:
 
     def __str__(self) -> str:
         dims = (
-            "?"
-            if self.dims is None
-            else ", ".join("?" if d is None else str(d) for d in self.dims)
+            "?" if self.dims is None else ", ".join("?" if d is None else str(d) for d in self.dims)
         )
         return f"{self.dtype or '?'} [{dims}]"
 
@@ -214,9 +210,7 @@ def _facts(file: ModelFile) -> _Facts:
     except (onnx.checker.ValidationError, ValueError, RuntimeError) as error:
         facts.checker = first_line(error)
         return facts  # inference on a malformed graph repeats the same complaint
-    declared = {
-        v.name: _of_value(v) for v in (*proto.graph.output, *proto.graph.value_info)
-    }
+    declared = {v.name: _of_value(v) for v in (*proto.graph.output, *proto.graph.value_info)}
     for value in proto.graph.output:
         value.ClearField("type")
     del proto.graph.value_info[:]
@@ -227,9 +221,7 @@ def _facts(file: ModelFile) -> _Facts:
     if not facts.inference and _is_open(proto, tensors):
         inferred, facts.inference = propagate(proto, inferred)
         tensors = _values(inferred)
-    facts.tensors = {
-        name: _best(declared.get(name), tensor) for name, tensor in tensors.items()
-    }
+    facts.tensors = {name: _best(declared.get(name), tensor) for name, tensor in tensors.items()}
     facts.conflicts = tuple(
         Conflict(name, tensor, tensors[name])
         for name, tensor in declared.items()
@@ -295,9 +287,7 @@ def _take_stubs(graph: GraphProto) -> list[TensorProto]:
 
 def _dense(sparse: SparseTensorProto) -> TensorProto:
     kind = sparse.values.data_type
-    return TensorProto(
-        name=sparse.values.name, data_type=kind, dims=sparse.dims, raw_data=STUB
-    )
+    return TensorProto(name=sparse.values.name, data_type=kind, dims=sparse.dims, raw_data=STUB)
 
 
 def _add_input(graph: GraphProto, tensor: TensorProto) -> None:
@@ -320,9 +310,7 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
         for attribute in node.attribute:
             for tensor in (attribute.t, *attribute.tensors):
                 if _is_stub(tensor) and node.op_type == "Constant" and 0 not in tensor.dims:
-                    if (
-                        not tensor.dims
-                    ):  # a sparse tensor needs an axis, which a scalar lacks
+                    if not tensor.dims:  # a sparse tensor needs an axis, which a scalar lacks
                         body.node.insert(index + 1, _squeeze(node))
                     _make_sparse(attribute, tensor)
                 elif _is_stub(tensor):
@@ -394,8 +382,7 @@ def _best(declared: Tensor | None, inferred: Tensor | None) -> Tensor:
     elif inferred.dims is not None and len(inferred.dims) == len(dims):
         pairs = zip(dims, inferred.dims, strict=True)
         dims = tuple(
-            a if isinstance(a, int) else b if isinstance(b, int) else a or b
-            for a, b in pairs
+            a if isinstance(a, int) else b if isinstance(b, int) else a or b for a, b in pairs
         )
     return Tensor(declared.name, declared.dtype or inferred.dtype, dims)
 

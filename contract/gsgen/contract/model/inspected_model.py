@@ -137,9 +137,7 @@ class InspectedModel:
     def inputs_of(self, role: str) -> list[tuple[Input, Tensor]]:
         """Return the inputs declared with ``role`` that exist in the graph."""
         manifest = self.manifest
-        pairs = [
-            (i, self.graph.input(i.name)) for i in (manifest.inputs if manifest else ())
-        ]
+        pairs = [(i, self.graph.input(i.name)) for i in (manifest.inputs if manifest else ())]
         return [(i, tensor) for i, tensor in pairs if tensor is not None and i.role == role]
 
     def _output(self, declared: Any) -> Tensor | None:
@@ -151,10 +149,7 @@ def _output_fields(manifest: Manifest) -> tuple[str, ...]:
 
 
 def inspect_model(
-    file: ModelFile,
-    target: Target,
-    limits: Limits,
-    tolerances: Mapping[str, float] | None = None,
+    file: ModelFile, target: Target, limits: Limits, tolerances: Mapping[str, float] | None = None
 ) -> InspectedModel:
     """Read the graph and the manifest of ``file``; a missing manifest is inferred."""
     graph = read_graph(file)

@@ -24,15 +24,7 @@ from gsgen.contract.spec.roles import ROLES, Shape, matching_shape
 from gsgen.contract.spec.spherical_harmonics import degree_of
 
 _INPUT_NAMES = {
-    "view": (
-        "view",
-        "view_matrix",
-        "viewmatrix",
-        "camera",
-        "camera_matrix",
-        "viewmat",
-        "w2c",
-    ),
+    "view": ("view", "view_matrix", "viewmatrix", "camera", "camera_matrix", "viewmat", "w2c"),
     "projection": ("proj", "projection", "projection_matrix", "proj_matrix", "projmat"),
     "time": ("time", "t", "timestamp"),
     "frame_index": ("frame", "frame_index", "frame_id"),
@@ -45,13 +37,7 @@ _INPUT_NAMES = {
     "expression": ("expression", "expr"),
     "appearance_id": ("appearance_id", "appearance", "embedding_id"),
 }
-_GAUSSIAN_NAMES = (
-    "gaussians",
-    "gaussian",
-    "gaussian_f16",
-    "gaussian_f32",
-    "gaussian_packed",
-)
+_GAUSSIAN_NAMES = ("gaussians", "gaussian", "gaussian_f16", "gaussian_f32", "gaussian_packed")
 _COLOR_NAMES = (
     "color",
     "colors",
@@ -85,9 +71,7 @@ def infer_manifest(graph: Graph, name: str) -> Candidate:
     guesses: list[str] = []
     inputs = tuple(_input(tensor, guesses) for tensor in graph.inputs if _role_of(tensor))
     unknown = [tensor.name for tensor in graph.inputs if not _role_of(tensor)]
-    guesses += [
-        f"input {name!r} has no recognisable role: add it by hand" for name in unknown
-    ]
+    guesses += [f"input {name!r} has no recognisable role: add it by hand" for name in unknown]
     outputs = GeneratorOutputs(
         _gaussians(graph, guesses), _appearance(graph, guesses), _count(graph, guesses)
     )
@@ -167,9 +151,7 @@ def _appearance(graph: Graph, guesses: list[str]) -> AppearanceOutput | None:
             f"output {tensor.name!r} holds SH of degree {degree}, by its {channels} channels"
         )
         return AppearanceOutput(tensor.name, "sh", degree)
-    guesses.append(
-        f"output {tensor.name!r} holds raw RGB, by its {channels or '?'} channels"
-    )
+    guesses.append(f"output {tensor.name!r} holds raw RGB, by its {channels or '?'} channels")
     return AppearanceOutput(tensor.name, "rgb")
 
 

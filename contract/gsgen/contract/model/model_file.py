@@ -34,14 +34,7 @@ from onnx import (
 )
 
 from gsgen.contract.errors import ModelUnreadable
-from gsgen.contract.model.protobuf_scan import (
-    BYTES,
-    STUB,
-    StrippedModel,
-    WireFault,
-    scan,
-    skeleton,
-)
+from gsgen.contract.model.protobuf_scan import BYTES, STUB, StrippedModel, WireFault, scan, skeleton
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import dumps
 
@@ -158,27 +151,17 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
     path = Path(path)
     size = _size(path)
     try:
-        with (
-            path.open("rb") as file,
-            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view,
-        ):
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view:
             bones = _skeleton(path, view)
     except OSError as error:
-        raise ModelUnreadable(
-            f"cannot be read: {error.strerror}", where=str(path)
-        ) from error
+        raise ModelUnreadable(f"cannot be read: {error.strerror}", where=str(path)) from error
     proto = _parse(path, bones.data)
     parts = list(bodies(proto))
     _check_texts(path, proto, parts, bones.data[:32])
     external = tuple(_detach_external(parts))
     whole = not (bones.stripped or external or any(map(_has_sparse, parts)))
     return ModelFile(
-        path=path,
-        size=size,
-        proto=proto,
-        stripped=bones.stripped,
-        external=external,
-        whole=whole,
+        path=path, size=size, proto=proto, stripped=bones.stripped, external=external, whole=whole
     )
 
 
@@ -190,9 +173,7 @@ def _size(path: Path) -> int:
         raise ModelUnreadable(f"cannot be read: {error.strerror}", where=where) from error
     if stat.S_ISDIR(entry.st_mode):
         models = sorted(path.glob("*.onnx"))
-        hint = (
-            f"It holds {len(models)}: name {models[0]}, or {path}/*.onnx." if models else ""
-        )
+        hint = f"It holds {len(models)}: name {models[0]}, or {path}/*.onnx." if models else ""
         raise ModelUnreadable("is a folder, expected an ONNX file", where=where, hint=hint)
     if not stat.S_ISREG(entry.st_mode):
         raise ModelUnreadable("is not a regular file, expected an ONNX file", where=where)
@@ -206,9 +187,7 @@ def _skeleton(path: Path, view: mmap.mmap) -> StrippedModel:
         try:
             return skeleton(data)
         except WireFault as fault:
-            raise _not_onnx(
-                path, f"is damaged or cut off at {fault}", bytes(data[:32])
-            ) from fault
+            raise _not_onnx(path, f"is damaged or cut off at {fault}", bytes(data[:32])) from fault
 
 
 def _parse(path: Path, data: bytes) -> ModelProto:
@@ -224,9 +203,7 @@ def _parse(path: Path, data: bytes) -> ModelProto:
 def _check_texts(path: Path, proto: ModelProto, parts: list[Body], head: bytes) -> None:
     for text in _texts(proto, parts):
         if isinstance(text, bytes):  # protobuf returns bytes that are not valid UTF-8
-            raise _not_onnx(
-                path, f"has a name that is not valid UTF-8 ({text[:32]!r})", head
-            )
+            raise _not_onnx(path, f"has a name that is not valid UTF-8 ({text[:32]!r})", head)
 
 
 def _has_sparse(body: Body) -> bool:
@@ -242,9 +219,7 @@ def _not_onnx(path: Path, message: str, head: bytes) -> ModelUnreadable:
         return ModelUnreadable(message, where=str(path))
     if _is_text(head):
         return ModelUnreadable("is not an ONNX model but text", where=str(path))
-    hint = (
-        "Write the file again; a partial download or an interrupted export looks like this."
-    )
+    hint = "Write the file again; a partial download or an interrupted export looks like this."
     return ModelUnreadable(message, where=str(path), hint=hint)
 
 
@@ -367,9 +342,7 @@ def write_manifest_text(source: Path, text: str, target: Path) -> None:
     entry = StringStringEntryProto(key=MANIFEST_KEY, value=text)
     appended = ModelProto(metadata_props=[entry]).SerializeToString()
     open_model(source)  # raises if the source is not a model
-    handle, name = tempfile.mkstemp(
-        dir=target.parent, prefix=f".{target.name}.", suffix=".part"
-    )
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     temporary = Path(name)
     try:
         with os.fdopen(handle, "wb") as out, source.open("rb") as file:
@@ -388,14 +361,9 @@ def write_manifest_text(source: Path, text: str, target: Path) -> None:
 def _without_manifest(descriptor: int) -> list[tuple[int, int]]:
     """Return the byte ranges of a model that are not its manifest, in order."""
     ranges: list[tuple[int, int]] = []
-    with (
-        mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ) as view,
-        memoryview(view) as data,
-    ):
+    with mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ) as view, memoryview(view) as data:
         for field in scan(data, 0, len(data)):
-            if field.number == _METADATA_FIELD and _is_manifest(
-                data, field.value, field.end
-            ):
+            if field.number == _METADATA_FIELD and _is_manifest(data, field.value, field.end):
                 continue
             if ranges and ranges[-1][1] == field.start:
                 ranges[-1] = (ranges[-1][0], field.end)
@@ -405,9 +373,7 @@ def _without_manifest(descriptor: int) -> list[tuple[int, int]]:
 
 
 def _is_manifest(data: memoryview, start: int, end: int) -> bool:
-    key = next(
-        (f for f in scan(data, start, end) if f.number == 1 and f.wire == BYTES), None
-    )
+    key = next((f for f in scan(data, start, end) if f.number == 1 and f.wire == BYTES), None)
     return key is not None and bytes(data[key.value : key.end]) == MANIFEST_KEY.encode()
 
 

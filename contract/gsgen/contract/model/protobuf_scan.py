@@ -21,14 +21,7 @@ _NESTED: dict[str, dict[int, str]] = {
     "Graph": {1: "Node", 5: "Tensor", 15: "Sparse"},
     "Function": {7: "Node", 11: "Attribute"},
     "Node": {5: "Attribute"},
-    "Attribute": {
-        5: "Tensor",
-        6: "Graph",
-        10: "Tensor",
-        11: "Graph",
-        22: "Sparse",
-        23: "Sparse",
-    },
+    "Attribute": {5: "Tensor", 6: "Graph", 10: "Tensor", 11: "Graph", 22: "Sparse", 23: "Sparse"},
     "Sparse": {1: "Tensor", 2: "Tensor"},
 }
 # TensorProto: float_data int32_data string_data int64_data raw_data double_data uint64_data.
@@ -168,9 +161,7 @@ class _Builder:
         for field in scan(self.data, start, end):
             self._count(field.start)
             fields.append(field)
-        dtype = next(
-            (f for f in fields if f.number == _TENSOR_TYPE and f.wire == VARINT), None
-        )
+        dtype = next((f for f in fields if f.number == _TENSOR_TYPE and f.wire == VARINT), None)
         code = varint(self.data, dtype.value, dtype.end)[0] if dtype else 0
         if code in _INTEGER_TYPES and end - start <= _SMALL_INTEGERS:
             return [self._copy(start, end)]
@@ -189,9 +180,7 @@ class _Builder:
     def _copy(self, start: int, end: int) -> bytes:
         self.kept += end - start
         if self.kept > _MAX_KEPT:
-            raise WireFault(
-                start, f"more than {_MAX_KEPT >> 20} MiB besides tensor payload"
-            )
+            raise WireFault(start, f"more than {_MAX_KEPT >> 20} MiB besides tensor payload")
         return bytes(self.data[start:end])
 
     def _count(self, offset: int) -> None:

@@ -96,9 +96,7 @@ def shape_arguments(node: NodeProto) -> list[str]:
     return [node.input[k] for k in positions if k < len(node.input) and node.input[k]]
 
 
-def placements(
-    graph: Graph, proto: ModelProto, tables: Sequence[OperatorTable]
-) -> list[Placement]:
+def placements(graph: Graph, proto: ModelProto, tables: Sequence[OperatorTable]) -> list[Placement]:
     """Predict the placement of every node of the frame."""
     nodes = frame_nodes(graph)
     varying = {tensor.name for tensor in graph.inputs}
@@ -106,9 +104,7 @@ def placements(
     opset = next((o.version for o in proto.opset_import if o.domain in MAIN_DOMAIN), 0)
     backwards = _negative_weights(proto)
     return [
-        _place(
-            graph, node, _variant(graph, node, varying, backwards), varying, opset, tables
-        )
+        _place(graph, node, _variant(graph, node, varying, backwards), varying, opset, tables)
         for node in nodes
     ]
 
@@ -133,9 +129,7 @@ def _place(
         table.runtime: table.outcome(node.op_type, variant, dtype, opset) if domain else ""
         for table in tables
     }
-    failures = {
-        runtime: outcome for runtime, outcome in outcomes.items() if outcome != CAPTURE
-    }
+    failures = {runtime: outcome for runtime, outcome in outcomes.items() if outcome != CAPTURE}
     if not failures:
         return Placement(node, dtype, "", {})
     known = {runtime: outcome for runtime, outcome in failures.items() if outcome}
@@ -170,9 +164,7 @@ def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
     return next((t.dtype for t in tensors if t is not None and t.dtype), "")
 
 
-def _variant(
-    graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]
-) -> str:
+def _variant(graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]) -> str:
     """Return the measured variant of the operator that ``node`` uses; empty for the default."""
     ranks = [_rank(graph, name) for name in node.input]
     attributes = {attribute.name: attribute for attribute in node.attribute}
@@ -206,7 +198,5 @@ def _rank(graph: Graph, name: str) -> int | None:
 def _negative_weights(proto: ModelProto) -> frozenset[str]:
     """Return the names of small weights that hold a negative whole number, such as a step of −1."""
     whole = (TensorProto.INT32, TensorProto.INT64)
-    small = {
-        w.name: small_array(w) for w in proto.graph.initializer if w.data_type in whole
-    }
+    small = {w.name: small_array(w) for w in proto.graph.initializer if w.data_type in whole}
     return frozenset(name for name, a in small.items() if a is not None and (a < 0).any())

@@ -111,9 +111,7 @@ def _is_long(value: ValueInfoProto) -> bool:
     if not kind.HasField("shape"):
         return True
     dims = kind.shape.dim
-    return len(dims) == 1 and not (
-        dims[0].HasField("dim_value") and dims[0].dim_value <= _LONGEST
-    )
+    return len(dims) == 1 and not (dims[0].HasField("dim_value") and dims[0].dim_value <= _LONGEST)
 
 
 def _propagated_elsewhere(proto: ModelProto) -> ModelProto | None:
@@ -126,9 +124,7 @@ def _propagated_elsewhere(proto: ModelProto) -> ModelProto | None:
             timeout=_SECONDS,
             check=False,
         )
-        return (
-            ModelProto.FromString(completed.stdout) if completed.returncode == 0 else None
-        )
+        return ModelProto.FromString(completed.stdout) if completed.returncode == 0 else None
     except (subprocess.TimeoutExpired, DecodeError, ValueError):
         return None
 

@@ -40,12 +40,7 @@ _MOVES = frozenset(
     {
         *("Identity", "Reshape", "Squeeze", "Unsqueeze", "Flatten", "Transpose", "Expand"),
         *("Slice", "Gather", "GatherElements", "GatherND", "Split", "Tile", "DepthToSpace"),
-        *(
-            "ReduceMax",
-            "ReduceMin",
-            "ReduceMean",
-            "ReduceSum",
-        ),  # sums are counted afterwards
+        *("ReduceMax", "ReduceMin", "ReduceMean", "ReduceSum"),  # sums are counted afterwards
     }
 )
 _JOINS = frozenset({"Concat", "Where"})
@@ -122,9 +117,7 @@ def intervals(
     return known
 
 
-def _added(
-    span: Interval, operand: Tensor | None, output: Tensor | None
-) -> Interval | None:
+def _added(span: Interval, operand: Tensor | None, output: Tensor | None) -> Interval | None:
     """Return the interval of sums; None if the number of addends is unknown."""
     if operand is None or output is None or operand.dims is None or output.dims is None:
         return None

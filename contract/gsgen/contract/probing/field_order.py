@@ -81,9 +81,7 @@ def suspect_order(
 
 
 def _layouts(
-    rows: Float[np.ndarray, "n 10"],
-    bounds: Box | None,
-    planes: Float[np.ndarray, "n 10"] | None,
+    rows: Float[np.ndarray, "n 10"], bounds: Box | None, planes: Float[np.ndarray, "n 10"] | None
 ) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
     """Yield each other layout, and which rows do not fit it; the likelier ones first."""
     for name, columns in _PERMUTATIONS.items():
@@ -130,9 +128,7 @@ def _unfit(
     return np.asarray(~fits)
 
 
-def _with_quaternions(
-    rows: Float[np.ndarray, "n 10"],
-) -> dict[str, Bool[np.ndarray, " n"]]:
+def _with_quaternions(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.ndarray, " n"]]:
     """Return which rows are not a position with scales and a unit quaternion."""
 
     def unfit(scale: slice, quaternion: slice, *, log: bool) -> Bool[np.ndarray, " n"]:

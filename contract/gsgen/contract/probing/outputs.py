@@ -101,11 +101,7 @@ class ModelOutputs:
 
 
 def read_outputs(
-    subject: InspectedModel,
-    probe: str,
-    outputs: dict[str, np.ndarray],
-    *,
-    zeros: bool = False,
+    subject: InspectedModel, probe: str, outputs: dict[str, np.ndarray], *, zeros: bool = False
 ) -> ModelOutputs:
     """Assign the outputs of a run to the roles that the manifest declares.
 
@@ -252,9 +248,7 @@ class Rows:
 def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:
     """Return the bits of ``array`` without signs: ordered as the magnitudes, NaN and Inf on top."""
     word = _WORD[array.itemsize]
-    return np.asarray(
-        np.ascontiguousarray(array).view(word) & word(_MAGNITUDE[array.itemsize])
-    )
+    return np.asarray(np.ascontiguousarray(array).view(word) & word(_MAGNITUDE[array.itemsize]))
 
 
 def chunks(emission: ModelOutputs) -> Iterator[Rows]:

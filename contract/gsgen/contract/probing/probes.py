@@ -105,11 +105,7 @@ def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray,
 
 
 def _sample(
-    spec: Input,
-    manifest: Manifest,
-    shape: tuple[int, ...],
-    along: float,
-    rng: np.random.Generator,
+    spec: Input, manifest: Manifest, shape: tuple[int, ...], along: float, rng: np.random.Generator
 ) -> Array:
     space = manifest.space if isinstance(manifest, GeneratorManifest) else None
     order = space.matrix_order if space else "column"
@@ -151,11 +147,7 @@ def _cast(values: Array, dtype: str) -> Array:
 
 
 def _usual_range(spec: Input) -> tuple[float, float]:
-    usual = {
-        "pose": (-0.6, 0.6),
-        "root_rotation": (-0.6, 0.6),
-        "root_translation": (-0.5, 0.5),
-    }
+    usual = {"pose": (-0.6, 0.6), "root_rotation": (-0.6, 0.6), "root_translation": (-0.5, 0.5)}
     return usual.get(spec.role, (0.0, 1.0))
 
 
@@ -167,16 +159,12 @@ def _lens(along: float) -> Float[np.ndarray, "4 4"]:
     """Return the projection of the camera ``along`` (0..1) the spiral, for its viewport."""
     narrowest, widest = _FOV
     width, height = _viewport(along)
-    return perspective(
-        narrowest + (widest - narrowest) * along, width / height, _NEAR, _FAR
-    )
+    return perspective(narrowest + (widest - narrowest) * along, width / height, _NEAR, _FAR)
 
 
 def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:
     """Return the view matrix of the camera ``along`` (0..1) a spiral around the bounds."""
-    bounds = getattr(manifest, "bounds", None) or Bounds(
-        (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
-    )
+    bounds = getattr(manifest, "bounds", None) or Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
     low, high = np.clip([bounds.min, bounds.max], -_FARTHEST, _FARTHEST)
     center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
     space = getattr(manifest, "space", None)

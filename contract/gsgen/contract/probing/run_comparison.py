@@ -1,13 +1,6 @@
 """The subject of behaviour rules: several runs of one session, compared output by output."""
 
-__all__ = [
-    "Behaviour",
-    "Comparison",
-    "ProbeRun",
-    "ProbeRuns",
-    "difference",
-    "read_behaviour",
-]
+__all__ = ["Behaviour", "Comparison", "ProbeRun", "ProbeRuns", "difference", "read_behaviour"]
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -107,9 +100,7 @@ class Behaviour:
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
         """The probes of value rules except all-zero ones, with their outputs."""
-        return [
-            runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros
-        ]
+        return [runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
         """The base probe and those that differ from it in the inputs of ``role`` alone."""
@@ -137,9 +128,7 @@ class Behaviour:
         """Return the extra runs of one name that finished, and record those that did not."""
         probe_indices = self.trial.plan.trials.get(trial, ())
         missed = (index for index in probe_indices if not self._ran(index))
-        self.unfinished_probes.extend(
-            self.trial.plan.probes[index].label for index in missed
-        )
+        self.unfinished_probes.extend(self.trial.plan.probes[index].label for index in missed)
         return [self._visit(index) for index in probe_indices if self._ran(index)]
 
     def _ran(self, index: int) -> bool:
@@ -167,11 +156,7 @@ def read_behaviour(trial: ProbeRuns) -> Behaviour:
     revisited = _compare(trial, *plan.revisited) if plan.revisited else None
     repeated = _compare(trial, *plan.repeated)
     return Behaviour(
-        subject=trial.subject,
-        repeated=repeated,
-        revisited=revisited,
-        varied=varied,
-        trial=trial,
+        subject=trial.subject, repeated=repeated, revisited=revisited, varied=varied, trial=trial
     )
 
 
@@ -181,10 +166,7 @@ def _compare(trial: ProbeRuns, first: int, second: int) -> Comparison:
     a, b = runs[first].sample, runs[second].sample
     if a == b:
         return Comparison(*labels, {})
-    pairs = (
-        (name, value, samples[b].outputs[name])
-        for name, value in samples[a].outputs.items()
-    )
+    pairs = ((name, value, samples[b].outputs[name]) for name, value in samples[a].outputs.items())
     changed = {name: difference(x, y) for name, x, y in pairs if not _same_bits(x, y)}
     return Comparison(*labels, changed)
 

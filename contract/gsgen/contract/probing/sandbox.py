@@ -145,9 +145,7 @@ def _write_job(
     for index, probe in enumerate(probes):
         with (folder / f"probe_{index}.npz").open("wb") as file:
             # Names go by number: a tensor may be called "a/b" or "file".
-            arrays: dict[str, Any] = {
-                f"input_{k}": a for k, a in enumerate(probe.inputs.values())
-            }
+            arrays: dict[str, Any] = {f"input_{k}": a for k, a in enumerate(probe.inputs.values())}
             np.savez(file, **arrays)
     job = {
         "model": str(model.resolve()),

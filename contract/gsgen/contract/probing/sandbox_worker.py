@@ -112,9 +112,7 @@ def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
         level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.graph_optimization_level = level
     started = time.perf_counter()
-    session = onnxruntime.InferenceSession(
-        model, options, providers=["CPUExecutionProvider"]
-    )
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     emit("loaded", seconds=time.perf_counter() - started)
     return session
 
@@ -144,9 +142,7 @@ def keep_outputs(
         for name, file in files.items():
             array = thinned(outputs[name]) if thin else outputs[name]
             np.save(folder / file, array, allow_pickle=False)
-        not_finite = [
-            name for name, value in outputs.items() if thin and not _finite(value)
-        ]
+        not_finite = [name for name, value in outputs.items() if thin and not _finite(value)]
         facts = {"digest": key, "outputs": files, "thin": thin, "not_finite": not_finite}
         emit("sample", sample=known[key], **facts)
     return known[key]
@@ -157,9 +153,7 @@ def digest_of(outputs: dict[str, np.ndarray]) -> str:
     digest = hashlib.sha256()
     for name, value in outputs.items():
         if not isinstance(value, np.ndarray) or value.dtype.hasobject:
-            actual = (
-                "strings" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
-            )
+            actual = "strings" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
             raise TypeError(f"output {name!r} is {actual}, expected a numeric tensor")
         digest.update(f"{name} {value.dtype} {value.shape}\n".encode())
         digest.update(np.ascontiguousarray(value).data)

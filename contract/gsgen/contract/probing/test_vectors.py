@@ -19,9 +19,7 @@ def vector_label(label: str, seed: int) -> str:
 
 def probed_seeds(manifest: Manifest, seed: int) -> tuple[int, ...]:
     """Return the seeds, other than ``seed``, whose test vectors are run."""
-    seeds = dict.fromkeys(
-        vector.seed for vector in manifest.test_vectors if vector.seed != seed
-    )
+    seeds = dict.fromkeys(vector.seed for vector in manifest.test_vectors if vector.seed != seed)
     return tuple(seeds)[:MOST_SEEDS]
 
 
@@ -43,9 +41,7 @@ def vector_probes(
     """
     probes = []
     for vector_seed in probed_seeds(manifest, seed):
-        labels = {
-            vector.inputs for vector in manifest.test_vectors if vector.seed == vector_seed
-        }
+        labels = {vector.inputs for vector in manifest.test_vectors if vector.seed == vector_seed}
         for probe in default_probes(manifest, shapes, dtypes, vector_seed, count):
             if probe.label in labels:
                 label = vector_label(probe.label, vector_seed)

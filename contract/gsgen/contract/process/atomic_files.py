@@ -68,9 +68,7 @@ def refuse_folder(path: Path) -> None:
     if path.is_dir():
         name = path.name if path.suffix else "model.onnx"
         hint = f"Name a file in it, such as {path / name}."
-        raise ConfigInvalid(
-            "is a folder, expected a file to write", where=str(path), hint=hint
-        )
+        raise ConfigInvalid("is a folder, expected a file to write", where=str(path), hint=hint)
 
 
 def is_device(path: Path) -> bool:
@@ -96,17 +94,13 @@ def refuse_device(path: Path) -> None:
         raise ConfigInvalid(message, where=str(path), hint="Name a file.")
 
 
-def refuse_itself(
-    path: Path, sources: Iterable[Path], hint: str = "Name another file."
-) -> None:
+def refuse_itself(path: Path, sources: Iterable[Path], hint: str = "Name another file.") -> None:
     """Raise if the output would overwrite one of the files that are read.
 
     Raises:
         ConfigInvalid: ``path`` is one of ``sources``, which would be lost.
     """
-    if path.exists() and any(
-        source.exists() and path.samefile(source) for source in sources
-    ):
+    if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
         message = "is also an input file, which would be overwritten"
         raise ConfigInvalid(message, where=str(path), hint=hint)
 

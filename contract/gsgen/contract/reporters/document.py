@@ -16,14 +16,9 @@ SCHEMA = "gsgen-report/1"
 
 SchemaName = Annotated[Literal["gsgen-report/1"], Hint(text="Name and major version.")]
 SeverityName = Literal["error", "warning", "info"]
-RuleId = Annotated[
-    str, Hint(text="A rule's id.", pattern=r"^([a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")
-]
+RuleId = Annotated[str, Hint(text="A rule's id.", pattern=r"^([a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")]
 Fingerprint = Annotated[
-    str,
-    Hint(
-        text="The same over runs, machines and numbers of rows.", pattern="^[0-9a-f]{16}$"
-    ),
+    str, Hint(text="The same over runs, machines and numbers of rows.", pattern="^[0-9a-f]{16}$")
 ]
 
 
@@ -58,12 +53,10 @@ class SubjectEntry:
     ] = None
     kind: Annotated[str | None, Hint(text="Kind of model, where known.")] = None
     name: Annotated[str | None, Hint(text="The model's name in the manifest.")] = None
-    contract: Annotated[
-        str | None, Hint(text="Contract version that the manifest declares.")
-    ] = None
-    capacity: Annotated[
-        int | None, Hint(text="Rows of the Gaussian output, where fixed.")
-    ] = None
+    contract: Annotated[str | None, Hint(text="Contract version that the manifest declares.")] = (
+        None
+    )
+    capacity: Annotated[int | None, Hint(text="Rows of the Gaussian output, where fixed.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,9 +124,7 @@ class FindingEntry:
     waived: Annotated[
         bool, Hint(text="The finding does not count: its rule is ignored, or it is waived.")
     ]
-    known: Annotated[
-        bool, Hint(text="The finding does not count: the baseline lists it already.")
-    ]
+    known: Annotated[bool, Hint(text="The finding does not count: the baseline lists it already.")]
     truncated: Annotated[
         bool, Hint(text="The finding also counts violations at further locations.")
     ]
@@ -152,9 +143,7 @@ class CauseEntry:
     rule: RuleId
     status: str
     findings: Annotated[tuple[Fingerprint, ...], Hint(text="The findings of the rule.")]
-    blocked: Annotated[
-        tuple[RuleId, ...], Hint(text="The rules that could not be checked.")
-    ]
+    blocked: Annotated[tuple[RuleId, ...], Hint(text="The rules that could not be checked.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,9 +152,7 @@ class RuleEntry:
 
     id: RuleId
     status: Literal["pass", "fail", "skipped", "not-applicable", "crashed"]
-    reason: Annotated[
-        str | None, Hint(text="Why it was not checked, or how it crashed.")
-    ] = None
+    reason: Annotated[str | None, Hint(text="Why it was not checked, or how it crashed.")] = None
     ms: Annotated[float | None, Hint(text="Milliseconds spent in its check.")] = None
     items: Annotated[int | None, Hint(text="The number of checked rows or values.")] = None
 
@@ -217,13 +204,9 @@ class Document:
     environment: Annotated[
         dict[str, str], Hint(text="Versions of the libraries and drivers that ran.")
     ]
-    truncated: Annotated[
-        bool, Hint(text="A finding also counts violations at further locations.")
-    ]
+    truncated: Annotated[bool, Hint(text="A finding also counts violations at further locations.")]
     seconds: float
-    baseline: Annotated[str | None, Hint(text="The report whose findings are known.")] = (
-        None
-    )
+    baseline: Annotated[str | None, Hint(text="The report whose findings are known.")] = None
     gone: Annotated[
         tuple[GoneEntry, ...] | None,
         Hint(

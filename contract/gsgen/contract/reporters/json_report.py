@@ -78,15 +78,11 @@ def document_of(report: Report) -> Document:
             LevelEntry(o.level.word, "ran" if o.ran else "skipped", o.reason or None)
             for o in report.levels
         ),
-        findings=tuple(
-            _finding(finding, rules[finding.rule]) for finding in report.findings
-        ),
+        findings=tuple(_finding(finding, rules[finding.rule]) for finding in report.findings),
         causes=tuple(_cause(cause, report) for cause in report.causes),
         rules=tuple(_outcome(outcome) for outcome in report.outcomes),
         tolerances=tuple(
-            ToleranceEntry(
-                tolerance.field, tolerance.value, tolerance.unit, tolerance.source
-            )
+            ToleranceEntry(tolerance.field, tolerance.value, tolerance.unit, tolerance.source)
             for tolerance in report.tolerances
         ),
         probes=report.probes,
@@ -94,9 +90,7 @@ def document_of(report: Report) -> Document:
         truncated=any(finding.truncated for finding in report.findings),
         seconds=round(report.seconds, 4),
         baseline=report.baseline or None,
-        gone=tuple(_gone(finding) for finding in report.resolved)
-        if report.baseline
-        else None,
+        gone=tuple(_gone(finding) for finding in report.resolved) if report.baseline else None,
     )
 
 
@@ -178,24 +172,16 @@ def _example(example: Example) -> ExampleEntry:
 
 def _cause(cause: Cause, report: Report) -> CauseEntry:
     id = cause.outcome.rule.id
-    fingerprints = tuple(
-        finding.fingerprint for finding in report.findings if finding.rule == id
-    )
+    fingerprints = tuple(finding.fingerprint for finding in report.findings if finding.rule == id)
     blocked = tuple(rule.id for rule in cause.blocked)
     return CauseEntry(id, cause.outcome.status, fingerprints, blocked)
 
 
 def _outcome(outcome: Outcome) -> RuleEntry:
-    entry = RuleEntry(
-        id=outcome.rule.id, status=outcome.status, reason=outcome.reason or None
-    )
+    entry = RuleEntry(id=outcome.rule.id, status=outcome.status, reason=outcome.reason or None)
     if outcome.status not in ("pass", "fail"):
         return entry
     milliseconds = round(outcome.milliseconds, 3)
     return RuleEntry(
-        id=entry.id,
-        status=entry.status,
-        reason=entry.reason,
-        ms=milliseconds,
-        items=outcome.items,
+        id=entry.id, status=entry.status, reason=entry.reason, ms=milliseconds, items=outcome.items
     )

@@ -81,9 +81,7 @@ def _details(report: Report) -> list[str]:
     for outcome in report.outcomes:
         if outcome.status == "crashed":
             last = outcome.reason.splitlines()[-1]
-            parts.append(
-                f"💥 **{outcome.rule.id}** crashed, a fault of the rule: {code(last)}"
-            )
+            parts.append(f"💥 **{outcome.rule.id}** crashed, a fault of the rule: {code(last)}")
     for level in report.levels:
         if not level.ran:
             parts.append(f"Level {level.level.word} did not run: {code(level.reason)}")
@@ -100,11 +98,7 @@ def code(text: str) -> str:
     printable_text = printable(text)
     longest = max((len(run) for run in re.findall("`+", printable_text)), default=0)
     fence = "`" * (longest + 1)
-    pad = (
-        " "
-        if printable_text[:1] in ("`", " ", "") or printable_text[-1:] in ("`", " ")
-        else ""
-    )
+    pad = " " if printable_text[:1] in ("`", " ", "") or printable_text[-1:] in ("`", " ") else ""
     return f"{fence}{pad}{printable_text}{pad}{fence}"
 
 

@@ -32,10 +32,7 @@ def page(rule: Rule, registry: Registry) -> str:
         ("severity", rule.severity.word),
         ("level", rule.level.word),
         ("applies to", ", ".join(rule.kinds)),
-        (
-            "target",
-            rule.target or (f"those with a limit {rule.limit}" if rule.limit else "all"),
-        ),
+        ("target", rule.target or (f"those with a limit {rule.limit}" if rule.limit else "all")),
         ("needs", ", ".join(f"{id} {registry.rules[id].slug}" for id in rule.needs)),
         ("example that breaks it", f"`{rule.fixture}`" if rule.fixture else ""),
     ]
@@ -49,12 +46,7 @@ def page(rule: Rule, registry: Registry) -> str:
 
 def index(registry: Registry) -> str:
     """Return the Markdown list of all rules, by family."""
-    lines = [
-        "# Rules",
-        "",
-        f"{len(registry.rules)} rules, one page each.",
-        "",
-    ]
+    lines = ["# Rules", "", f"{len(registry.rules)} rules, one page each.", ""]
     family = ""
     for rule in registry.rules.values():
         if rule.family != family:
@@ -62,9 +54,7 @@ def index(registry: Registry) -> str:
             lines += ["", f"## {FAMILIES.get(family, family)} ({family})", ""]
             lines += ["| rule | severity | level | what must hold |", "|---|---|---|---|"]
         name = f"[{rule.id} {rule.slug}]({rule.id.replace('/', '-')}.md)"
-        lines.append(
-            f"| {name} | {rule.severity.word} | {rule.level.word} | {rule.statement} |"
-        )
+        lines.append(f"| {name} | {rule.severity.word} | {rule.level.word} | {rule.statement} |")
     return "\n".join(lines) + "\n"
 
 

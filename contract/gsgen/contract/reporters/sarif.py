@@ -30,13 +30,9 @@ Json = dict[str, Any]
 
 def to_sarif(entries: Sequence[Entry]) -> str:
     """Return all reports as one SARIF log."""
-    reports = {
-        number: entry for number, entry in enumerate(entries) if isinstance(entry, Report)
-    }
+    reports = {number: entry for number, entry in enumerate(entries) if isinstance(entry, Report)}
     rules = {
-        outcome.rule.id: outcome.rule
-        for report in reports.values()
-        for outcome in report.outcomes
+        outcome.rule.id: outcome.rule for report in reports.values() for outcome in report.outcomes
     }
     numbers = {id: number for number, id in enumerate(rules)}
     driver = {
@@ -93,14 +89,9 @@ def _uri(path: str) -> str:
 
 def _invocation(entries: Iterable[Entry]) -> Json:
     failures = [
-        failure
-        for number, entry in enumerate(entries)
-        for failure in _failures(entry, number)
+        failure for number, entry in enumerate(entries) for failure in _failures(entry, number)
     ]
-    return {
-        "executionSuccessful": not failures,
-        "toolExecutionNotifications": failures,
-    }
+    return {"executionSuccessful": not failures, "toolExecutionNotifications": failures}
 
 
 def _failures(entry: Entry, number: int) -> list[Json]:
@@ -116,9 +107,7 @@ def _failures(entry: Entry, number: int) -> list[Json]:
     ]
 
 
-def _failure_notification(
-    path: str, number: int, text: str, rule: Rule | None = None
-) -> Json:
+def _failure_notification(path: str, number: int, text: str, rule: Rule | None = None) -> Json:
     notification: Json = {
         "level": "error",
         "message": {"text": printable(text, keep="\n")},
@@ -128,10 +117,7 @@ def _failure_notification(
 
 
 def _physical_location(path: str, number: int) -> Json:
-    return {
-        "artifactLocation": {"uri": _uri(path), "index": number},
-        "region": {"startLine": 1},
-    }
+    return {"artifactLocation": {"uri": _uri(path), "index": number}, "region": {"startLine": 1}}
 
 
 def _result(report: Report, finding: Finding, rule: int, number: int) -> Json:

@@ -43,9 +43,7 @@ def verdict_word(report: Report) -> str:
 
 
 def _uncounted(report: Report) -> list[str]:
-    ignored = {
-        finding.rule for finding in report.findings if finding.waived and not finding.waiver
-    }
+    ignored = {finding.rule for finding in report.findings if finding.waived and not finding.waiver}
     waived = sum(bool(finding.waiver) for finding in report.findings)
     known = sum(finding.known for finding in report.findings)
     parts = [f"ignored: {', '.join(sorted(ignored))}"] if ignored else []
@@ -58,8 +56,7 @@ def _uncounted(report: Report) -> list[str]:
 def summary_line(entries: Sequence[Entry]) -> str:
     """Return the number of models of each verdict, in one line."""
     words = Counter(
-        "unreadable" if isinstance(entry, Unreadable) else verdict_word(entry)
-        for entry in entries
+        "unreadable" if isinstance(entry, Unreadable) else verdict_word(entry) for entry in entries
     )
     names = {"conforms": "conform", _CRASHED: "without verdict"}
     parts = [

@@ -55,9 +55,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     lines = _head(report)
     causes = {cause.outcome.rule.id: cause for cause in report.causes}
     visible = [
-        finding
-        for finding in report.findings
-        if finding.counts or (finding.known and verbose)
+        finding for finding in report.findings if finding.counts or (finding.known and verbose)
     ]
     for rule, findings in groupby(visible, lambda finding: finding.rule):
         lines += finding_lines(findings, verbose=verbose)
@@ -81,15 +79,10 @@ def _head(report: Report) -> list[Line]:
         facts.append(f"{report.name!r}, contract {report.contract}")
     if report.capacity:
         facts.append(f"{report.capacity:,} rows")
-    facts.append(
-        format_mebibytes(report.size) if report.size >= MEBIBYTE else f"{report.size:,} B"
-    )
+    facts.append(format_mebibytes(report.size) if report.size >= MEBIBYTE else f"{report.size:,} B")
     scope = f"validated for {report.target.label} at level {report.level.word}"
     settings = "" if report.settings == "defaults" else f", settings from {report.settings}"
-    return [
-        Line(f"{report.path}: {', '.join(facts)}", "bold"),
-        Line(f"  {scope}{settings}"),
-    ]
+    return [Line(f"{report.path}: {', '.join(facts)}", "bold"), Line(f"  {scope}{settings}")]
 
 
 def finding_lines(findings: Iterable[Finding], *, verbose: bool = False) -> list[Line]:
@@ -102,9 +95,7 @@ def finding_lines(findings: Iterable[Finding], *, verbose: bool = False) -> list
         verbose: Show all locations; otherwise the first few of a rule, and their number.
     """
     lines: list[Line] = []
-    for (head, hint), group in groupby(
-        findings, lambda finding: (_head_of(finding), finding.hint)
-    ):
+    for (head, hint), group in groupby(findings, lambda finding: (_head_of(finding), finding.hint)):
         similar = list(group)
         lines.append(Line(head, _STYLE[similar[0].severity]))
         listed = (
@@ -115,9 +106,7 @@ def finding_lines(findings: Iterable[Finding], *, verbose: bool = False) -> list
         for finding in listed:
             lines += _location_lines(finding)
         if unlisted := len(similar) - len(listed):
-            lines += _wrapped(
-                f"and at {unlisted} more locations, which `gsgen validate -v` lists"
-            )
+            lines += _wrapped(f"and at {unlisted} more locations, which `gsgen validate -v` lists")
         lines += _wrapped(f"hint: {hint}")
     return [Line(printable(line.text), line.style) for line in lines]
 
@@ -182,9 +171,7 @@ def _skipped(report: Report) -> list[Line]:
     lines: list[Line] = []
     for outcome in report.outcomes:
         if outcome.status == "skipped" and outcome.rule.level in ran:
-            lines.append(
-                Line(f"  {outcome.rule.id} skipped: {outcome.rule.slug}", "yellow")
-            )
+            lines.append(Line(f"  {outcome.rule.id} skipped: {outcome.rule.slug}", "yellow"))
             lines += _wrapped(outcome.reason)
     return lines
 
@@ -225,7 +212,9 @@ def _details(report: Report) -> list[Line]:
         )
     lines += [Line("  probes:")] if report.probes else []
     lines += [Line(f"    {label}") for label in report.probes]
-    took = f"{report.seconds:.2f} s, of which {report.runtime_seconds:.2f} s in ONNX Runtime's process"
+    took = (
+        f"{report.seconds:.2f} s, of which {report.runtime_seconds:.2f} s in ONNX Runtime's process"
+    )
     return [*lines, Line(f"  took {took}")]
 
 

@@ -12,22 +12,10 @@ from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
 from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness
 from gsgen.contract.rules.graph import capture, graph, integers, naming, replay
-from gsgen.contract.rules.interface import (
-    declarations,
-    input_declarations,
-    inputs,
-    manifest,
-)
+from gsgen.contract.rules.interface import declarations, input_declarations, inputs, manifest
 from gsgen.contract.rules.outputs import capacity, companions, count, graph_outputs, outputs
 from gsgen.contract.rules.targets import limits, visionary, visionary_drawing
-from gsgen.contract.rules.values import (
-    appearance,
-    cells,
-    covariance,
-    execution,
-    extent,
-    rows,
-)
+from gsgen.contract.rules.values import appearance, cells, covariance, execution, extent, rows
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation

@@ -56,12 +56,7 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
     windows, posix = PureWindowsPath(ref.location), PurePosixPath(ref.location)
     if not ref.location or "\0" in ref.location:
         return "no file name", "a file beside the model"
-    if (
-        posix.is_absolute()
-        or windows.is_absolute()
-        or windows.drive
-        or ".." in windows.parts
-    ):
+    if posix.is_absolute() or windows.is_absolute() or windows.drive or ".." in windows.parts:
         return (
             f"leads out of the model's folder (weight {ref.tensor!r})",
             "a relative path below it",
@@ -82,14 +77,7 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
     return None
 
 
-@rule(
-    "GS002",
-    "sizes-sane",
-    Severity.ERROR,
-    over="model",
-    fixture="huge_dimension",
-    kinds=KINDS,
-)
+@rule("GS002", "sizes-sane", Severity.ERROR, over="model", fixture="huge_dimension", kinds=KINDS)
 def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
     """Declared sizes fit the memory that running the model may take.
 
@@ -111,9 +99,7 @@ def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
             size = tensor_bytes(tensor)
             axes = len(tensor.dims or ())
             if negative:
-                yield Violation.at(
-                    f"{kind} {tensor.name}", f"shape {tensor}", "sizes of 0 or more"
-                )
+                yield Violation.at(f"{kind} {tensor.name}", f"shape {tensor}", "sizes of 0 or more")
             elif axes > _MOST_AXES:
                 expected = f"{_MOST_AXES} axes at most"
                 yield Violation.at(f"{kind} {tensor.name}", f"{axes} axes", expected)
@@ -124,11 +110,7 @@ def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
                 )
     for name, shape in probed_shapes(subject).items():
         input_tensor = graph.input(name)
-        if (
-            len(shape) > _MOST_AXES
-            and input_tensor is not None
-            and input_tensor.dims is None
-        ):
+        if len(shape) > _MOST_AXES and input_tensor is not None and input_tensor.dims is None:
             actual = f"{len(shape)} axes in the manifest"
             yield Violation.at(f"input {name}", actual, f"{_MOST_AXES} axes at most")
     probed, most = probed_bytes(subject), limit // _PROBES

@@ -29,16 +29,11 @@ def waiver_matches(review: Review) -> Iterator[Violation]:
         report writes it. If the waiver has expired, repair the model or move `until`.
     """
     for waiver in review.waivers:
-        if waiver.rule == "GW001" or review.statuses.get(waiver.rule) not in (
-            "pass",
-            "fail",
-        ):
+        if waiver.rule == "GW001" or review.statuses.get(waiver.rule) not in ("pass", "fail"):
             continue  # without a check, the fault may still be there
         matches_finding = any(waiver.covers(finding) for finding in review.findings)
         location = f"waiver of {waiver}"
         if not matches_finding:
             yield Violation.at(location, "no matching finding", "a finding that it covers")
         elif not waiver.is_valid_on(review.today):
-            yield Violation.at(
-                location, f"expired on {waiver.until}", "a day that is not past"
-            )
+            yield Violation.at(location, f"expired on {waiver.until}", "a day that is not past")

@@ -94,9 +94,7 @@ def look_at(
     return view
 
 
-def perspective(
-    fov_x: float, aspect: float, near: float, far: float
-) -> Float[np.ndarray, "4 4"]:
+def perspective(fov_x: float, aspect: float, near: float, far: float) -> Float[np.ndarray, "4 4"]:
     """Return the camera→clip matrix of an OpenCV camera, depth 0..1 (column vectors).
 
     Args:

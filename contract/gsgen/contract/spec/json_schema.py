@@ -47,11 +47,7 @@ def _object_schema(cls: type, definitions: dict[str, object]) -> dict[str, objec
     properties: dict[str, object] = {}
     for f in fields(cls):
         entry = _type_schema(hints[f.name], definitions)
-        if (
-            f.default is not MISSING
-            and f.default is not None
-            and not is_dataclass(f.default)
-        ):
+        if f.default is not MISSING and f.default is not None and not is_dataclass(f.default):
             entry = entry | {"default": to_json(f.default)}
         properties[f.name] = entry
     return {
@@ -98,9 +94,7 @@ def _constrain(entry: dict[str, object], hint: Hint) -> dict[str, object]:
     return entry | hint.keywords()
 
 
-def _tuple_schema(
-    args: tuple[Any, ...], definitions: dict[str, object]
-) -> dict[str, object]:
+def _tuple_schema(args: tuple[Any, ...], definitions: dict[str, object]) -> dict[str, object]:
     if len(args) == 2 and args[1] is Ellipsis:
         return {"type": "array", "items": _type_schema(args[0], definitions)}
     size = len(args)
@@ -141,9 +135,7 @@ def from_json(hint: Any, value: Any) -> Any:
         item = get_args(hint)[0]
         return tuple(from_json(item, element) for element in value)
     if origin is dict:
-        return {
-            key: from_json(get_args(hint)[1], element) for key, element in value.items()
-        }
+        return {key: from_json(get_args(hint)[1], element) for key, element in value.items()}
     if is_dataclass(hint) and isinstance(hint, type):
         hints = _hints_of(hint)
         return hint(**{k: from_json(hints[k], v) for k, v in value.items() if k in hints})

@@ -99,8 +99,7 @@ class DecodedGaussians:
             actual = getattr(self, name).shape
             if actual != shape:
                 raise LayoutMismatch(
-                    f"shape is {list(actual)}, expected {list(shape)}",
-                    where=f"Gaussians.{name}",
+                    f"shape is {list(actual)}, expected {list(shape)}", where=f"Gaussians.{name}"
                 )
 
     @property
@@ -130,9 +129,7 @@ class Cells:
         return len(self.position)
 
 
-def appearance_channels(
-    space: Literal["sh", "rgb"], degree: int | None, itemsize: int
-) -> int:
+def appearance_channels(space: Literal["sh", "rgb"], degree: int | None, itemsize: int) -> int:
     """Return how many channels an appearance row has.
 
     Three float16 colours fill a word and a half, so they are padded to four.
@@ -171,15 +168,9 @@ def decode(
         LayoutMismatch: The arrays are not [N, 10] and [N, C] with a C that ``space`` has.
     """
     if rows.ndim != 2 or rows.shape[1] != ROW:
-        raise LayoutMismatch(
-            f"shape is {list(rows.shape)}, expected [N, {ROW}]", where="gaussians"
-        )
+        raise LayoutMismatch(f"shape is {list(rows.shape)}, expected [N, {ROW}]", where="gaussians")
     allowed = APPEARANCE_CHANNELS[space]
-    if (
-        appearance.ndim != 2
-        or appearance.shape[1] not in allowed
-        or len(appearance) != len(rows)
-    ):
+    if appearance.ndim != 2 or appearance.shape[1] not in allowed or len(appearance) != len(rows):
         raise LayoutMismatch(
             f"shape is {list(appearance.shape)}, expected [{len(rows)}, C] with C in {allowed}",
             where="appearance",
@@ -203,10 +194,6 @@ def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
         LayoutMismatch: The array is not [C, 10].
     """
     if rows.ndim != 2 or rows.shape[1] != ROW:
-        raise LayoutMismatch(
-            f"shape is {list(rows.shape)}, expected [C, {ROW}]", where="cells"
-        )
+        raise LayoutMismatch(f"shape is {list(rows.shape)}, expected [C, {ROW}]", where="cells")
     float_rows = rows.astype(np.float32)
-    return Cells(
-        float_rows[:, POSITION], float_rows[:, VISIBILITY], float_rows[:, COVARIANCE]
-    )
+    return Cells(float_rows[:, POSITION], float_rows[:, VISIBILITY], float_rows[:, COVARIANCE])

@@ -92,9 +92,7 @@ class Bounds:
             return None
         low, high = finite.min(axis=0), finite.max(axis=0)
         room = margin * (high - low) + 1e-6
-        corners = [
-            [float(f"{value:.6g}") for value in end] for end in (low - room, high + room)
-        ]
+        corners = [[float(f"{value:.6g}") for value in end] for end in (low - room, high + room)]
         return cls(*((x, y, z) for x, y, z in corners))
 
 
@@ -114,9 +112,7 @@ class Input:
 
     name: Name
     role: RoleName
-    shape: Annotated[
-        tuple[Positive, ...] | None, Hint(text="Static size of every axis.")
-    ] = None
+    shape: Annotated[tuple[Positive, ...] | None, Hint(text="Static size of every axis.")] = None
     range: Annotated[
         tuple[float, float] | None,
         Hint(text="Smallest and largest meaningful value, both included."),
@@ -125,15 +121,15 @@ class Input:
         float | Literal["zeros", "identity"] | tuple[float, ...] | None,
         Hint(text="What a runtime feeds if it has nothing better; row-major where a list."),
     ] = None
-    convention: Annotated[
-        str | None, Hint(text="Which of the role's conventions it follows.")
-    ] = None
+    convention: Annotated[str | None, Hint(text="Which of the role's conventions it follows.")] = (
+        None
+    )
     loop: Annotated[
         bool | None, Hint(text="Time: the end of the range continues at its start.")
     ] = None
-    frames: Annotated[
-        Positive | None, Hint(text="Time: how many distinct frames there are.")
-    ] = None
+    frames: Annotated[Positive | None, Hint(text="Time: how many distinct frames there are.")] = (
+        None
+    )
     fps: Annotated[
         float | None, Hint(text="Time: frames per second at natural speed.", minimum=0)
     ] = None
@@ -157,9 +153,7 @@ class AppearanceOutput:
     name: Name
     space: Annotated[
         Literal["sh", "rgb"],
-        Hint(
-            text="`sh`: coefficient-major SH, RGB innermost. `rgb`: raw colour in [0, 1]."
-        ),
+        Hint(text="`sh`: coefficient-major SH, RGB innermost. `rgb`: raw colour in [0, 1]."),
     ]
     degree: Annotated[
         int | None, Hint(text="SH degree; required for `sh`.", minimum=0, maximum=3)
@@ -188,9 +182,7 @@ class CellsOutput:
     """
 
     name: Name
-    per_cell: Annotated[
-        int, Hint(text="Rows of Gaussians in a row to one cell.", minimum=1)
-    ]
+    per_cell: Annotated[int, Hint(text="Rows of Gaussians in a row to one cell.", minimum=1)]
     dtype: Literal["float32", "float16"] = "float32"
 
 
@@ -211,9 +203,7 @@ class WeightedSum:
     background: Annotated[Fraction, Hint(text="Weight of the background.")]
     depth_range: Annotated[
         AboveZero | None,
-        Hint(
-            text="Depth at which weights reach 0, in units of length; absent: they do not fall."
-        ),
+        Hint(text="Depth at which weights reach 0, in units of length; absent: they do not fall."),
     ] = None
     opacity_divisor: Annotated[
         AboveZero, Hint(text="What opacity is divided by before it takes light away.")
@@ -231,14 +221,12 @@ class Capture:
 class Tolerances:
     """How closely two executions of the model agree, each field in its natural unit."""
 
-    position: Annotated[Fraction, Hint(text="In standard deviations of the Gaussian.")] = (
-        1e-3
-    )
+    position: Annotated[Fraction, Hint(text="In standard deviations of the Gaussian.")] = 1e-3
     covariance: Annotated[Fraction, Hint(text="Relative to the covariance's trace.")] = 1e-3
     opacity: Annotated[Fraction, Hint(text="Absolute.")] = 2e-3
-    appearance: Annotated[
-        Fraction, Hint(text="Absolute, of the colour seen from a direction.")
-    ] = 2e-3
+    appearance: Annotated[Fraction, Hint(text="Absolute, of the colour seen from a direction.")] = (
+        2e-3
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,9 +245,7 @@ class ReferenceImage:
     Its camera looks along +z, x is right and y down; colours are over black.
     """
 
-    path: Annotated[
-        str, Hint(text="A PNG in the model's folder or below it.", min_length=1)
-    ]
+    path: Annotated[str, Hint(text="A PNG in the model's folder or below it.", min_length=1)]
     sha256: Sha256
     inputs: Annotated[str, Hint(text="Which probe, by its label.", min_length=1)]
     view: Annotated[
@@ -268,9 +254,7 @@ class ReferenceImage:
     ]
     focal: Annotated[tuple[float, float], Hint(text="Focal lengths in x and y, in pixels.")]
     center: Annotated[tuple[float, float], Hint(text="Principal point, in pixels.")]
-    psnr: Annotated[
-        AboveZero, Hint(text="Least peak signal-to-noise ratio, in decibels.")
-    ] = 40.0
+    psnr: Annotated[AboveZero, Hint(text="Least peak signal-to-noise ratio, in decibels.")] = 40.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -280,9 +264,7 @@ class _Common:
     name: Annotated[str, Hint(text="What people call the model.", min_length=1)]
     inputs: tuple[Input, ...] = ()
     version: Annotated[str, Hint(text="The model's own version.")] = "1.0.0"
-    family: Annotated[
-        str | None, Hint(text="Method family: static, mlp, 4d, avatar, …")
-    ] = None
+    family: Annotated[str | None, Hint(text="Method family: static, mlp, 4d, avatar, …")] = None
     producer: Producer | None = None
     test_vectors: tuple[TestVector, ...] = ()
     contract: Annotated[
@@ -298,16 +280,13 @@ class GeneratorManifest(_Common):
     space: Space | None = None
     bounds: Bounds | None = None
     depends_on: Annotated[
-        dict[str, bool],
-        Hint(text="Role → does any output change with it; absent means yes."),
+        dict[str, bool], Hint(text="Role → does any output change with it; absent means yes.")
     ] = field(default_factory=dict)
     antialias: Annotated[
-        Literal["classic", "mip"],
-        Hint(text="`classic`: 0.3 px dilation. `mip`: compensated."),
+        Literal["classic", "mip"], Hint(text="`classic`: 0.3 px dilation. `mip`: compensated.")
     ] = "classic"
     blend: Annotated[
-        Literal["alpha", "wsr"],
-        Hint(text="`alpha`: sorted. `wsr`: weighted sum with cells."),
+        Literal["alpha", "wsr"], Hint(text="`alpha`: sorted. `wsr`: weighted sum with cells.")
     ] = "alpha"
     weighted_sum: WeightedSum | None = None
     capture: Capture = Capture()
@@ -322,10 +301,7 @@ class ImageOutput:
 
     name: Name
     dtype: Literal["float32", "float16"] = "float32"
-    range: Annotated[tuple[float, float], Hint(text="Values of black and white.")] = (
-        0.0,
-        1.0,
-    )
+    range: Annotated[tuple[float, float], Hint(text="Values of black and white.")] = (0.0, 1.0)
     color_space: Literal["srgb", "linear"] = "srgb"
 
 
@@ -378,17 +354,13 @@ class TrajectoryManifest(_Common):
     """A trajectory predictor: past camera states → future ones, with uncertainty."""
 
     outputs: TrajectoryOutputs
-    step_seconds: Annotated[
-        float, Hint(text="Time between two states, in seconds.", minimum=0)
-    ]
+    step_seconds: Annotated[float, Hint(text="Time between two states, in seconds.", minimum=0)]
     kind: Literal["trajectory-predictor"] = "trajectory-predictor"
 
 
 Manifest = GeneratorManifest | PostProcessManifest | TrajectoryManifest
 
-_TYPES: dict[
-    str, type[GeneratorManifest] | type[PostProcessManifest] | type[TrajectoryManifest]
-]
+_TYPES: dict[str, type[GeneratorManifest] | type[PostProcessManifest] | type[TrajectoryManifest]]
 _TYPES = {
     "gaussian-generator": GeneratorManifest,
     "post-process": PostProcessManifest,

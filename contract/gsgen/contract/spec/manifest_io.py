@@ -104,9 +104,7 @@ def _parse_document(text: str) -> Parsed:
             parse_constant=_number,
             object_pairs_hook=_unique_keys,
         )
-        json.dumps(
-            document, ensure_ascii=False
-        ).encode()  # half a surrogate pair cannot be encoded
+        json.dumps(document, ensure_ascii=False).encode()  # half a surrogate pair cannot be encoded
     except ValueError as error:
         return _failed("syntax", "", _short(text), f"a JSON document ({error})")
     if not isinstance(document, dict):
@@ -147,8 +145,7 @@ def loads(text: str) -> Manifest:
     parsed = parse(text)
     if parsed.manifest is None:
         lines = [
-            f"{c.where or 'document'}: {c.actual}, expected {c.expected}"
-            for c in parsed.complaints
+            f"{c.where or 'document'}: {c.actual}, expected {c.expected}" for c in parsed.complaints
         ]
         raise ManifestInvalid("; ".join(lines), where="manifest")
     return parsed.manifest
@@ -196,9 +193,7 @@ def _integer(text: str) -> int:
 
 def _version(value: object) -> Version | None:
     parts = value.split(".") if isinstance(value, str) else []
-    if len(parts) != 2 or not all(
-        p.isascii() and p.isdigit() and len(p) < 6 for p in parts
-    ):
+    if len(parts) != 2 or not all(p.isascii() and p.isdigit() and len(p) < 6 for p in parts):
         return None
     return int(parts[0]), int(parts[1])
 
@@ -208,11 +203,7 @@ def _dotted(version: Version) -> str:
 
 
 def _short(value: object) -> str:
-    text = (
-        value
-        if isinstance(value, str)
-        else json.dumps(value, ensure_ascii=False, default=str)
-    )
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
     text = text.encode(errors="replace").decode() or "an empty text"
     return text if len(text) <= 60 else f"{text[:57]}…"
 
@@ -233,24 +224,17 @@ def _complaint(error: Any) -> Complaint:
     expected = error.schema.get("description") if isinstance(error.schema, dict) else None
     if error.validator == "required":
         missing = error.message.split("'")[1]
-        return Complaint(
-            "schema", where, f"no field {missing!r}", f"{missing!r} to be present"
-        )
+        return Complaint("schema", where, f"no field {missing!r}", f"{missing!r} to be present")
     if error.validator == "additionalProperties":
         known = ", ".join(error.schema.get("properties", {}))
         unmatched_entries = ", ".join(
             repr(name) for name in error.instance if _is_unknown(name, error)
         )
-        return Complaint(
-            "schema", where, _short(unmatched_entries), f"only the fields {known}"
-        )
+        return Complaint("schema", where, _short(unmatched_entries), f"only the fields {known}")
     if error.validator == "enum":
         options = ", ".join(str(option) for option in error.validator_value)
         return Complaint("schema", where, _short(error.instance), f"one of {options}")
     detail = f"{error.validator} {error.validator_value}"
     return Complaint(
-        "schema",
-        where,
-        _short(error.instance),
-        f"{expected} ({detail})" if expected else detail,
+        "schema", where, _short(error.instance), f"{expected} ({detail})" if expected else detail
     )

@@ -33,11 +33,7 @@ RANDOM_OPERATORS: Final = frozenset(
 )
 
 # The IEEE floating-point element types that kernels compute with.
-FLOAT_TYPES: Final[tuple[int, ...]] = (
-    TensorProto.FLOAT,
-    TensorProto.FLOAT16,
-    TensorProto.DOUBLE,
-)
+FLOAT_TYPES: Final[tuple[int, ...]] = (TensorProto.FLOAT, TensorProto.FLOAT16, TensorProto.DOUBLE)
 
 # The input whose element type selects the kernel, where it is not the first one.
 KERNEL_TYPE_INPUT: Final = {"OneHot": 2, "Where": 1}

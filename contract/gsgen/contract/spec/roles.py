@@ -58,12 +58,7 @@ ROLES: dict[str, Role] = {
             shapes=((4, 4),),
             summary="Camera→clip matrix, depth 0..1.",
         ),
-        Role(
-            name="time",
-            dtype=_FLOAT,
-            shapes=((1,),),
-            summary="Time, in the declared range.",
-        ),
+        Role(name="time", dtype=_FLOAT, shapes=((1,),), summary="Time, in the declared range."),
         Role(
             name="frame_index",
             dtype=_INDEX,

@@ -63,15 +63,11 @@ def target_from_json(text: str, where: str) -> Target:
             ir=data["ir"],
             domains=frozenset(data["domains"]),
             limits=data.get("limits", {}),
-            severities={
-                k: Severity.parse(v) for k, v in data.get("severities", {}).items()
-            },
+            severities={k: Severity.parse(v) for k, v in data.get("severities", {}).items()},
             operators=tuple(data.get("operators", ())),
         )
     except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
-        raise ConfigInvalid(
-            f"is not a target's data file: {error!r}", where=where
-        ) from error
+        raise ConfigInvalid(f"is not a target's data file: {error!r}", where=where) from error
 
 
 @cache

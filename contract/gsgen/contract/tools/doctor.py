@@ -38,20 +38,14 @@ def check_package(name: str, remedy: str, *, purpose: str = "") -> Check:
         return Check(name=name, state="ok", detail=version(name), purpose=purpose)
     except PackageNotFoundError:
         return Check(
-            name=name,
-            state="missing",
-            detail="not installed",
-            remedy=remedy,
-            purpose=purpose,
+            name=name, state="missing", detail="not installed", remedy=remedy, purpose=purpose
         )
 
 
 def checks() -> Iterator[Check]:
     """Yield the state of the dependencies of validation."""
     yield Check(
-        name="gsgen",
-        state="ok",
-        detail=f"{version('gsgen')} in {Path(__file__).parents[2]}",
+        name="gsgen", state="ok", detail=f"{version('gsgen')} in {Path(__file__).parents[2]}"
     )
     yield Check(
         name="python", state="ok", detail=f"{platform.python_version()} at {sys.executable}"

@@ -115,9 +115,7 @@ def _structure(subject: InspectedModel) -> dict[str, str]:
     operators = Counter(node.op_type for node in graph.all_nodes())
     facts |= {f"operator {name}": f"{count} nodes" for name, count in operators.items()}
     sizes = Counter(str(tensor) for tensor in graph.initializers.values())
-    return facts | {
-        f"weights {shape}": f"{count} of them" for shape, count in sizes.items()
-    }
+    return facts | {f"weights {shape}": f"{count} of them" for shape, count in sizes.items()}
 
 
 def _changes(kind: str, a: dict[str, str], b: dict[str, str]) -> Iterator[Difference]:
@@ -164,10 +162,7 @@ def _output_differences(
             x = runs[0].samples[runs[0].runs[index].sample].outputs[first.name]
             y = runs[1].samples[runs[1].runs[index].sample].outputs[second.name]
             if role == "appearance" and _is_rgb(a) and _is_rgb(b):
-                x, y = (
-                    x[..., :3],
-                    y[..., :3],
-                )  # the fourth channel of float16 rows is padding
+                x, y = (x[..., :3], y[..., :3])  # the fourth channel of float16 rows is padding
             largest, rows = _distance(x, y)
             if largest > worst.largest:
                 worst = OutputDifference(role, largest, rows, label)

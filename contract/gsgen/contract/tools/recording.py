@@ -75,9 +75,7 @@ def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
             f"`gsgen inspect {typed} --emit-manifest` derives one; correct it, and embed it "
             f"with `gsgen fix {typed} --manifest FILE -o OUT.onnx`."
         )
-        raise RecordingRefused(
-            "has no manifest to record outputs in", where=where, hint=hint
-        )
+        raise RecordingRefused("has no manifest to record outputs in", where=where, hint=hint)
     report = validate(source, replace(settings, level=Level.STATIC))
     broken = [finding for finding in report.findings if finding.severity >= Severity.ERROR]
     if broken:
@@ -105,9 +103,7 @@ def run_at_probes(
 
 
 @contextmanager
-def write_recorded_copy(
-    file: ModelFile, changed: Mapping[str, Any], model: Path
-) -> Iterator[Path]:
+def write_recorded_copy(file: ModelFile, changed: Mapping[str, Any], model: Path) -> Iterator[Path]:
     """Write a copy of a model with changed manifest fields; unknown fields are kept.
 
     Args:
@@ -133,6 +129,4 @@ def write_recorded_copy(
             write_manifest_text(file.path, json.dumps(document, ensure_ascii=False), draft)
             yield draft.parent
     except OSError as error:
-        raise ConfigInvalid(
-            f"cannot be written: {error.strerror}", where=str(model)
-        ) from error
+        raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(model)) from error

@@ -103,9 +103,7 @@ def record_vectors(
         with run_at_probes(subject, names, twice) as execution:
             vectors = tuple(
                 _write(stage / f"test_data_set_{index}", subject, probe, outputs, seed)
-                for index, (probe, outputs) in enumerate(
-                    _outputs(source, probes, execution)
-                )
+                for index, (probe, outputs) in enumerate(_outputs(source, probes, execution))
             )
         progress(f"writing {model.name}")
         with write_recorded_copy(subject.file, {"test_vectors": to_json(vectors)}, model):
@@ -145,9 +143,7 @@ def _selected_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe
     if count > len(probes):
         have = "1 probe" if len(probes) == 1 else f"{len(probes)} probes"
         message = f"{count} vectors, but the model has only {have}"
-        raise ConfigInvalid(
-            message, where="--count", hint=f"--count {len(probes)} takes all."
-        )
+        raise ConfigInvalid(message, where="--count", hint=f"--count {len(probes)} takes all.")
     if count < 1:
         raise ConfigInvalid(f"{count} vectors: expected 1 or more", where="--count")
     return evenly_spaced(probes, count)
@@ -161,9 +157,7 @@ def _staging_folder(folder: Path) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         stage = tempfile.TemporaryDirectory(dir=folder, prefix=".vectors.")
     except OSError as error:
-        raise ConfigInvalid(
-            f"cannot be written: {error.strerror}", where=str(folder)
-        ) from error
+        raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(folder)) from error
     try:
         with stage as name:
             yield Path(name)
@@ -186,11 +180,7 @@ def _outputs(
 
 
 def _write(
-    folder: Path,
-    subject: InspectedModel,
-    probe: Probe,
-    outputs: dict[str, np.ndarray],
-    seed: int,
+    folder: Path, subject: InspectedModel, probe: Probe, outputs: dict[str, np.ndarray], seed: int
 ) -> TestVector:
     folder.mkdir()
     input_names = [tensor.name for tensor in subject.graph.inputs]

@@ -104,19 +104,13 @@ def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, 
     drawn = (a[:, OPACITY] >= CULL_OPACITY) | (b[:, OPACITY] >= CULL_OPACITY)
     yield from _packed_measured(a, b, drawn, dtype)
     color, second_color = first.appearance, second.appearance
-    if (
-        color is not None
-        and second_color is not None
-        and comparable_parts(first, second)[1]
-    ):
+    if color is not None and second_color is not None and comparable_parts(first, second)[1]:
         c, d = color.astype(np.float64), second_color.astype(np.float64)
         error, largest = _color_errors(c, d, is_sh=first.is_sh)
         yield "appearance", _where(drawn, error, _ROUNDING[color.dtype.name] * largest)
 
 
-def _cells_measured(
-    first: ModelOutputs, second: ModelOutputs
-) -> Iterator[tuple[str, Measured]]:
+def _cells_measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
     """Yield for each field the error and the rounding of every cell."""
     assert first.cells is not None
     assert second.cells is not None

@@ -43,9 +43,7 @@ class Baseline:
             for finding in report.findings
         )
         fingerprints = {finding.fingerprint for finding in findings}
-        checked = {
-            outcome.rule.id for outcome in report.outcomes if outcome.status in _CHECKED
-        }
+        checked = {outcome.rule.id for outcome in report.outcomes if outcome.status in _CHECKED}
         resolved = tuple(
             finding
             for fingerprint, finding in known.items()
@@ -64,9 +62,7 @@ class Baseline:
         if path in self.known:
             return self.known[path]
         name = PurePath(path).name
-        same_name = (
-            findings for uri, findings in self.known.items() if PurePath(uri).name == name
-        )
+        same_name = (findings for uri, findings in self.known.items() if PurePath(uri).name == name)
         return {key: finding for findings in same_name for key, finding in findings.items()}
 
 
@@ -86,9 +82,7 @@ def read_baseline(path: Path) -> Baseline:
     _check_shape(document, where)
     known: dict[str, dict[str, ResolvedFinding]] = {}
     for report in document.get("reports", [document]):
-        listed = {
-            entry["fingerprint"]: _read(entry) for entry in report.get("findings", ())
-        }
+        listed = {entry["fingerprint"]: _read(entry) for entry in report.get("findings", ())}
         known.setdefault(report["subject"]["uri"], {}).update(listed)
     return Baseline(where, known)
 
@@ -109,14 +103,10 @@ def _check_shape(document: Any, where: str) -> None:
         message = f"is not a report: {actual}; expected schema 'gsgen-report/1'"
         raise ConfigInvalid(message, where=where, hint=_HINT)
     text = (
-        resources.files("gsgen.contract")
-        .joinpath("schemas", REPORT_SCHEMA_FILE)
-        .read_text("utf-8")
+        resources.files("gsgen.contract").joinpath("schemas", REPORT_SCHEMA_FILE).read_text("utf-8")
     )
     error = best_match(Draft202012Validator(json.loads(text)).iter_errors(document))
     if error is not None:
         json_path = ".".join(str(part) for part in error.absolute_path)
         location = f"{where}, {json_path}" if json_path else where
-        raise ConfigInvalid(
-            f"is not a report: {error.message[:200]}", where=location, hint=_HINT
-        )
+        raise ConfigInvalid(f"is not a report: {error.message[:200]}", where=location, hint=_HINT)

@@ -80,9 +80,7 @@ class _Validation:
         self.progress(f"reading {path.name}")
         self.registry = registry
         file = open_model(path)
-        self.subject = inspect_model(
-            file, settings.target, settings.limits, settings.tolerances
-        )
+        self.subject = inspect_model(file, settings.target, settings.limits, settings.tolerances)
         self.results = ResultCollector(
             registry=self.registry, settings=settings, kind=self.subject.kind
         )
@@ -122,9 +120,7 @@ class _Validation:
         )
 
     def _findings(self) -> tuple[Finding, ...]:
-        return apply_waivers(
-            self.results.findings(), self.settings.waivers, self.settings.today
-        )
+        return apply_waivers(self.results.findings(), self.settings.waivers, self.settings.today)
 
     def _of_scope(self, *scopes: Scope, upto: Level) -> list[Rule]:
         rules = self.registry.rules.values()
@@ -169,9 +165,7 @@ class _Validation:
             reason = f"because no rule {MODEL_RUNS} is installed"
         else:
             gate = next(rule for rule in gates if rule.id in (MODEL_RUNS, *runs.needs))
-            ready = self.results.is_ready(
-                gate
-            )  # its needs are static rules, which are settled
+            ready = self.results.is_ready(gate)  # its needs are static rules, which are settled
             reason = "" if ready else self.results.outcomes[gate.id].reason
         for level in (Level.VALUES, Level.BEHAVIOUR):
             if level <= self.settings.level:
@@ -186,9 +180,7 @@ class _Validation:
         rows = 0
         # All-zero inputs come last: some rules skip them, but not if another probe gave the same
         # outputs.
-        runs = sorted(
-            execution.runs[: plan.values], key=lambda r: plan.probes[r.probe].zeros
-        )
+        runs = sorted(execution.runs[: plan.values], key=lambda r: plan.probes[r.probe].zeros)
         for run in runs:
             if run.sample in visited:
                 continue  # identical outputs were checked before
@@ -196,9 +188,7 @@ class _Validation:
             probe = plan.probes[run.probe]
             outputs = execution.samples[run.sample].outputs
             emission = read_outputs(self.subject, probe.label, outputs, zeros=probe.zeros)
-            whole = [
-                rule for rule in whole if self.results.check(rule, emission, probe.label)
-            ]
+            whole = [rule for rule in whole if self.results.check(rule, emission, probe.label)]
             emissions.append(emission)
         self.results.settle(whole, items=len(visited))
         # Rules of rows may need rules of whole outputs, such as the order of the fields.
@@ -228,9 +218,7 @@ class _Validation:
 
     def _out_of_time(self, probes: list[str]) -> str:
         count = f"{len(probes)} of its probes" if len(probes) > 1 else "one of its probes"
-        share = (
-            f"{SHARE_FOR_EXTRAS:.0%} of the {self.settings.limits.seconds:g} s were used up"
-        )
+        share = f"{SHARE_FOR_EXTRAS:.0%} of the {self.settings.limits.seconds:g} s were used up"
         return f"{count} did not run, {probes[0]!r} first: {share} (see --timeout)"
 
     def _check_backend_levels(self, probe_runs: ProbeRuns) -> None:
@@ -243,22 +231,16 @@ class _Validation:
                     backend, probe_runs, _needs_first(self._of_scope(scope, upto=level))
                 )
 
-    def _check_with(
-        self, backend: LevelBackend, probe_runs: ProbeRuns, rules: list[Rule]
-    ) -> None:
+    def _check_with(self, backend: LevelBackend, probe_runs: ProbeRuns, rules: list[Rule]) -> None:
         with ExitStack() as stack:
             try:
                 context = stack.enter_context(backend.prepare(probe_runs))
             except LevelUnavailable as error:
-                self.levels.append(
-                    LevelOutcome(backend.level, ran=False, reason=error.reason)
-                )
+                self.levels.append(LevelOutcome(backend.level, ran=False, reason=error.reason))
                 self.results.skip(rules, error.reason)
                 return
             except Exception:  # a faulty backend must not prevent the report
-                self.levels.append(
-                    LevelOutcome(backend.level, ran=False, reason="it crashed")
-                )
+                self.levels.append(LevelOutcome(backend.level, ran=False, reason="it crashed"))
                 self.results.crash(rules)
                 return
             self.levels.append(LevelOutcome(backend.level, ran=True))

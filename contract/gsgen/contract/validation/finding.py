@@ -63,9 +63,7 @@ class Violation:
         cls, subject: str, actual: str, expected: str, *, certainty: Certainty = "confirmed"
     ) -> "Violation":
         """Return a violation of one tensor, node or manifest field."""
-        return cls(
-            where=Location(subject), expected=expected, actual=actual, certainty=certainty
-        )
+        return cls(where=Location(subject), expected=expected, actual=actual, certainty=certainty)
 
     @classmethod
     def rows(

@@ -61,9 +61,7 @@ class FindingCounter:
         assert violation.invalid_rows is not None
         assert violation.values is not None
         if len(self.examples) < _MAX_EXAMPLES:
-            for row in np.flatnonzero(violation.invalid_rows)[
-                : _MAX_EXAMPLES - len(self.examples)
-            ]:
+            for row in np.flatnonzero(violation.invalid_rows)[: _MAX_EXAMPLES - len(self.examples)]:
                 self.examples.append(_example(violation.values, row, probe, start))
         if violation.magnitude is None:
             return
@@ -86,9 +84,7 @@ class FindingCounter:
             probe = f" ({self.examples[0].probe})" if self.examples[0].probe else ""
             return f"{self.actual}{probe}{suffix}; expected {self.expected}"
         share = 100 * self.count / max(self.total, 1)
-        text = (
-            f"{self.count} of {self.total} rows ({share:.3g} %), first {self.examples[0]}"
-        )
+        text = f"{self.count} of {self.total} rows ({share:.3g} %), first {self.examples[0]}"
         if self.worst is not None and self.worst != self.examples[0]:
             text += f", worst {self.worst}"
         return f"{text}; expected {self.expected}"

@@ -51,10 +51,7 @@ COUNTED_ROWS: Final = (*PACKED_ROWS, "GO010", "GO011", "GV016")
 APPEARANCE: Final = (MODEL_RUNS, "GO005", "GO006", "GO007", "GO008", "GM005")
 
 # Packed rows with an appearance of known channels.
-COLORED_ROWS: Final = (
-    *(MODEL_RUNS, "GO001", "GO002"),
-    *("GO005", "GO006", "GO007", "GO008"),
-)
+COLORED_ROWS: Final = (*(MODEL_RUNS, "GO001", "GO002"), *("GO005", "GO006", "GO007", "GO008"))
 
 # Packed rows, and cells that hold all of them.
 CELLS: Final = (*PACKED_ROWS, "GO021")

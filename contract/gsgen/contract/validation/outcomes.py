@@ -47,9 +47,7 @@ class ResultCollector:
             return False
         reason = self._inapplicable(rule)
         if reason:
-            self.outcomes[rule.id] = Outcome(
-                rule=rule, status="not-applicable", reason=reason
-            )
+            self.outcomes[rule.id] = Outcome(rule=rule, status="not-applicable", reason=reason)
             return False
         for need in rule.needs:
             blocker = self._blocker(need)
@@ -75,9 +73,7 @@ class ResultCollector:
         outcome = self.outcomes.get(need)
         if outcome is None:
             return need
-        return (
-            need if outcome.status in ("fail", "crashed", "skipped") else outcome.blocked_by
-        )
+        return need if outcome.status in ("fail", "crashed", "skipped") else outcome.blocked_by
 
     def _blocking_reason(self, blocker: str) -> str:
         outcome = self.outcomes.get(blocker)
@@ -134,16 +130,12 @@ class ResultCollector:
         """Settle rules as crashed, with the exception being handled."""
         last = traceback.format_exc(limit=-3).strip()
         for rule in rules:
-            self.outcomes.setdefault(
-                rule.id, Outcome(rule=rule, status="crashed", reason=last)
-            )
+            self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="crashed", reason=last))
 
     def skip(self, rules: Iterable[Rule], reason: str) -> None:
         """Settle rules as skipped, with the reason."""
         for rule in rules:
-            self.outcomes.setdefault(
-                rule.id, Outcome(rule=rule, status="skipped", reason=reason)
-            )
+            self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="skipped", reason=reason))
 
     def findings(self) -> tuple[Finding, ...]:
         """Return the findings, worst first, then in catalogue order."""

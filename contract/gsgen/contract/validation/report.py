@@ -161,11 +161,7 @@ class Report:
         """``conforms``, ``invalid``, or ``internal-error`` where a rule crashed."""
         if any(outcome.status == "crashed" for outcome in self.outcomes):
             return "internal-error"
-        return (
-            "invalid"
-            if any(self.fails_by(finding) for finding in self.findings)
-            else "conforms"
-        )
+        return "invalid" if any(self.fails_by(finding) for finding in self.findings) else "conforms"
 
     def fails_by(self, finding: Finding) -> bool:
         """Return whether ``finding`` alone makes the model invalid."""

@@ -154,9 +154,7 @@ def _sections(id: str, doc: str) -> tuple[str, str, str, str]:
     statement, why_marker, remainder = doc.partition("\nWhy:")
     rationale, hint_marker, remainder = remainder.partition("\nHint:")
     hint, _, evidence = remainder.partition("\nEvidence:")
-    texts = tuple(
-        " ".join(inspect.cleandoc(part).split()) for part in (statement, rationale, hint)
-    )
+    texts = tuple(" ".join(inspect.cleandoc(part).split()) for part in (statement, rationale, hint))
     if not (why_marker and hint_marker and all(texts)):
         raise ValueError(
             f"{id}: the docstring lacks a part: expected a statement, a `Why:` and a `Hint:` section"
@@ -212,9 +210,7 @@ class Registry:
     def of_scope(self, *, tilesets: bool) -> "Registry":
         """Return only the rules of tilesets, or all others; a report lists one of the two."""
         selected = {
-            id: rule
-            for id, rule in self.rules.items()
-            if (rule.scope == "tileset") == tilesets
+            id: rule for id, rule in self.rules.items() if (rule.scope == "tileset") == tilesets
         }
         return Registry(selected, self.backends)
 

@@ -91,9 +91,7 @@ def read_config(path: Path, registry: Registry, base: Settings | None = None) ->
     return _apply(base or Settings(), data, registry, where)
 
 
-def _apply(
-    base: Settings, data: dict[str, Any], registry: Registry, where: str
-) -> Settings:
+def _apply(base: Settings, data: dict[str, Any], registry: Registry, where: str) -> Settings:
     section = data.get("validate", {})
     limits = Limits(
         section.get("timeout", base.limits.seconds),
@@ -103,9 +101,7 @@ def _apply(
         registry.find(name, f"{where}, [severity]").id: Severity.parse(word, where)
         for name, word in data.get("severity", {}).items()
     }
-    ignored = {
-        registry.find(name, f"{where}, ignore").id for name in section.get("ignore", [])
-    }
+    ignored = {registry.find(name, f"{where}, ignore").id for name in section.get("ignore", [])}
     level, target, fail_on = (section.get(key) for key in ("level", "target", "fail_on"))
     return replace(
         base,

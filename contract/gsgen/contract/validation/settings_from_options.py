@@ -69,9 +69,7 @@ def make_settings(
     )
 
 
-def _severities(
-    registry: Registry, entries: Iterable[str], where: str
-) -> dict[str, Severity]:
+def _severities(registry: Registry, entries: Iterable[str], where: str) -> dict[str, Severity]:
     severities: dict[str, Severity] = {}
     for entry in entries:
         name, sign, word = entry.partition("=")

@@ -30,9 +30,7 @@ def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
             field=field.name,
             value=configured.get(field.name, getattr(declared or Tolerances(), field.name)),
             unit=_unit(hints[field.name]),
-            source="config"
-            if field.name in configured
-            else sources.get(field.name, "default"),
+            source="config" if field.name in configured else sources.get(field.name, "default"),
         )
         for field in fields(Tolerances)
     )

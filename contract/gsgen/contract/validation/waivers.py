@@ -71,9 +71,7 @@ def apply_waivers(
     active = [waiver for waiver in waivers if waiver.is_valid_on(today)]
 
     def waived(finding: Finding) -> Finding:
-        waiver = next(
-            (candidate for candidate in active if candidate.covers(finding)), None
-        )
+        waiver = next((candidate for candidate in active if candidate.covers(finding)), None)
         return replace(finding, waived=True, waiver=waiver.reason) if waiver else finding
 
     return tuple(map(waived, findings))

@@ -36,12 +36,7 @@ from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.loading.folder import find_iteration, required_file, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
-from gsgen.reference_plugins.loading.states import (
-    Shape,
-    load_network,
-    load_state,
-    require_tensors,
-)
+from gsgen.reference_plugins.loading.states import Shape, load_network, load_state, require_tensors
 
 _OFFSET = re.compile(r"f_offset_(\d+)")
 _FEATURE = re.compile(r"f_anchor_feat_(\d+)")
@@ -50,11 +45,7 @@ _ROTATION = tuple(f"rot_{i}" for i in range(4))
 _LEVELS = ("level", "extra_level", "info")
 # Both names of a file with all networks; the first versions of Scaffold-GS wrote the second.
 _UNITED = ("checkpoints.pth", "checkpoint.pth")
-_RENAMED = {
-    "appearance": "embedding",
-    "feature_bank_mlp": "bank",
-    "mlp_feature_bank": "bank",
-}
+_RENAMED = {"appearance": "embedding", "feature_bank_mlp": "bank", "mlp_feature_bank": "bank"}
 _UNUSED = ("vi_mlp",)  # Duplex-GS saves this network, but does not evaluate it
 _DIRECTION = 3
 _CHANNELS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
@@ -206,16 +197,12 @@ def _read_cloud(path: Path, *, octree: bool) -> AnchorCloud:
         groups |= {"offset": offsets, "feature": features}
         groups |= {name: (name,) for name in _LEVELS} if octree else {}
         if not offsets or len(offsets) % 3 or not features:
-            message = (
-                f"{len(offsets)} properties f_offset and {len(features)} f_anchor_feat"
-            )
+            message = f"{len(offsets)} properties f_offset and {len(features)} f_anchor_feat"
             hint = "Expected 3 K and F of them: is this a checkpoint of another method?"
             raise CheckpointInvalid(message, where=str(path), hint=hint)
         tables = read_ply_columns(path, groups)
     except FormatError as error:
-        raise CheckpointInvalid(
-            str(error).replace(f"{path}: ", ""), where=str(path)
-        ) from error
+        raise CheckpointInvalid(str(error).replace(f"{path}: ", ""), where=str(path)) from error
     read = {name: torch.from_numpy(table) for name, table in tables.items()}
     axes = read["offset"].reshape(len(read["offset"]), 3, -1)  # stored axis by axis
     columns = {name: read[name].reshape(-1) for name in _LEVELS if octree}
@@ -231,9 +218,7 @@ def _read_cloud(path: Path, *, octree: bool) -> AnchorCloud:
 
 def numbered(pattern: re.Pattern[str], names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the matching names in the order of their numbers; files may sort them as text."""
-    matches = [
-        (int(match[1]), name) for name in names if (match := pattern.fullmatch(name))
-    ]
+    matches = [(int(match[1]), name) for name in names if (match := pattern.fullmatch(name))]
     return tuple(name for _, name in sorted(matches))
 
 
@@ -270,9 +255,7 @@ def read_nets(
         appearance = embedding.shape[1]
     elif appearance > 0:
         message = f"is missing: appearance_dim is {appearance}"
-        raise CheckpointInvalid(
-            message, where=str(iteration_folder / "embedding_appearance.pt")
-        )
+        raise CheckpointInvalid(message, where=str(iteration_folder / "embedding_appearance.pt"))
     level = octree and cfg.flag("add_level")
     sizes = _Sizes(
         per_anchor=cloud.per_anchor,
@@ -283,9 +266,7 @@ def read_nets(
     )
     heads = {name: _head(name, states, iteration_folder, cfg, sizes) for name in _CHANNELS}
     bank = (
-        _bank(states, iteration_folder, sizes)
-        if _has_bank(states, iteration_folder, cfg)
-        else None
+        _bank(states, iteration_folder, sizes) if _has_bank(states, iteration_folder, cfg) else None
     )
     return AnchorNets(
         opacity=heads["opacity_mlp"],
@@ -308,37 +289,25 @@ def _states(iteration_folder: Path) -> States:
     ):
         states = load_state(united, "the networks")
         known = {*_CHANNELS, *_RENAMED, *_UNUSED}
-        if unknown := sorted(
-            str(key) for key in states if states[key] and key not in known
-        ):
+        if unknown := sorted(str(key) for key in states if states[key] and key not in known):
             message = f"unexpected: {', '.join(unknown)}; expected only {', '.join(sorted(known))}"
             raise CheckpointInvalid(message, where=str(united))
-        return {
-            _RENAMED.get(key, key): (united, states[key]) for key in states if states[key]
-        }
+        return {_RENAMED.get(key, key): (united, states[key]) for key in states if states[key]}
     files = {name: f"{name}.pt" for name in _CHANNELS}
     files |= {"bank": "feature_bank_mlp.pt", "embedding": "embedding_appearance.pt"}
     paths = {name: iteration_folder / file for name, file in files.items()}
-    return {
-        name: (path, load_network(path)) for name, path in paths.items() if path.is_file()
-    }
+    return {name: (path, load_network(path)) for name, path in paths.items() if path.is_file()}
 
 
 def _embedding(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> Tensor:
     length = cfg.integer("appearance_dim", 0) if "appearance_dim" in cfg.values else None
-    return require_tensors(path, state, {"embedding.weight": (None, length)})[
-        "embedding.weight"
-    ]
+    return require_tensors(path, state, {"embedding.weight": (None, length)})["embedding.weight"]
 
 
-def _head(
-    name: str, states: States, iteration_folder: Path, cfg: CfgArgs, sizes: _Sizes
-) -> Mlp:
+def _head(name: str, states: States, iteration_folder: Path, cfg: CfgArgs, sizes: _Sizes) -> Mlp:
     if name not in states:
         hint = f"Networks are {', '.join(_CHANNELS)} (.pt each), or all in {_UNITED[0]}."
-        raise CheckpointInvalid(
-            "is missing", where=str(iteration_folder / f"{name}.pt"), hint=hint
-        )
+        raise CheckpointInvalid("is missing", where=str(iteration_folder / f"{name}.pt"), hint=hint)
     path, state = states[name]
     known = sizes.width + _DIRECTION + sizes.level
     known += sizes.appearance if name == "color_mlp" else 0
@@ -349,12 +318,7 @@ def _head(
         weight = state.get("0.weight")
         distance = isinstance(weight, Tensor) and weight.shape[-1] == known + 1
     return _mlp(
-        path,
-        state,
-        known + distance,
-        sizes,
-        _CHANNELS[name] * sizes.per_anchor,
-        distance=distance,
+        path, state, known + distance, sizes, _CHANNELS[name] * sizes.per_anchor, distance=distance
     )
 
 
@@ -362,9 +326,7 @@ def _has_bank(states: States, iteration_folder: Path, cfg: CfgArgs) -> bool:
     has_bank = cfg.flag("use_feat_bank", default="bank" in states)
     if has_bank and "bank" not in states:
         message = "is missing: use_feat_bank is True"
-        raise CheckpointInvalid(
-            message, where=str(iteration_folder / "feature_bank_mlp.pt")
-        )
+        raise CheckpointInvalid(message, where=str(iteration_folder / "feature_bank_mlp.pt"))
     return has_bank
 
 
@@ -379,13 +341,7 @@ def _bank(states: States, iteration_folder: Path, sizes: _Sizes) -> Mlp:
 
 
 def _mlp(
-    path: Path,
-    state: Mapping[str, Any],
-    inputs: int,
-    sizes: _Sizes,
-    out: int,
-    *,
-    distance: bool,
+    path: Path, state: Mapping[str, Any], inputs: int, sizes: _Sizes, out: int, *, distance: bool
 ) -> Mlp:
     f = sizes.width
     expected: dict[str, Shape] = {

@@ -212,6 +212,4 @@ def _views(
     offset = anchor - centre
     square = (offset * offset).sum(dim=1, keepdim=True)
     distance = torch.sqrt(square.clamp(min=MIN_SQUARED_DISTANCE))
-    return AnchorViews(
-        offset / distance, distance, extra_inputs[-1] if appearances else None
-    )
+    return AnchorViews(offset / distance, distance, extra_inputs[-1] if appearances else None)

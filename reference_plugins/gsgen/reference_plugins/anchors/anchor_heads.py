@@ -64,8 +64,7 @@ class _Layers(nn.Module):
         shaped = mlp.out.reshape(per_anchor, parts, columns, -1)
         biases = mlp.out_bias.reshape(per_anchor, parts, columns)
         self.outs = nn.ModuleList(
-            Dense(shaped[:, part].flatten(0, 1), biases[:, part].flatten())
-            for part in range(parts)
+            Dense(shaped[:, part].flatten(0, 1), biases[:, part].flatten()) for part in range(parts)
         )
 
     def forward(self, inputs: Tensor, bias: Tensor | None = None) -> list[Tensor]:
@@ -88,9 +87,7 @@ class AnchorHeads(nn.Module):
     level: Tensor | None
     appearance_bias: Tensor | None
 
-    def __init__(
-        self, cloud: AnchorCloud, nets: AnchorNets, appearance: int | None = None
-    ) -> None:
+    def __init__(self, cloud: AnchorCloud, nets: AnchorNets, appearance: int | None = None) -> None:
         """Precompute every tensor that does not depend on the camera.
 
         Args:
@@ -128,9 +125,7 @@ class AnchorHeads(nn.Module):
         hidden = [mlp.hidden[:, : self.width + 3]]
         start = self.width + 3
         if self.distance:
-            column = (
-                mlp.hidden[:, start : start + 1] if mlp.distance else 0 * mlp.hidden[:, :1]
-            )
+            column = mlp.hidden[:, start : start + 1] if mlp.distance else 0 * mlp.hidden[:, :1]
             hidden.append(column)
         start += mlp.distance
         if self.level is not None:

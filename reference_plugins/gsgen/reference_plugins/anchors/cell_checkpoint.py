@@ -117,9 +117,7 @@ def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
         cloud=cloud,
         nets=read_nets(iteration_folder, cfg, cloud, octree=True),
     )
-    return CellCheckpoint(
-        anchors, visibility, _weighting(columns["info"].reshape(-1), cfg, ply)
-    )
+    return CellCheckpoint(anchors, visibility, _weighting(columns["info"].reshape(-1), cfg, ply))
 
 
 def _columns(path: Path) -> dict[str, Tensor]:
@@ -127,18 +125,14 @@ def _columns(path: Path) -> dict[str, Tensor]:
         names = ply_properties(path)
         groups = {name: numbered(pattern, names) for name, pattern in _NUMBERED.items()}
         if not groups["offset"] or len(groups["offset"]) % 3 or not groups["feature"]:
-            message = (
-                f"{len(groups['offset'])} properties f_offset and {len(groups['feature'])} "
-            )
+            message = f"{len(groups['offset'])} properties f_offset and {len(groups['feature'])} "
             message += "f_anchor_feat, expected 3 K and F"
             raise CheckpointInvalid(message, where=str(path))
         harmonics = groups["rest"]
         groups = {name: group for name, group in groups.items() if group}
         tables = read_ply_columns(path, _COLUMNS | groups)
     except FormatError as error:
-        raise CheckpointInvalid(
-            str(error).replace(f"{path}: ", ""), where=str(path)
-        ) from error
+        raise CheckpointInvalid(str(error).replace(f"{path}: ", ""), where=str(path)) from error
     columns = {name: torch.from_numpy(table) for name, table in tables.items()}
     return columns if harmonics else columns | {"rest": columns["constant"][:, :0]}
 
@@ -165,14 +159,10 @@ def _degree(visibility: Tensor, path: Path) -> int:
 
 def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> Weighting:
     if len(info) < _INFO:
-        message = (
-            f"has {len(info)} cells, expected at least {_INFO} for the numbers of info"
-        )
+        message = f"has {len(info)} cells, expected at least {_INFO} for the numbers of info"
         raise CheckpointInvalid(message, where=str(path))
     sigma, background, grade = (_shortest_decimal(float(value)) for value in info[2:_INFO])
-    if not (
-        sigma > 0 and grade > 0 and all(map(math.isfinite, (sigma, background, grade)))
-    ):
+    if not (sigma > 0 and grade > 0 and all(map(math.isfinite, (sigma, background, grade)))):
         message = (
             f"info is {info[:_INFO].tolist()}, expected finite numbers, "
             "and sigma and ET_grade above 0"

@@ -101,9 +101,7 @@ class DuplexGS(AnchorGenerator):
         weighting = checkpoint.weighting
         self.sigma = weighting.sigma if weighting.depth else None
         if blend == "wsr":
-            self.weighted_sum = WeightedSum(
-                weighting.background, self.sigma, weighting.grade
-            )
+            self.weighted_sum = WeightedSum(weighting.background, self.sigma, weighting.grade)
         if self.weighted or self.weighted_sum is not None:
             self.register_buffer("visibility", checkpoint.visibility)
 
@@ -150,9 +148,7 @@ class DuplexGS(AnchorGenerator):
         if frame.visible is not None:
             visibility = visibility * (frame.visible > 0).to(visibility.dtype)
         size = frame.of(self.scale)
-        planes = covariance_planes(
-            [size[:, i : i + 1] for i in range(3)], _cell_rotation(frame)
-        )
+        planes = covariance_planes([size[:, i : i + 1] for i in range(3)], _cell_rotation(frame))
         return Cells(frame.anchor, visibility, covariance=stacked(planes))
 
     def _visibility(self, frame: Decoding) -> Float[Tensor, "n 1"]:
@@ -171,9 +167,7 @@ def _cell_rotation(frame: Decoding) -> list[Float[Tensor, "n 1"]]:
     return [(part * weight).sum(dim=1, keepdim=True) for part in frame.decoded.rotation]
 
 
-def _evaluated(
-    sh: Float[Tensor, "n k"], direction: Float[Tensor, "n 3"]
-) -> Float[Tensor, "n 1"]:
+def _evaluated(sh: Float[Tensor, "n k"], direction: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:
     """Evaluate one channel of spherical harmonics (degree 0 to 3, signs as in 3DGS)."""
     x, y, z = direction[:, 0:1], direction[:, 1:2], direction[:, 2:3]
     total: Tensor | float = 0.0

@@ -27,14 +27,14 @@ OpacityOption = Annotated[
     Literal["decoded", "weighted"],
     typer.Option(
         help="decoded: that of the network. weighted: times the cell's visibility and its weight "
-        "at that depth, as in the method's renderer.",
+        "at that depth, as in the method's renderer."
     ),
 ]
 BlendOption = Annotated[
     Literal["alpha", "wsr"],
     typer.Option(
         help="alpha: for renderers that sort Gaussians. wsr: the method's own weighted sum, cell "
-        "by cell; the model also emits the cells.",
+        "by cell; the model also emits the cells."
     ),
 ]
 CullOption = Annotated[
@@ -89,9 +89,7 @@ def build(
         appearance=appearance,
         selection=Selection(cull, max_anchors),
     )
-    generator.producer = producer_of(
-        _PUBLICATION.code, read.anchors.folder, read.anchors.iteration
-    )
+    generator.producer = producer_of(_PUBLICATION.code, read.anchors.folder, read.anchors.iteration)
     return generator
 
 
@@ -102,10 +100,7 @@ def _recognises(run: Path, iteration: Path) -> bool:
 
 def _write_demo(folder: Path) -> list[str]:
     """Write a checkpoint of 3,000 cells."""
-    from gsgen.reference_plugins.anchors.synthetic_anchors import (
-        AnchorOptions,
-        write_duplex,
-    )
+    from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_duplex
 
     write_duplex(folder, AnchorOptions(anchors=3000, iteration=40_000))
     return ["--checkpoint", str(folder), "--blend", "wsr"]

@@ -20,18 +20,13 @@ from gsgen.reference_plugins.anchors.anchor_checkpoint import (
     AnchorCloud,
     AnchorNets,
 )
-from gsgen.reference_plugins.anchors.anchor_generator import (
-    MIN_SQUARED_DISTANCE,
-    AnchorGenerator,
-)
+from gsgen.reference_plugins.anchors.anchor_generator import MIN_SQUARED_DISTANCE, AnchorGenerator
 from gsgen.reference_plugins.anchors.selection import Selection
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.tensors.baked_constants import Constants
 
 # Option of the training run → supported value, and the meaning of any other value.
-SUPPORTED_OPTIONS = {
-    "resolution_scales": ([1.0], "levels are those of images at full resolution"),
-}
+SUPPORTED_OPTIONS = {"resolution_scales": ([1.0], "levels are those of images at full resolution")}
 # Rounding of levels → how far a level may fall short of the whole number.
 MODES = {"round": 0.5, "floor": 0.0, "ceil": 1.0, "progressive": 1.0}
 
@@ -70,7 +65,9 @@ class Levels:
         assert cloud.level is not None
         assert cloud.info is not None
         if len(cloud) < 2 or not (cloud.info[:2] > 0).all():
-            message = f"info is {cloud.info[:2].tolist()}, expected a voxel size and a distance above 0"
+            message = (
+                f"info is {cloud.info[:2].tolist()}, expected a voxel size and a distance above 0"
+            )
             raise CheckpointInvalid(message, where=str(checkpoint.folder))
         mode = cfg.word("dist2level", "round", MODES)
         fork = cfg.number("fork", 2)
@@ -89,9 +86,7 @@ class _Limits(nn.Module):
     level: Tensor
     extra: Tensor
 
-    def __init__(
-        self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True
-    ) -> None:
+    def __init__(self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True) -> None:
         super().__init__()
         assert cloud.level is not None
         assert cloud.extra_level is not None
@@ -127,9 +122,7 @@ class LevelGate(nn.Module):
 
     anchor: Tensor
 
-    def __init__(
-        self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True
-    ) -> None:
+    def __init__(self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True) -> None:
         """Compute the largest distance of each anchor.
 
         Args:

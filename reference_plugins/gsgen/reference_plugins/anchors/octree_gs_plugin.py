@@ -41,26 +41,19 @@ def build(
         read_anchors,
         require_appearance,
     )
-    from gsgen.reference_plugins.anchors.octree_gs import (
-        SUPPORTED_OPTIONS,
-        Levels,
-        OctreeGS,
-    )
+    from gsgen.reference_plugins.anchors.octree_gs import SUPPORTED_OPTIONS, Levels, OctreeGS
     from gsgen.reference_plugins.anchors.selection import Selection
     from gsgen.reference_plugins.loading.provenance import producer_of
 
     read = read_anchors(checkpoint, iteration, octree=True)
     levels = Levels.of(read)
     report_checkpoint(
-        f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}",
-        read.cfg,
+        f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}", read.cfg
     )
     warn_unsupported(read.cfg, SUPPORTED_OPTIONS)
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
-    generator = OctreeGS(
-        read.cloud, read.nets, levels, appearance=appearance, selection=selection
-    )
+    generator = OctreeGS(read.cloud, read.nets, levels, appearance=appearance, selection=selection)
     generator.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
     return generator
 
@@ -73,10 +66,7 @@ def _recognises(run: Path, iteration: Path) -> bool:
 
 def _write_demo(folder: Path) -> list[str]:
     """Write a checkpoint of 3,000 anchors in five levels."""
-    from gsgen.reference_plugins.anchors.synthetic_anchors import (
-        AnchorOptions,
-        write_octree,
-    )
+    from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_octree
 
     options = AnchorOptions(anchors=3000, iteration=40_000)
     write_octree(folder, options, levels=5, distance=48)
@@ -93,8 +83,6 @@ PLUGIN = Plugin(
     inputs=("view", "projection", "viewport", "appearance_id"),
     publication=_PUBLICATION,
     recognises=_recognises,
-    demo=Demo(
-        write=_write_demo, caption="from ever farther, zoomed in: levels go", view="recede"
-    ),
+    demo=Demo(write=_write_demo, caption="from ever farther, zoomed in: levels go", view="recede"),
     build=build,
 )

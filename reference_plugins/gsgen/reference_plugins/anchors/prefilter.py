@@ -52,10 +52,7 @@ class Prefilter(nn.Module):
         self.axes = Constants(_Axes(cloud))
 
     def forward(
-        self,
-        camera: Float[Tensor, "4 4"],
-        proj: Float[Tensor, "4 4"],
-        viewport: Float[Tensor, "2"],
+        self, camera: Float[Tensor, "4 4"], proj: Float[Tensor, "4 4"], viewport: Float[Tensor, "2"]
     ) -> Float[Tensor, "n 1"]:
         """Return 1 for anchors that touch the image and 0 for others.
 

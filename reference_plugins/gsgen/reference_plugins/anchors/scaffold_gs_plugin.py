@@ -47,14 +47,10 @@ def build(
     saved = read_anchors(checkpoint, iteration)
     report_checkpoint(describe_anchors(saved), saved.cfg)
     if not saved.cfg.present:
-        note(
-            f"note: {saved.cfg.path} is missing; its flags follow from the networks' shapes"
-        )
+        note(f"note: {saved.cfg.path} is missing; its flags follow from the networks' shapes")
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(saved, appearance_id, "--appearance-id")
-    generator = ScaffoldGS(
-        saved.cloud, saved.nets, appearance=appearance, selection=selection
-    )
+    generator = ScaffoldGS(saved.cloud, saved.nets, appearance=appearance, selection=selection)
     generator.producer = producer_of(_PUBLICATION.code, saved.folder, saved.iteration)
     return generator
 
@@ -67,10 +63,7 @@ def _recognises(run: Path, iteration: Path) -> bool:
 
 def _write_demo(folder: Path) -> list[str]:
     """Write a checkpoint of 3,000 anchors."""
-    from gsgen.reference_plugins.anchors.synthetic_anchors import (
-        AnchorOptions,
-        write_scaffold,
-    )
+    from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_scaffold
 
     write_scaffold(folder, AnchorOptions(anchors=3000))
     return ["--checkpoint", str(folder)]

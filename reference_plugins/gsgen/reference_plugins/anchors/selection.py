@@ -59,9 +59,7 @@ class Frustum(nn.Module):
         return frustum_mask(self.anchor, camera, proj, self.reach).reshape(-1, 1)
 
 
-def culling(
-    cloud: AnchorCloud, cull: Cull
-) -> tuple[Frustum | Prefilter | None, tuple[Input, ...]]:
+def culling(cloud: AnchorCloud, cull: Cull) -> tuple[Frustum | Prefilter | None, tuple[Input, ...]]:
     """Return the module that culls anchors, and its inputs besides the view."""
     if cull == "frustum":
         return Frustum(cloud), (inputs.projection(),)

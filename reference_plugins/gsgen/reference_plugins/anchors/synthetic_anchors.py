@@ -57,9 +57,7 @@ class AnchorOptions:
 def write_scaffold(folder: Path, options: AnchorOptions = AnchorOptions()) -> Path:
     """Write a synthetic checkpoint of Scaffold-GS, and return ``folder``."""
     rng = np.random.default_rng(options.seed)
-    columns = _positions(options) | {
-        axis: np.zeros(options.anchors) for axis in ("nx", "ny", "nz")
-    }
+    columns = _positions(options) | {axis: np.zeros(options.anchors) for axis in ("nx", "ny", "nz")}
     columns |= _payload(options, rng)
     cfg = _cfg(options) | {"voxel_size": 0.001, "lod": 0, "sh_degree": 3}
     _write(folder, options, columns, cfg)
@@ -163,9 +161,7 @@ def _payload(
     feature = rng.normal(0, 0.5, (n, options.width))
     hue = torus_knot(n, degree=0, seed=options.seed).sh[:, 0]
     feature[:, :_HUES] = 1 + hue / np.abs(hue).max()
-    scale = np.concatenate(
-        [rng.normal(-3, 0.3, (n, 3)), rng.normal(-2.5, 0.3, (n, 3))], axis=1
-    )
+    scale = np.concatenate([rng.normal(-3, 0.3, (n, 3)), rng.normal(-2.5, 0.3, (n, 3))], axis=1)
     rotation = rng.normal(0, 1, (n, 4))
     columns = {f"f_offset_{i}": offset[:, i] for i in range(3 * k)}
     columns |= {f"f_anchor_feat_{i}": feature[:, i] for i in range(options.width)}
@@ -240,9 +236,7 @@ class _Embedding(nn.Module):
         return rows
 
 
-def _network(
-    inputs: int, width: int, outputs: int, generator: torch.Generator
-) -> nn.Sequential:
+def _network(inputs: int, width: int, outputs: int, generator: torch.Generator) -> nn.Sequential:
     network = nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, outputs))
     with torch.no_grad():
         for parameter in network.parameters():

@@ -72,9 +72,7 @@ class ActorInputs:
     def _body_inputs(self, body: int) -> list[Input]:
         tail = f"_{body}" if body else ""
         far = (-_FAR, _FAR)
-        body_inputs = [
-            inputs.pose(self.joints, f"pose{tail}", convention="smpl-axis-angle")
-        ]
+        body_inputs = [inputs.pose(self.joints, f"pose{tail}", convention="smpl-axis-angle")]
         if self.rotation is not None:
             name = f"root_rotation{tail}"
             body_inputs.append(inputs.root_rotation(name, convention=self.rotation))
@@ -96,17 +94,10 @@ class ActorInputs:
         if self.rotation is not None:
             turn = self._rotation(columns.pop(0))
         shift = _stack_rows(columns.pop(0), 3)
-        expression = (
-            _stack_rows(columns.pop(0), self.expression) if self.expression else None
-        )
+        expression = _stack_rows(columns.pop(0), self.expression) if self.expression else None
         frame = tuple(columns.pop(0)) if self.frames else None
         return Actor(
-            pose=pose,
-            turn=turn,
-            shift=shift,
-            shape=shape,
-            expression=expression,
-            frame=frame,
+            pose=pose, turn=turn, shift=shift, shape=shape, expression=expression, frame=frame
         )
 
     def _rotation(self, tensors: Sequence[Tensor]) -> Float[Tensor, "k 3 3"]:

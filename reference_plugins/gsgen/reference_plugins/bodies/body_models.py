@@ -21,10 +21,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.sdk.math.skinning import NO_PARENT
 
 # Number of joints → name and website of the body model.
-KINDS = {
-    24: ("SMPL", "https://smpl.is.tue.mpg.de"),
-    55: ("SMPL-X", "https://smpl-x.is.tue.mpg.de"),
-}
+KINDS = {24: ("SMPL", "https://smpl.is.tue.mpg.de"), 55: ("SMPL-X", "https://smpl-x.is.tue.mpg.de")}
 _NEEDED = ("v_template", "shapedirs", "posedirs", "weights", "J_regressor", "kintree_table")
 _HANDS = ("hands_meanl", "hands_meanr")
 
@@ -71,9 +68,7 @@ class Body:
         )
 
 
-def required_body(
-    requested: Path | None, candidates: Mapping[str, Path], joints: int
-) -> Path:
+def required_body(requested: Path | None, candidates: Mapping[str, Path], joints: int) -> Path:
     """Return the path of a body model: the requested file, or else the first existing candidate.
 
     Args:

@@ -66,9 +66,7 @@ class MotionPlayback(GaussianGenerator):
         Args:
             time: Position in the motion, from 0 to 1.
         """
-        position = (time * float(self.frames) + _ROUNDING).clamp(
-            0.0, float(self.frames - 1)
-        )
+        position = (time * float(self.frames) + _ROUNDING).clamp(0.0, float(self.frames - 1))
         frame = torch.floor(position).to(torch.int32)
         values = [self._input_value(declared, frame) for declared in self.actors.declared()]
         gaussians = self.avatar(*values)

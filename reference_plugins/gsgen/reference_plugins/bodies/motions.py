@@ -41,10 +41,7 @@ _JSON = {
     "lhand_pose": 45,
     "rhand_pose": 45,
 }
-_KNOWN = (
-    *("poses", "trans", "mocap_framerate", "mocap_frame_rate"),
-    *("R", "Rh", "Th", "shapes"),
-)
+_KNOWN = (*("poses", "trans", "mocap_framerate", "mocap_frame_rate"), *("R", "Rh", "Th", "shapes"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,8 +113,7 @@ def _read_folder(path: Path, joints: int) -> Motion:
                     raise CheckpointInvalid(message, where=str(file))
             try:
                 joined = {
-                    name: np.stack([frame[name].reshape(-1) for frame in frames])
-                    for name in names
+                    name: np.stack([frame[name].reshape(-1) for frame in frames]) for name in names
                 }
             except ValueError as error:
                 message = f"has frames of different sizes: {error}"
@@ -157,9 +153,7 @@ def _from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Mot
     pose = _convert_poses(path, poses.reshape(frames, -1), joints)
     translation = read.get("Th", read.get("trans"))
     shift = (
-        np.zeros((frames, 3))
-        if translation is None
-        else _rows(path, "Th", translation, frames, 3)
+        np.zeros((frames, 3)) if translation is None else _rows(path, "Th", translation, frames, 3)
     )
     turn = None
     if "R" in read:
@@ -180,7 +174,9 @@ def _rows(
     path: Path, name: str, array: np.ndarray, frames: int, width: int
 ) -> Float[np.ndarray, "t w"]:
     if array.size != frames * width:
-        message = f"{name} is {list(array.shape)}, expected {width} numbers for each of {frames} frames"
+        message = (
+            f"{name} is {list(array.shape)}, expected {width} numbers for each of {frames} frames"
+        )
         raise CheckpointInvalid(message, where=str(path))
     return array.reshape(frames, width)
 
@@ -214,7 +210,9 @@ def _from_json(path: Path, frames: Sequence[Any], joints: int) -> Motion:
     for number, frame in enumerate(frames):
         where = f"{path}, frame {number}"
         if not isinstance(frame, dict):
-            message = f"is a {type(frame).__name__}, expected an object of {', '.join(_JSON)}, trans"
+            message = (
+                f"is a {type(frame).__name__}, expected an object of {', '.join(_JSON)}, trans"
+            )
             raise CheckpointInvalid(message, where=where)
         parts = [_json_numbers(where, frame, name, size) for name, size in _JSON.items()]
         poses.append(np.concatenate(parts))

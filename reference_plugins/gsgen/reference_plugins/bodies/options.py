@@ -39,12 +39,10 @@ BodyFile = Annotated[
     ),
 ]
 Instances = Annotated[
-    int,
-    typer.Option(help="Number of copies of the person, each with its own inputs.", min=1),
+    int, typer.Option(help="Number of copies of the person, each with its own inputs.", min=1)
 ]
 RootRotation = Annotated[
-    Literal["matrix", "axis-angle"],
-    typer.Option(help="Convention of the root rotation input."),
+    Literal["matrix", "axis-angle"], typer.Option(help="Convention of the root rotation input.")
 ]
 Shape = Annotated[
     str | None,
@@ -131,9 +129,7 @@ def with_motion(
         note(motion.describe())
         time = inputs.time(frames=len(motion), fps=fps or motion.fps, loop=loop or None)
         avatar = MotionPlayback(avatar, actors, motion, time, spacing=spacing)
-    note(
-        f"note: the model holds parts of {body.kind}, whose licence forbids redistribution"
-    )
+    note(f"note: the model holds parts of {body.kind}, whose licence forbids redistribution")
     license_name = f"LicenseRef-{body.kind}-derived-no-redistribution"
     avatar.producer = Producer(f"gsgen {version('gsgen')}", license=license_name)
     return avatar

@@ -15,10 +15,7 @@ from gsgen.reference_plugins.bodies import rest_pose
 from gsgen.reference_plugins.bodies.actors import Actor
 from gsgen.reference_plugins.bodies.body_models import Body
 from gsgen.reference_plugins.bodies.pose_networks import PoseNets
-from gsgen.reference_plugins.bodies.rotations import (
-    gauhuman_rotation_matrices,
-    rotation_matrices,
-)
+from gsgen.reference_plugins.bodies.rotations import gauhuman_rotation_matrices, rotation_matrices
 from gsgen.reference_plugins.bodies.skinning import posed_transforms
 from gsgen.reference_plugins.tensors.layers import Dense
 
@@ -63,9 +60,7 @@ class PoseBlendshapes(nn.Module):
         dirs, pose_dirs = body.shape_dirs[vertices], body.pose_dirs[vertices]
         # The Gaussians were trained in the big pose: subtract its pose blendshapes.
         turns = rest_pose.rodrigues(rest_pose.big_pose(body))
-        offsets = dirs[:, :, : len(fixed)] @ fixed - pose_dirs @ rest_pose.pose_feature(
-            turns
-        )
+        offsets = dirs[:, :, : len(fixed)] @ fixed - pose_dirs @ rest_pose.pose_feature(turns)
         keep = self.register_buffer
         keep("joints", _float(rest_pose.joints_of(body, fixed)))
         keep("offset", _float(offsets.T)[None])
@@ -78,9 +73,7 @@ class PoseBlendshapes(nn.Module):
         layers = nets.pose if nets is not None else ()
         self.refiner = nn.ModuleList(Dense(*layer) for layer in layers)
 
-    def forward(
-        self, actor: Actor
-    ) -> tuple[Float[Tensor, "k j 3 4"], Float[Tensor, "k 3 u"]]:
+    def forward(self, actor: Actor) -> tuple[Float[Tensor, "k j 3 4"], Float[Tensor, "k 3 u"]]:
         """Return joint transforms, and the offset of each vertex in the rest pose."""
         pose = actor.pose if self.hands is None else actor.pose + self.hands
         turns = self._joint_rotations(pose)

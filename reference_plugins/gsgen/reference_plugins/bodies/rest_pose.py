@@ -46,9 +46,7 @@ def joints_of(body: Body, shape: Float[np.ndarray, " s"]) -> Float[np.ndarray, "
 
 
 def joint_transforms(
-    turns: Float[np.ndarray, "j 3 3"],
-    joints: Float[np.ndarray, "j 3"],
-    parents: Sequence[int],
+    turns: Float[np.ndarray, "j 3 3"], joints: Float[np.ndarray, "j 3"], parents: Sequence[int]
 ) -> Float[np.ndarray, "j 3 4"]:
     """Return the transform [R | t] of each joint from the rest pose to the pose."""
     chain: list[np.ndarray] = []
@@ -76,9 +74,7 @@ def posed_vertices(
     rest = body.template + used @ shape + body.pose_dirs @ pose_feature(turns)
     transforms = joint_transforms(turns, joints_of(body, shape), body.parents)
     blended = np.einsum("vj,jab->vab", body.weights, transforms)
-    vertices: np.ndarray = (
-        np.einsum("vab,vb->va", blended[:, :, :3], rest) + blended[:, :, 3]
-    )
+    vertices: np.ndarray = np.einsum("vab,vb->va", blended[:, :, :3], rest) + blended[:, :, 3]
     return vertices
 
 

@@ -17,10 +17,7 @@ from gsgen.reference_plugins.bodies.pose_networks import SKIP, PoseNets
 from gsgen.reference_plugins.bodies.skinning import multiply_matrices
 from gsgen.reference_plugins.tensors.layers import Dense
 from gsgen.reference_plugins.tensors.planes import planes_of, rotation_columns
-from gsgen.reference_plugins.tensors.positional_encoding import (
-    POINT_OCTAVES,
-    positional_encoding,
-)
+from gsgen.reference_plugins.tensors.positional_encoding import POINT_OCTAVES, positional_encoding
 
 # Added to the skinning weights before their logarithm (GauHuman, scene/gaussian_model.py).
 LEAST_WEIGHT = 1e-9
@@ -151,9 +148,7 @@ def _register(module: nn.Module, **tables: Tensor | np.ndarray) -> None:
         module.register_buffer(name, table)
 
 
-def _root(
-    rotation: Float[Tensor, "n 4"], scale: Float[Tensor, "n 3"]
-) -> Float[Tensor, "1 3 3 n"]:
+def _root(rotation: Float[Tensor, "n 4"], scale: Float[Tensor, "n 3"]) -> Float[Tensor, "1 3 3 n"]:
     """Return R S as planes, from quaternions and standard deviations."""
     columns = rotation_columns(planes_of(rotation))
     turn = torch.stack([torch.cat(column) for column in columns], dim=1)

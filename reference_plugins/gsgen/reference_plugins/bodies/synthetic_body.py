@@ -26,21 +26,9 @@ _PARENTS = {24: _SMPL, 55: (*_SMPL[:22], 15, 15, 15, *_FINGERS)}
 # Offset of each joint from its parent: a stick figure of 1.7 m, y up, arms apart.
 _BONES = (
     *((0, 0, 0), (0.09, -0.09, 0), (-0.09, -0.09, 0), (0, 0.12, 0)),
-    *(
-        (0.02, -0.4, 0),
-        (-0.02, -0.4, 0),
-        (0, 0.14, 0),
-        (0, -0.42, -0.02),
-        (0, -0.42, -0.02),
-    ),
+    *((0.02, -0.4, 0), (-0.02, -0.4, 0), (0, 0.14, 0), (0, -0.42, -0.02), (0, -0.42, -0.02)),
     *((0, 0.06, 0), (0.02, -0.06, 0.13), (-0.02, -0.06, 0.13), (0, 0.21, 0)),
-    *(
-        (0.08, 0.12, 0),
-        (-0.08, 0.12, 0),
-        (0, 0.12, 0.03),
-        (0.11, 0.03, 0),
-        (-0.11, 0.03, 0),
-    ),
+    *((0.08, 0.12, 0), (-0.08, 0.12, 0), (0, 0.12, 0.03), (0.11, 0.03, 0), (-0.11, 0.03, 0)),
     *((0.26, 0, 0), (-0.26, 0, 0), (0.25, 0, 0), (-0.25, 0, 0)),
 )
 _PALMS = ((0.08, 0, 0), (-0.08, 0, 0))
@@ -113,9 +101,7 @@ def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
     count, joints = options.vertices, options.joints
     joint_positions = _joint_positions(joints)
     # The first vertices surround one joint each, so that the joint is their mean.
-    tube = np.concatenate(
-        [np.arange(joints), _chosen_tubes(joint_positions, count - joints, rng)]
-    )
+    tube = np.concatenate([np.arange(joints), _chosen_tubes(joint_positions, count - joints, rng)])
     # Most others are on the tube to the parent and do not define a joint.
     outside = (np.arange(count) >= joints) & (rng.random(count) < 0.8)
     inside = joint_positions[tube] + rng.normal(0, 0.03, (count, 3))
@@ -182,9 +168,7 @@ def _chosen_tubes(
 
 
 def _tube_points(
-    joint_positions: Float[np.ndarray, "j 3"],
-    tube: Int[np.ndarray, " n"],
-    rng: np.random.Generator,
+    joint_positions: Float[np.ndarray, "j 3"], tube: Int[np.ndarray, " n"], rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
     """Draw random points on the surface of the tubes."""
     begin, end, radius = (values[tube] for values in _tubes(joint_positions))
@@ -215,21 +199,15 @@ def _bone_distances(
     )
     for child, parent in enumerate(_PARENTS[len(joint_positions)]):
         if parent >= 0:
-            near = _segment_distance(
-                points, joint_positions[parent], joint_positions[child]
-            )
+            near = _segment_distance(points, joint_positions[parent], joint_positions[child])
             distance[:, parent] = np.minimum(distance[:, parent], near)
-    crown = _segment_distance(
-        points, joint_positions[_HEAD], joint_positions[_HEAD] + _CROWN
-    )
+    crown = _segment_distance(points, joint_positions[_HEAD], joint_positions[_HEAD] + _CROWN)
     distance[:, _HEAD] = np.minimum(distance[:, _HEAD], crown)
     return distance
 
 
 def _segment_distance(
-    points: Float[np.ndarray, "n 3"],
-    begin: Float[np.ndarray, "3"],
-    end: Float[np.ndarray, "3"],
+    points: Float[np.ndarray, "n 3"], begin: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, " n"]:
     along = end - begin
     share = np.clip((points - begin) @ along / max(along @ along, 1e-12), 0, 1)
@@ -262,9 +240,7 @@ def clothing_colors(
     colors[hair] = _COLORS["hair"]
     middle = begin[tube] + 0.5 * (end - begin)[tube]
     light = np.clip((points - middle)[:, 1:] @ [0.6, 0.8] / radius[tube], -1, 1)
-    lit_colors: Float[np.ndarray, "n 3"] = np.clip(
-        colors * (0.85 + 0.3 * light[:, None]), 0, 1
-    )
+    lit_colors: Float[np.ndarray, "n 3"] = np.clip(colors * (0.85 + 0.3 * light[:, None]), 0, 1)
     return lit_colors
 
 

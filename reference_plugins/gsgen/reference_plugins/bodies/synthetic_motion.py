@@ -28,17 +28,11 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
     poses = 0.03 * np.sin(along[:, None] + phase[None])
     for side, sign in enumerate((1.0, -1.0)):
         step = sign * np.sin(along)
-        lift = np.clip(
-            sign * np.cos(along), 0, None
-        )  # a leg is bent while it moves forward
-        _turn(
-            poses, _HIPS[side], np.stack([-_STRIDE * step - 0.3 * lift, 0 * step, 0 * step])
-        )
+        lift = np.clip(sign * np.cos(along), 0, None)  # a leg is bent while it moves forward
+        _turn(poses, _HIPS[side], np.stack([-_STRIDE * step - 0.3 * lift, 0 * step, 0 * step]))
         _turn(poses, _KNEES[side], np.stack([0.1 + _BEND * lift, 0 * step, 0 * step]))
         _turn(poses, _SHOULDERS[side], _arm(_SWING * step, sign))
-        _turn(
-            poses, _ELBOWS[side], np.stack([0 * step, 0 * step - sign * _ELBOW, 0 * step])
-        )
+        _turn(poses, _ELBOWS[side], np.stack([0 * step, 0 * step - sign * _ELBOW, 0 * step]))
     np.savez(
         path,
         poses=poses,
@@ -56,9 +50,7 @@ def write_demo_motion(folder: Path) -> list[str]:
     return ["--checkpoint", str(folder), "--motion", str(motion)]
 
 
-def _turn(
-    poses: Float[np.ndarray, "f w"], joint: int, turn: Float[np.ndarray, "3 f"]
-) -> None:
+def _turn(poses: Float[np.ndarray, "f w"], joint: int, turn: Float[np.ndarray, "3 f"]) -> None:
     poses[:, 3 * joint : 3 * joint + 3] += turn.T
 
 

@@ -41,9 +41,7 @@ class _SplitLayer(nn.Module):
     def __init__(self, weight: Tensor, bias: Tensor, point_inputs: int, time: int) -> None:
         super().__init__()
         self.point = Dense(weight[:, :point_inputs], bias)
-        self.time = Dense(
-            weight[:, point_inputs : point_inputs + time], torch.zeros_like(bias)
-        )
+        self.time = Dense(weight[:, point_inputs : point_inputs + time], torch.zeros_like(bias))
         hidden_weight = weight[:, point_inputs + time :]
         self.hidden = (
             Dense(hidden_weight, torch.zeros_like(bias)) if hidden_weight.shape[1] else None
@@ -117,9 +115,7 @@ class Deformable3DGS(GaussianGenerator):
             tensors[0] if len(tensors) == 1 else torch.cat(tensors)
             for tensors in zip(*parts, strict=True)
         )
-        return Gaussians(
-            position=position, opacity=self.opacity, covariance=covariance, sh=self.sh
-        )
+        return Gaussians(position=position, opacity=self.opacity, covariance=covariance, sh=self.sh)
 
     def _moment(self, time: Tensor) -> Float[Tensor, "1 m"]:
         if not len(self.time):
@@ -140,9 +136,7 @@ class Deformable3DGS(GaussianGenerator):
         scale = self.scale[part] + self.stretch(hidden)
         # Not normalised, as in the published rasteriser.
         rotation = self.rotation[part] + self.turn(hidden)
-        covariance = covariance_planes(
-            planes_of(scale), planes_of(rotation), normalise=False
-        )
+        covariance = covariance_planes(planes_of(scale), planes_of(rotation), normalise=False)
         return self._position(position, hidden), stacked(covariance)
 
     def _position(self, position: Tensor, hidden: Tensor) -> Tensor:
@@ -171,9 +165,7 @@ def _screw_motion(
     return turned + theta * v + versine * along + (theta - sine) * _cross_product(w, along)
 
 
-def _cross_product(
-    a: Float[Tensor, "n 3"], b: Float[Tensor, "n 3"]
-) -> Float[Tensor, "n 3"]:
+def _cross_product(a: Float[Tensor, "n 3"], b: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
     ax, ay, az = a[:, 0:1], a[:, 1:2], a[:, 2:3]
     bx, by, bz = b[:, 0:1], b[:, 1:2], b[:, 2:3]
     return torch.cat([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], dim=1)

@@ -110,10 +110,7 @@ def read_deformation(folder: Path, iteration: int | None = None) -> DeformationC
     canonical = read_canonical(iteration_folder / "point_cloud.ply")
     path = folder / "deform" / f"iteration_{number}" / "deform.pth"
     net = _read_net(path, load_state(path, "the deformation network"))
-    for option, actual in (
-        ("is_blender", net.time is not None),
-        ("is_6dof", net.has_six_degrees),
-    ):
+    for option, actual in (("is_blender", net.time is not None), ("is_6dof", net.has_six_degrees)):
         if cfg.flag(option, default=actual) != actual:
             message = f"{option} is {not actual}, but the network in {path} has {actual}"
             raise CheckpointInvalid(message, where=str(cfg.path))
@@ -125,11 +122,7 @@ def read_deformation(folder: Path, iteration: int | None = None) -> DeformationC
 def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
     first = state.get("linear.0.weight")
     layers = {int(match[1]) for name in state if (match := _LAYER.fullmatch(name))}
-    if (
-        not isinstance(first, Tensor)
-        or first.ndim != 2
-        or layers != set(range(len(layers)))
-    ):
+    if not isinstance(first, Tensor) or first.ndim != 2 or layers != set(range(len(layers))):
         message = f"layers linear.N are {sorted(layers)}, expected 0 to 7"
         raise CheckpointInvalid(message, where=str(path))
     width, count = first.shape[0], len(layers)
@@ -146,9 +139,7 @@ def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
     warp = ("branch_w", "branch_v") if "branch_w.weight" in state else ("gaussian_warp",)
     for name in warp:
         expected |= _linear(name, width, 3)
-    expected |= _linear("gaussian_rotation", width, 4) | _linear(
-        "gaussian_scaling", width, 3
-    )
+    expected |= _linear("gaussian_rotation", width, 4) | _linear("gaussian_scaling", width, 3)
     read = require_tensors(path, state, expected)
     moves = [_layer(read, name) for name in warp]
     return Deformation(

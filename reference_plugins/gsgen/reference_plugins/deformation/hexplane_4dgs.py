@@ -15,11 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.contract.spec.manifest import Input
-from gsgen.reference_plugins.deformation.hexplane_checkpoint import (
-    Flags,
-    HexPlaneNets,
-    Layer,
-)
+from gsgen.reference_plugins.deformation.hexplane_checkpoint import Flags, HexPlaneNets, Layer
 from gsgen.reference_plugins.deformation.hexplane_field import HexPlaneField
 from gsgen.reference_plugins.loading.canonical import Canonical
 from gsgen.reference_plugins.tensors.baked_constants import Bake
@@ -97,9 +93,7 @@ class HexPlane4DGS(GaussianGenerator):
         scale = torch.exp(self._deformed("scales", self.log_scale, hidden, share))
         return Gaussians(
             position=self._deformed("pos", self.position, hidden, share),
-            opacity=torch.sigmoid(
-                self._deformed("opacity", self.logit_opacity, hidden, share)
-            ),
+            opacity=torch.sigmoid(self._deformed("opacity", self.logit_opacity, hidden, share)),
             covariance=stacked(covariance_planes(planes_of(scale), self._rotation(hidden))),
             sh=self._deformed("shs", self.sh, hidden, share).reshape(self.rows, -1, 3),
         )

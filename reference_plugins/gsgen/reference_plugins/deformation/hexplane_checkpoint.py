@@ -5,14 +5,7 @@
 ``cfg_args`` tells which parts are active.
 """
 
-__all__ = [
-    "HEADS",
-    "Flags",
-    "HexPlaneCheckpoint",
-    "HexPlaneNets",
-    "Layer",
-    "read_hexplanes",
-]
+__all__ = ["HEADS", "Flags", "HexPlaneCheckpoint", "HexPlaneNets", "Layer", "read_hexplanes"]
 
 import re
 from collections.abc import Mapping
@@ -28,12 +21,7 @@ from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.folder import find_iteration, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
-from gsgen.reference_plugins.loading.states import (
-    Shape,
-    entries_below,
-    load_state,
-    require_tensors,
-)
+from gsgen.reference_plugins.loading.states import Shape, entries_below, load_state, require_tensors
 from gsgen.reference_plugins.tensors.hexplane import PLANES
 
 # Head, named after the values that it changes → number of its outputs.
@@ -152,12 +140,7 @@ class HexPlaneCheckpoint:
 
 def _sizes(planes: tuple[Tensor, ...]) -> tuple[int, int, int, int]:
     """Return the resolution along x, y, z and t."""
-    return (
-        planes[0].shape[2],
-        planes[0].shape[1],
-        planes[1].shape[1],
-        planes[2].shape[1],
-    )
+    return (planes[0].shape[2], planes[0].shape[1], planes[1].shape[1], planes[2].shape[1])
 
 
 def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckpoint:
@@ -177,18 +160,11 @@ def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckp
     flags = Flags.of(cfg)
     canonical = read_canonical(iteration_folder / "point_cloud.ply")
     if "shs" in flags.active and canonical.degree != 3:
-        message = (
-            f"SH of degree {canonical.degree}, but no_dshs is False: expected degree 3"
-        )
+        message = f"SH of degree {canonical.degree}, but no_dshs is False: expected degree 3"
         raise CheckpointInvalid(message, where=str(iteration_folder / "point_cloud.ply"))
     nets = _read_nets(iteration_folder / "deformation.pth", flags)
     return HexPlaneCheckpoint(
-        folder=folder,
-        iteration=number,
-        cfg=cfg,
-        flags=flags,
-        canonical=canonical,
-        nets=nets,
+        folder=folder, iteration=number, cfg=cfg, flags=flags, canonical=canonical, nets=nets
     )
 
 
@@ -199,9 +175,7 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
     expected = _expected_shapes(path, net, flags, scales, layers)
     # Inactive heads and masks are saved, too.
     idle = [f"{_NET}{head}_deform." for head in HEADS if head not in flags.active]
-    idle += [
-        f"{_NET}{mask}." for mask in ("static_mlp", "empty_voxel") if mask != flags.mask
-    ]
+    idle += [f"{_NET}{mask}." for mask in ("static_mlp", "empty_voxel") if mask != flags.mask]
     read = require_tensors(
         path, state, {_NET + k: v for k, v in expected.items()}, (*_UNUSED, *idle)
     )
@@ -211,9 +185,7 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
     )
     _require_sizes(path, grids)
     if (read["grid.aabb"][0] == read["grid.aabb"][1]).any():
-        message = (
-            f"{_NET}grid.aabb is {read['grid.aabb'].tolist()}, expected a box with a volume"
-        )
+        message = f"{_NET}grid.aabb is {read['grid.aabb'].tolist()}, expected a box with a volume"
         raise CheckpointInvalid(message, where=str(path))
     static = _pair(read, "static_mlp") if flags.mask == "static_mlp" else None
     return HexPlaneNets(

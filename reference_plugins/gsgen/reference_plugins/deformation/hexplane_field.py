@@ -63,9 +63,7 @@ class _TimePlane(nn.Module):
         self.register_buffer("ticks", torch.arange(len(table), dtype=torch.float32)[None])
         self.cell = Constants(_CellIndex(cells), (along,), bake)
 
-    def forward(
-        self, time: Float[Tensor, "1"], along: Float[Tensor, " n"]
-    ) -> Float[Tensor, "n c"]:
+    def forward(self, time: Float[Tensor, "1"], along: Float[Tensor, " n"]) -> Float[Tensor, "n c"]:
         last = float(self.table.shape[0] - 1)
         moment = (time + 1) * (0.5 * (self.moments - 1)) - float(self.start)
         weight = torch.relu(1 - (self.ticks - moment.clamp(0.0, last).reshape(1, 1)).abs())
@@ -165,21 +163,13 @@ class HexPlaneField(nn.Module):
         # The first row of the box is its upper corner, so coordinates are mirrored.
         corner, opposite = nets.aabb
         self.register_buffer("corner", corner[None].clone())
-        self.register_buffer(
-            "per_size", (1 / (opposite.double() - corner.double())).float()[None]
-        )
-        scaled = (position.double() - corner.double()) / (
-            opposite.double() - corner.double()
-        )
-        self.resolutions = nn.ModuleList(
-            _Resolution(six, scaled, bake) for six in nets.grids
-        )
+        self.register_buffer("per_size", (1 / (opposite.double() - corner.double())).float()[None])
+        scaled = (position.double() - corner.double()) / (opposite.double() - corner.double())
+        self.resolutions = nn.ModuleList(_Resolution(six, scaled, bake) for six in nets.grids)
 
     def forward(
         self, time: Float[Tensor, "1"], position: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "n f"]:
         """Return the features of the points at ``time``, of all resolutions side by side."""
         scaled = (position - self.corner) * self.per_size
-        return torch.cat(
-            [resolution(time, scaled) for resolution in self.resolutions], dim=1
-        )
+        return torch.cat([resolution(time, scaled) for resolution in self.resolutions], dim=1)

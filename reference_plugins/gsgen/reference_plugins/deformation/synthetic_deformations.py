@@ -148,8 +148,6 @@ def write_deformable(
     write_cfg_args(folder, {"is_blender": blender, "is_6dof": six_degrees, "sh_degree": 3})
     for subfolder in ("point_cloud/iteration_40000", "deform/iteration_40000"):
         (folder / subfolder).mkdir(parents=True, exist_ok=True)
-    write_ply(
-        folder / "point_cloud/iteration_40000/point_cloud.ply", torus_knot(count, seed=seed)
-    )
+    write_ply(folder / "point_cloud/iteration_40000/point_cloud.ply", torus_knot(count, seed=seed))
     torch.save(state, folder / "deform/iteration_40000/deform.pth")
     return folder

@@ -12,12 +12,7 @@ import torch.nn.functional as F  # noqa: N812
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gsgen.reference_plugins.diffusion.blocks import (
-    Downsample,
-    ImageAttention,
-    Residual,
-    Upsample,
-)
+from gsgen.reference_plugins.diffusion.blocks import Downsample, ImageAttention, Residual, Upsample
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions
 
 _EPS = 1e-6
@@ -28,13 +23,10 @@ SKIP = "skip_conv_"
 class _Level(nn.Module):
     """Residual blocks of one resolution, then a change of resolution."""
 
-    def __init__(
-        self, options: AutoencoderOptions, inputs: int, outputs: int, layers: int
-    ) -> None:
+    def __init__(self, options: AutoencoderOptions, inputs: int, outputs: int, layers: int) -> None:
         super().__init__()
         self.resnets = nn.ModuleList(
-            _residual(options, inputs if i == 0 else outputs, outputs)
-            for i in range(layers)
+            _residual(options, inputs if i == 0 else outputs, outputs) for i in range(layers)
         )
         self.downsamplers: nn.ModuleList | None = None
         self.upsamplers: nn.ModuleList | None = None
@@ -103,9 +95,7 @@ class _Decoder(nn.Module):
         self.mid_block = _Middle(options)
         self.up_blocks = nn.ModuleList()
         for index, outputs in enumerate(channels):
-            level = _Level(
-                options, channels[max(index - 1, 0)], outputs, options.layers + 1
-            )
+            level = _Level(options, channels[max(index - 1, 0)], outputs, options.layers + 1)
             if index < len(channels) - 1:
                 level.upsamplers = nn.ModuleList([Upsample(outputs)])
             self.up_blocks.append(level)

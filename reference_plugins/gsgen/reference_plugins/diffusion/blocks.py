@@ -5,14 +5,7 @@ transformers those of Rombach et al. 2022, "High-Resolution Image Synthesis with
 Models".
 """
 
-__all__ = [
-    "Attention",
-    "Downsample",
-    "ImageAttention",
-    "Residual",
-    "Transformer",
-    "Upsample",
-]
+__all__ = ["Attention", "Downsample", "ImageAttention", "Residual", "Transformer", "Upsample"]
 
 import math
 
@@ -119,9 +112,7 @@ class Attention(nn.Module):
         source = tokens if context is None else context
         query = self._split(self.to_q(tokens))
         key, value = self._split(self.to_k(source)), self._split(self.to_v(source))
-        weight = torch.softmax(
-            (query / math.sqrt(self.width)) @ key.transpose(2, 3), dim=-1
-        )
+        weight = torch.softmax((query / math.sqrt(self.width)) @ key.transpose(2, 3), dim=-1)
         mixed = (weight @ value).transpose(1, 2).flatten(2)
         out: Tensor = self.to_out[0](mixed)
         return out
@@ -135,14 +126,7 @@ class ImageAttention(Attention):
     """Self-attention between the pixels of an image, with a residual connection."""
 
     def __init__(
-        self,
-        channels: int,
-        heads: int,
-        width: int,
-        *,
-        groups: int,
-        eps: float,
-        shrink: float = 1.0,
+        self, channels: int, heads: int, width: int, *, groups: int, eps: float, shrink: float = 1.0
     ) -> None:
         """Create the layers; ``groups`` and ``eps`` are the norm's, ``shrink`` divides the sum."""
         super().__init__(channels, heads, width, bias=True)

@@ -98,9 +98,7 @@ class Adapter:
         alpha = pair.alpha
         if alpha is None:
             matches = (
-                value
-                for ending, value in self.alphas.items()
-                if f".{layer}".endswith(f".{ending}")
+                value for ending, value in self.alphas.items() if f".{layer}".endswith(f".{ending}")
             )
             alpha = next(matches, rank if self.alpha is None else self.alpha)
         return alpha / (math.sqrt(rank) if self.by_root else rank)
@@ -123,9 +121,7 @@ def read_lora(path: Path) -> Adapter:
     text = tuple(name for name in unpaired if name.startswith(_TEXT))
     unknown = [name for name in unpaired if name not in text]
     if unknown:
-        kinds = {
-            kind for part, kind in _UNSUPPORTED.items() for name in unknown if part in name
-        }
+        kinds = {kind for part, kind in _UNSUPPORTED.items() for name in unknown if part in name}
         raise CheckpointInvalid(
             f"{len(unknown)} tensors are not part of a LoRA: {first_names(unknown)}",
             where=str(path),
@@ -135,9 +131,7 @@ def read_lora(path: Path) -> Adapter:
     pattern = _checked_settings(settings, where)
     alpha = settings.get("lora_alpha")
     by_root = settings.get("use_rslora") is True
-    return Adapter(
-        path=path, pairs=pairs, text=text, alpha=alpha, alphas=pattern, by_root=by_root
-    )
+    return Adapter(path=path, pairs=pairs, text=text, alpha=alpha, alphas=pattern, by_root=by_root)
 
 
 def _adapter_file(path: Path) -> Path:
@@ -146,14 +140,10 @@ def _adapter_file(path: Path) -> Path:
     for name in _FILES:
         if (path / name).is_file():
             return path / name
-    raise CheckpointInvalid(
-        f"holds no LoRA: expected one of {', '.join(_FILES)}", where=str(path)
-    )
+    raise CheckpointInvalid(f"holds no LoRA: expected one of {', '.join(_FILES)}", where=str(path))
 
 
-def split_pairs(
-    state: Mapping[str, Any], path: Path
-) -> tuple[dict[str, Pair], dict[str, Any]]:
+def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], dict[str, Any]]:
     """Separate the LoRA tensors of a state dict from all others.
 
     Returns:

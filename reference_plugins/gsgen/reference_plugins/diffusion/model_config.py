@@ -43,9 +43,7 @@ class ModelConfig:
         """Return the value of an option, which must be an integer of at least ``least``."""
         value = self.values.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise self.option_error(
-                name, f"is {value!r}, expected an integer of at least {least}"
-            )
+            raise self.option_error(name, f"is {value!r}, expected an integer of at least {least}")
         return value
 
     def number(self, name: str, default: float) -> float:
@@ -66,15 +64,9 @@ class ModelConfig:
     def integers(self, name: str) -> tuple[int, ...]:
         """Return the value of an option, which must be a list of positive integers."""
         value = self.values.get(name)
-        fits = (
-            isinstance(value, list)
-            and value
-            and all(type(n) is int and n > 0 for n in value)
-        )
+        fits = isinstance(value, list) and value and all(type(n) is int and n > 0 for n in value)
         if not fits:
-            raise self.option_error(
-                name, f"is {value!r}, expected a list of positive integers"
-            )
+            raise self.option_error(name, f"is {value!r}, expected a list of positive integers")
         return tuple(value or ())
 
     def per_level(self, name: str, levels: int, default: int) -> tuple[int, ...]:
@@ -92,14 +84,10 @@ class ModelConfig:
         """Return the value in ``known`` of each level's block type."""
         names = self.values.get(name)
         if not isinstance(names, list) or len(names) != levels:
-            raise self.option_error(
-                name, f"is {names!r}, expected a list of {levels} block types"
-            )
+            raise self.option_error(name, f"is {names!r}, expected a list of {levels} block types")
         unknown = [kind for kind in names if not isinstance(kind, str) or kind not in known]
         if unknown:
-            raise self.option_error(
-                name, f"has {unknown[0]!r}; supported: {', '.join(known)}"
-            )
+            raise self.option_error(name, f"has {unknown[0]!r}; supported: {', '.join(known)}")
         return tuple(known[kind] for kind in names)
 
     def size(self, name: str) -> tuple[int, int] | None:
@@ -128,9 +116,7 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
     if not path.is_file():
         near = likely_folders(
             folder,
-            lambda candidate: (
-                (candidate / name).is_file() or (candidate / "unet" / name).is_file()
-            ),
+            lambda candidate: (candidate / name).is_file() or (candidate / "unet" / name).is_file(),
         )
         raise CheckpointInvalid(
             "is missing: expected the options of a network", where=str(path), hint=near

@@ -169,10 +169,7 @@ class UNetOptions:
             shifts=config.values.get("resnet_time_scale_shift") == "scale_shift",
             linear=config.flag("use_linear_projection", default=False),
             padding=config.integer("downsample_padding", 1, least=0),
-            kernels=(
-                config.integer("conv_in_kernel", 3),
-                config.integer("conv_out_kernel", 3),
-            ),
+            kernels=(config.integer("conv_in_kernel", 3), config.integer("conv_out_kernel", 3)),
             flip=config.flag("flip_sin_to_cos", default=True),
             shift=config.number("freq_shift", 0.0),
             centre=config.flag("center_input_sample", default=False),

@@ -34,9 +34,7 @@ def time_features(
         shift: Number subtracted from the number of frequencies.
     """
     half = width // 2
-    exponent = (
-        -math.log(_SLOWEST) * torch.arange(half, dtype=torch.float32) / (half - shift)
-    )
+    exponent = -math.log(_SLOWEST) * torch.arange(half, dtype=torch.float32) / (half - shift)
     angle = moment[:, None].float() * torch.exp(exponent)[None]
     parts = [torch.sin(angle), torch.cos(angle)]
     return torch.cat(parts[::-1] if flip else parts, dim=1)
@@ -90,9 +88,7 @@ class _Level(nn.Module):
         """Apply one residual block and its attention, if any."""
         features: Tensor = self.resnets[index](image, time)
         return (
-            _apply_attention(self.attentions[index], features, context)
-            if self.kind
-            else features
+            _apply_attention(self.attentions[index], features, context) if self.kind else features
         )
 
 
@@ -103,9 +99,7 @@ class _Down(_Level):
         sizes = [(before if i == 0 else outputs, outputs) for i in range(options.layers)]
         super().__init__(options, index, options.down[index], sizes)
         last = index == len(options.channels) - 1
-        self.downsamplers = (
-            None if last else nn.ModuleList([Downsample(outputs, options.padding)])
-        )
+        self.downsamplers = None if last else nn.ModuleList([Downsample(outputs, options.padding)])
 
     def forward(
         self, image: Tensor, time: Tensor, context: Tensor | None
@@ -127,10 +121,7 @@ class _Up(_Level):
         skipped = levels[min(step + 1, len(levels) - 1)]
         count = options.layers + 1
         sizes = [
-            (
-                (before if i == 0 else outputs) + (skipped if i == count - 1 else outputs),
-                outputs,
-            )
+            ((before if i == 0 else outputs) + (skipped if i == count - 1 else outputs), outputs)
             for i in range(count)
         ]
         super().__init__(options, len(levels) - 1 - step, options.up[step], sizes)
@@ -200,9 +191,7 @@ def _attention_block(
 
 
 def _apply_attention(block: nn.Module, image: Tensor, context: Tensor | None) -> Tensor:
-    attended: Tensor = (
-        block(image, context) if isinstance(block, Transformer) else block(image)
-    )
+    attended: Tensor = block(image, context) if isinstance(block, Transformer) else block(image)
     return attended
 
 
@@ -231,18 +220,12 @@ class UNet(nn.Module):
         )
         self.time_embedding = _Embedding(options.channels[0], options.time)
         self.add_embedding = (
-            None
-            if options.vector is None
-            else _Embedding(options.vector.length, options.time)
+            None if options.vector is None else _Embedding(options.vector.length, options.time)
         )
         self.down_blocks = nn.ModuleList(_Down(options, index) for index in steps)
-        self.mid_block = (
-            None if options.middle is None else _Middle(options, options.middle)
-        )
+        self.mid_block = None if options.middle is None else _Middle(options, options.middle)
         self.up_blocks = nn.ModuleList(_Up(options, step) for step in steps)
-        self.conv_norm_out = nn.GroupNorm(
-            options.groups, options.channels[0], eps=options.eps
-        )
+        self.conv_norm_out = nn.GroupNorm(options.groups, options.channels[0], eps=options.eps)
         self.conv_out = nn.Conv2d(
             options.channels[0], options.outputs, last, padding=(last - 1) // 2
         )

@@ -171,17 +171,19 @@ def _check_step(
 ) -> None:
     options = read.unet.options
     if read.autoencoder is None and options.context is not None and options.inputs == 4:
-        message = "a conditional U-Net of 4 channels works on latents, but the autoencoder is missing"
+        message = (
+            "a conditional U-Net of 4 channels works on latents, but the autoencoder is missing"
+        )
         hint = "Give the folder that holds unet/ and vae/, or --vae DIR."
         raise ConfigInvalid(message, where=str(read.folder), hint=hint)
     outer = options if read.autoencoder is None else read.autoencoder.options
     if not {outer.inputs, outer.outputs} <= set(IMAGE_CHANNELS):
-        message = f"takes {outer.inputs} channels and returns {outer.outputs}, expected 3 or 4 of each"
+        message = (
+            f"takes {outer.inputs} channels and returns {outer.outputs}, expected 3 or 4 of each"
+        )
         raise ConfigInvalid(message, where=str(read.folder))
     if not 0 <= step.timestep <= _last_timestep(read):
-        message = (
-            f"{step.timestep:g} is not a timestep: expected 0 to {_last_timestep(read)}"
-        )
+        message = f"{step.timestep:g} is not a timestep: expected 0 to {_last_timestep(read)}"
         raise ConfigInvalid(message, where="--timestep")
     if read.noise is None and not step.returns_prediction:
         hint = "Give --result network for the network's prediction, or add the folder scheduler/."
@@ -200,9 +202,7 @@ def _check_step(
         raise ConfigInvalid(message, where="--embeddings", hint=hint)
     if (options.vector is None) != (vector is None):
         message = "takes no" if options.vector is None else "needs a"
-        raise ConfigInvalid(
-            f"the network {message} pooled prompt vector", where="--embeddings"
-        )
+        raise ConfigInvalid(f"the network {message} pooled prompt vector", where="--embeddings")
 
 
 def _fits(context: Tensor | None, width: int) -> bool:

@@ -33,8 +33,7 @@ Folder = Annotated[
 Vae = Annotated[
     Path | None,
     typer.Option(
-        help="Folder of the autoencoder, if it is not in DIR.",
-        show_default="DIR/vae, if it exists",
+        help="Folder of the autoencoder, if it is not in DIR.", show_default="DIR/vae, if it exists"
     ),
 ]
 Lora = Annotated[
@@ -81,9 +80,7 @@ TimeIds = Annotated[
 ]
 Values = Annotated[
     Literal["signed", "unit"],
-    typer.Option(
-        help="Range of image values: −1 to 1 (signed), or 0 to 1 as in renderers (unit)."
-    ),
+    typer.Option(help="Range of image values: −1 to 1 (signed), or 0 to 1 as in renderers (unit)."),
 ]
 Result = Annotated[
     Literal["image", "network"],
@@ -120,9 +117,7 @@ def build(
         note(f"warning: {warning}")
     sides = _trained_size(read) if size is None else requested
     if sides and (sides[0] % read.stride or sides[1] % read.stride):
-        note(
-            f"note: sides are not multiples of {read.stride}; images are padded by their edge"
-        )
+        note(f"note: sides are not multiples of {read.stride}; images are padded by their edge")
     step = Step(
         timestep=timestep,
         timestep_is_input=timestep_input,
@@ -181,10 +176,7 @@ def _conditioning(
 
 
 def _vector(
-    read: "DiffusionCheckpoint",
-    prompt: "Embeddings",
-    ids: str | None,
-    size: tuple[int, int] | None,
+    read: "DiffusionCheckpoint", prompt: "Embeddings", ids: str | None, size: tuple[int, int] | None
 ) -> "Tensor | None":
     """Return the vector that is added to the embedded time: pooled prompt and image sizes."""
     from gsgen.reference_plugins.diffusion.unet import added_vector
@@ -217,9 +209,7 @@ def _numbers(text: str) -> tuple[float, ...]:
         numbers = ()
     if not numbers or not all(map(math.isfinite, numbers)):
         hint = "Write them as 1024,1024,0,0,1024,1024."
-        raise ConfigInvalid(
-            f"{text!r} is not a list of numbers", where="--time-ids", hint=hint
-        )
+        raise ConfigInvalid(f"{text!r} is not a list of numbers", where="--time-ids", hint=hint)
     return numbers
 
 

@@ -143,11 +143,7 @@ def read_diffusion(
         message = "changes an autoencoder, but the checkpoint has no vae/"
         raise CheckpointInvalid(message, where=str(difix), hint="Give --vae DIR.")
     schedule = folder / "scheduler" / _SCHEDULE
-    noise = (
-        _noise(read_model_config(schedule.parent, _SCHEDULE))
-        if schedule.is_file()
-        else None
-    )
+    noise = _noise(read_model_config(schedule.parent, _SCHEDULE)) if schedule.is_file() else None
     adapters = [(part.inside, 1.0) for part in read if part.inside is not None]
     adapters += [(read_lora(path), scale) for path, scale in loras]
     homes = layers_by_name(unet.network, autoencoder)
@@ -160,9 +156,7 @@ def read_diffusion(
         noise=noise,
         digest=_digest(files),
         added=tuple(merge(adapter, scale, homes) for adapter, scale in adapters),
-        warnings=tuple(
-            _text_encoder_warning(adapter) for adapter, _ in adapters if adapter.text
-        ),
+        warnings=tuple(_text_encoder_warning(adapter) for adapter, _ in adapters if adapter.text),
     )
 
 
@@ -193,9 +187,7 @@ def _network(
             f"does not describe a valid network: {error}", where=str(config.path)
         ) from error
     expected = {name: tuple(value.shape) for name, value in module.state_dict().items()}
-    read = require_tensors(
-        changed_by or path, _rename_attention(weights, expected), expected
-    )
+    read = require_tensors(changed_by or path, _rename_attention(weights, expected), expected)
     module.load_state_dict(read, strict=True, assign=True)
     return _Read(module.eval().requires_grad_(False), path, inside)
 
@@ -228,10 +220,7 @@ def _weights(folder: Path) -> tuple[Path, dict[str, Any]]:
     path = folder / f"{_WEIGHTS}.safetensors"
     pickled = folder / f"{_WEIGHTS}.bin"
     if path.is_file() or not pickled.is_file():
-        if (
-            not path.is_file()
-            and (half := folder / f"{_WEIGHTS}.fp16.safetensors").is_file()
-        ):
+        if not path.is_file() and (half := folder / f"{_WEIGHTS}.fp16.safetensors").is_file():
             path = half
         return path, dict(read_safetensors(path))
     return pickled, load_state(pickled, "the weights")

@@ -57,9 +57,7 @@ def read_difix(path: Path) -> Difix:
     return Difix(unet, vae)
 
 
-def split_fused_lora(
-    state: Mapping[str, Any], path: Path
-) -> tuple[dict[str, Any], Adapter | None]:
+def split_fused_lora(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Any], Adapter | None]:
     """Split a state dict that was saved with a LoRA inside, as peft wraps layers.
 
     Returns:

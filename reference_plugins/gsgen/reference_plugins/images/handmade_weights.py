@@ -72,9 +72,7 @@ def set_outline_weights(network: Stylise) -> None:
     """
     channels = network.last.in_channels
     if channels < 6:
-        raise ConfigInvalid(
-            f"has {channels} channels, expected at least 6", where="channels"
-        )
+        raise ConfigInvalid(f"has {channels} channels, expected at least 6", where="channels")
     weights = Weights(network)
     weights("down.0.conv", _color_and_contrast)
     for name in ("down.1", "down.2", "up.0", "up.1"):
@@ -94,9 +92,7 @@ class Weights:
     """Access to a network's weights by name; all are set to zero first."""
 
     def __init__(self, network: nn.Module) -> None:
-        self._named = {
-            name: parameter.data for name, parameter in network.named_parameters()
-        }
+        self._named = {name: parameter.data for name, parameter in network.named_parameters()}
         for value in self._named.values():
             value.zero_()
 

@@ -44,9 +44,7 @@ class _Block(nn.Module):
         self.norm = nn.InstanceNorm2d(outputs, affine=True)
 
     def forward(self, image: Tensor) -> Tensor:
-        output: Tensor = self.norm(
-            self.conv(F.pad(image, (self.around,) * 4, mode="replicate"))
-        )
+        output: Tensor = self.norm(self.conv(F.pad(image, (self.around,) * 4, mode="replicate")))
         return output
 
 
@@ -103,9 +101,7 @@ class Stylise(PostProcess):
         for block in self.middle:
             features = block(features)
         for block in self.up:
-            features = torch.relu(
-                block(F.interpolate(features, scale_factor=2.0, mode="nearest"))
-            )
+            features = torch.relu(block(F.interpolate(features, scale_factor=2.0, mode="nearest")))
         drawn = torch.sigmoid(self.last(F.pad(features, (4,) * 4, mode="replicate")))
         drawn = drawn[:, :, :height, :width]
         if style is None:

@@ -17,26 +17,19 @@ if TYPE_CHECKING:
 Folder = Annotated[
     Path,
     typer.Option(
-        "--checkpoint",
-        help="Folder with config.json and stylise.safetensors.",
-        show_default=False,
+        "--checkpoint", help="Folder with config.json and stylise.safetensors.", show_default=False
     ),
 ]
 Size = Annotated[
-    str,
-    typer.Option(help="Image size as HEIGHTxWIDTH; or any, which prevents graph capture."),
+    str, typer.Option(help="Image size as HEIGHTxWIDTH; or any, which prevents graph capture.")
 ]
 Slider = Annotated[
     bool,
-    typer.Option(
-        "--slider/--no-slider", help="Declare the strength of the style as an input."
-    ),
+    typer.Option("--slider/--no-slider", help="Declare the strength of the style as an input."),
 ]
 
 
-def build(
-    checkpoint: Folder, size: Size = "360x640", *, slider: Slider = True
-) -> "Stylise":
+def build(checkpoint: Folder, size: Size = "360x640", *, slider: Slider = True) -> "Stylise":
     """Read a checkpoint, report its contents, and return its model."""
     import hashlib
     from importlib.metadata import version
@@ -49,15 +42,11 @@ def build(
 
     sides = read_size(size)
     config = read_model_config(checkpoint)
-    options = StyliseOptions(
-        config.integer("channels", 16), config.integer("blocks", 3, least=0)
-    )
+    options = StyliseOptions(config.integer("channels", 16), config.integer("blocks", 3, least=0))
     network = Stylise(options, sides, slider=slider)
     path = checkpoint / "stylise.safetensors"
     expected = {name: tuple(value.shape) for name, value in network.state_dict().items()}
-    network.load_state_dict(
-        require_tensors(path, read_safetensors(path), expected), strict=True
-    )
+    network.load_state_dict(require_tensors(path, read_safetensors(path), expected), strict=True)
     count = sum(weight.numel() for weight in network.parameters())
     note(f"{path}: {count:,} weights, {options.blocks} residual blocks")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -78,10 +67,7 @@ PLUGIN = Plugin(
     summary="A feed-forward network that redraws the rendered image in another style (post-process).",
     reads="Reads DIR/config.json (channels, blocks) and DIR/stylise.safetensors.",
     inputs=("image", "control"),
-    publication=Publication(
-        paper="Johnson et al. 2016",
-        arxiv="1603.08155",
-    ),
+    publication=Publication(paper="Johnson et al. 2016", arxiv="1603.08155"),
     demo=Demo(write=_write_demo, caption="a rendered image, and its drawing"),
     build=build,
 )

@@ -128,9 +128,7 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
         scale / math.sqrt(1 - signal),
         scale * math.sqrt(signal / (1 - signal)),
     )
-    for color in range(
-        COLORS
-    ):  # means of four pixels; neither convolution reads beyond the border
+    for color in range(COLORS):  # means of four pixels; neither convolution reads beyond the border
         weights["down_blocks.0.downsamplers.0.conv.weight"][color, color, 1:, 1:] = 0.25
         weights["up_blocks.0.upsamplers.0.conv.weight"][color, color, 1, 1] = 1.0
     for level, index in ((0, 0), (0, 1), (1, 1)):
@@ -149,17 +147,12 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
         joined[x, fine], joined[x + 1, fine] = 1.0, -1.0
         joined[x + 2 : x + 6, fine], joined[x + 2 : x + 6, coarse] = 1.0, -1.0
         fixed[x + 6], fixed[x + 7] = _LARGE, -_LARGE
-        gamma[x : x + 2] = (
-            _LARGE / 2
-        )  # the standard deviation of K and −K in a group of eight
+        gamma[x : x + 2] = _LARGE / 2  # the standard deviation of K and −K in a group of eight
         gamma[x + 2 : x + 6] = _STEEP * _LARGE / 2
         out = weights["conv_out.weight"][color, :, 1, 1]
         out[x], out[x + 1] = image_gain, -image_gain
         for channel, (bend, change) in enumerate(_BENDS, x + 2):
-            beta[channel], out[channel] = (
-                _STEEP * _SOFT * bend,
-                contrast_gain * change / _STEEP,
-            )
+            beta[channel], out[channel] = (_STEEP * _SOFT * bend, contrast_gain * change / _STEEP)
 
 
 def _skips() -> Iterator[tuple[str, Tensor]]:

@@ -13,11 +13,7 @@ from torch import nn
 from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
 from gsgen.reference_plugins.diffusion.unet import UNet
-from gsgen.reference_plugins.images.diffusers_writer import (
-    config_of,
-    write_network,
-    write_schedule,
-)
+from gsgen.reference_plugins.images.diffusers_writer import config_of, write_network, write_schedule
 from gsgen.reference_plugins.images.handmade_weights import (
     set_denoising_weights,
     set_outline_weights,
@@ -76,22 +72,13 @@ def write_denoiser(
         write_network(folder / "vae", _VAE, coder)
     write_schedule(folder, schedule)
     if config["_class_name"] == "UNet2DConditionModel":
-        rows = np.random.default_rng(seed).normal(
-            size=(1, 5, config["cross_attention_dim"])
-        )
-        np.savez(
-            folder / "prompt_embeds.npz", encoder_hidden_states=rows.astype(np.float32)
-        )
+        rows = np.random.default_rng(seed).normal(size=(1, 5, config["cross_attention_dim"]))
+        np.savez(folder / "prompt_embeds.npz", encoder_hidden_states=rows.astype(np.float32))
     return folder
 
 
 def write_stylise(
-    folder: Path,
-    *,
-    channels: int = 8,
-    blocks: int = 2,
-    drawing: bool = False,
-    seed: int = 0,
+    folder: Path, *, channels: int = 8, blocks: int = 2, drawing: bool = False, seed: int = 0
 ) -> Path:
     """Write an untrained style transfer network, and return ``folder``.
 
@@ -107,9 +94,7 @@ def write_stylise(
     _disturb(network)
     if drawing:
         set_outline_weights(network)
-    write_network(
-        folder, {"channels": channels, "blocks": blocks}, network, "stylise.safetensors"
-    )
+    write_network(folder, {"channels": channels, "blocks": blocks}, network, "stylise.safetensors")
     return folder
 
 

@@ -19,9 +19,7 @@ _DAMAGED = (
 )
 
 
-def read_npz(
-    path: Path, names: Iterable[str] | None = None, hint: str = ""
-) -> dict[str, Any]:
+def read_npz(path: Path, names: Iterable[str] | None = None, hint: str = "") -> dict[str, Any]:
     """Return the named arrays that an ``.npz`` archive has; other entries are not read.
 
     Args:
@@ -41,6 +39,4 @@ def read_npz(
             return {name: archive[name] for name in requested if name in archive.files}
     except _DAMAGED as error:
         reason = str(error) or type(error).__name__
-        raise CheckpointInvalid(
-            f"cannot be read: {reason}", where=str(path), hint=hint
-        ) from error
+        raise CheckpointInvalid(f"cannot be read: {reason}", where=str(path), hint=hint) from error

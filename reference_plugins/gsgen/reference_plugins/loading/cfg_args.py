@@ -90,15 +90,11 @@ class CfgArgs:
 
     def printed(self) -> dict[str, Printed]:
         """Return the options whose values are not literals, and so cannot be read."""
-        return {
-            name: value for name, value in self.values.items() if isinstance(value, Printed)
-        }
+        return {name: value for name, value in self.values.items() if isinstance(value, Printed)}
 
     def _unlike(self, name: str, expected: str) -> CheckpointInvalid:
         actual = repr(self.values[name])[:_MAX_SHOWN]
-        return CheckpointInvalid(
-            f"{name} is {actual}, expected {expected}", where=str(self.path)
-        )
+        return CheckpointInvalid(f"{name} is {actual}, expected {expected}", where=str(self.path))
 
 
 def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:

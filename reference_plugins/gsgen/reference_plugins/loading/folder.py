@@ -75,10 +75,7 @@ def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Pat
         return number, folder
     if not parent.is_dir():
         hint = "Give the folder that training wrote: the one with cfg_args in it."
-        hint = (
-            likely_folders(folder, lambda candidate: (candidate / parent.name).is_dir())
-            or hint
-        )
+        hint = likely_folders(folder, lambda candidate: (candidate / parent.name).is_dir()) or hint
         raise CheckpointInvalid("has no folder point_cloud", where=str(folder), hint=hint)
     iterations = _iterations(parent)
     if not iterations:
@@ -94,19 +91,14 @@ def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Pat
 
 def likely_folders(folder: Path, is_right: Callable[[Path], bool]) -> str:
     """Return a hint that names matching folders at most two levels above or below ``folder``."""
-    candidates = [
-        *folder.absolute().parents[:_LEVELS],
-        *islice(_below(folder), _MOST_LOOKED_AT),
-    ]
+    candidates = [*folder.absolute().parents[:_LEVELS], *islice(_below(folder), _MOST_LOOKED_AT)]
     matches: list[Path] = []
     for candidate in candidates:
         if _is(is_right, candidate) and not set(matches) & set(candidate.parents):
             matches.append(candidate)
     if not matches:
         return ""
-    remainder = f" ({len(matches) - _MOST_NAMED} more look right.)" * (
-        len(matches) > _MOST_NAMED
-    )
+    remainder = f" ({len(matches) - _MOST_NAMED} more look right.)" * (len(matches) > _MOST_NAMED)
     return f"Did you mean {' or '.join(map(str, matches[:_MOST_NAMED]))}?{remainder}"
 
 
@@ -146,14 +138,8 @@ def _elsewhere(path: Path) -> str:
     home = path.parent.parent
     if not _ITERATION.fullmatch(path.parent.name) or not home.is_dir():
         return ""
-    numbers = [
-        n for n, folder in _iterations(home).items() if (folder / path.name).is_file()
-    ]
-    return (
-        f"There is one of iteration {', '.join(map(str, sorted(numbers)))}."
-        if numbers
-        else ""
-    )
+    numbers = [n for n, folder in _iterations(home).items() if (folder / path.name).is_file()]
+    return f"There is one of iteration {', '.join(map(str, sorted(numbers)))}." if numbers else ""
 
 
 def _iterations(home: Path) -> dict[int, Path]:

@@ -25,12 +25,10 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.loading.cfg_args import CfgArgs
 
 Checkpoint = Annotated[
-    Path,
-    typer.Option("--checkpoint", help="Folder that training wrote.", show_default=False),
+    Path, typer.Option("--checkpoint", help="Folder that training wrote.", show_default=False)
 ]
 Iteration = Annotated[
-    int | None,
-    typer.Option(help="Iteration to export.", show_default="the last, as -1", min=-1),
+    int | None, typer.Option(help="Iteration to export.", show_default="the last, as -1", min=-1)
 ]
 AppearanceId = Annotated[
     int | None,
@@ -57,12 +55,10 @@ MaxAnchors = Annotated[
     ),
 ]
 Frames = Annotated[
-    int | None,
-    typer.Option(help="Distinct moments that training saw, for the manifest.", min=1),
+    int | None, typer.Option(help="Distinct moments that training saw, for the manifest.", min=1)
 ]
 Fps = Annotated[
-    float | None,
-    typer.Option(help="Frames a second at natural speed, for the manifest.", min=0.01),
+    float | None, typer.Option(help="Frames a second at natural speed, for the manifest.", min=0.01)
 ]
 Loop = Annotated[bool, typer.Option("--loop", help="The end continues at the start.")]
 
@@ -80,9 +76,7 @@ def report_checkpoint(description: str, cfg: "CfgArgs") -> None:
     """
     note(description)
     for name, printed in cfg.printed().items():
-        note(
-            f"warning: {name}={printed!r:.80} in {cfg.path} is not a literal and was ignored"
-        )
+        note(f"warning: {name}={printed!r:.80} in {cfg.path} is not a literal and was ignored")
 
 
 def warn_unsupported(cfg: "CfgArgs", expected: Mapping[str, tuple[Any, str]]) -> None:

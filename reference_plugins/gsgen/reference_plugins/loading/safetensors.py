@@ -46,9 +46,7 @@ def read_safetensors(path: Path) -> dict[str, Tensor]:
         data = bytearray(path.read_bytes())
         return _tensors(data)
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        reason = (
-            f"{type(error).__name__}: {error}" if isinstance(error, KeyError) else error
-        )
+        reason = f"{type(error).__name__}: {error}" if isinstance(error, KeyError) else error
         raise CheckpointInvalid(f"cannot be read: {reason}", where=str(path)) from error
 
 

@@ -100,10 +100,7 @@ class _Reader:
             raise ValueError(f"{len(names)} entries data.pkl, expected one")
         self._root = names[0].removesuffix("data.pkl")
         order = f"{self._root}byteorder"
-        if (
-            order in archive.namelist()
-            and self._bytes("byteorder") != sys.byteorder.encode()
-        ):
+        if order in archive.namelist() and self._bytes("byteorder") != sys.byteorder.encode():
             raise ValueError(
                 f"has another byte order than this machine, expected {sys.byteorder}-endian"
             )
@@ -147,16 +144,10 @@ def _rebuilt(
     storage: Tensor, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any
 ) -> Tensor:
     if not size or 0 in size:
-        return (
-            storage[offset : offset + 1].reshape(size)
-            if not size
-            else storage.new_empty(size)
-        )
+        return storage[offset : offset + 1].reshape(size) if not size else storage.new_empty(size)
     last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
     if offset < 0 or min(stride) < 0 or last >= len(storage):
-        raise ValueError(
-            f"a tensor {list(size)} does not fit its storage of {len(storage)}"
-        )
+        raise ValueError(f"a tensor {list(size)} does not fit its storage of {len(storage)}")
     return storage.as_strided(size, stride, offset).clone()
 
 

@@ -1,13 +1,6 @@
 """Reads state dicts without running code, and checks the shape of every tensor."""
 
-__all__ = [
-    "Shape",
-    "entries_below",
-    "first_names",
-    "load_network",
-    "load_state",
-    "require_tensors",
-]
+__all__ = ["Shape", "entries_below", "first_names", "load_network", "load_state", "require_tensors"]
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -18,10 +11,7 @@ from torch import Tensor
 
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.folder import required_file
-from gsgen.reference_plugins.loading.script_archive import (
-    is_script_archive,
-    read_script_state,
-)
+from gsgen.reference_plugins.loading.script_archive import is_script_archive, read_script_state
 from gsgen.reference_plugins.loading.tensor_files import load_tensors
 
 Shape = tuple[int | None, ...]
@@ -74,17 +64,12 @@ def _unwrapped(value: Any) -> Any:
 def entries_below(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     """Return the entries whose names start with ``prefix``, without that prefix."""
     return {
-        name.removeprefix(prefix): value
-        for name, value in state.items()
-        if name.startswith(prefix)
+        name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)
     }
 
 
 def require_tensors(
-    path: Path,
-    state: Mapping[str, Any],
-    expected: Mapping[str, Shape],
-    ignored: Iterable[str] = (),
+    path: Path, state: Mapping[str, Any], expected: Mapping[str, Shape], ignored: Iterable[str] = ()
 ) -> dict[str, Tensor]:
     """Return the expected tensors as float32; raise if any is missing, invalid or unexpected.
 
@@ -102,15 +87,12 @@ def require_tensors(
     extra = [
         name
         for name in state
-        if name not in expected
-        and not (ignored_prefixes and name.startswith(ignored_prefixes))
+        if name not in expected and not (ignored_prefixes and name.startswith(ignored_prefixes))
     ]
     troubles = [f"missing: {first_names(n for n in expected if n not in state)}"]
     troubles += [f"unexpected: {first_names(extra)}"]
     troubles += [
-        _trouble(name, state[name], shape)
-        for name, shape in expected.items()
-        if name in state
+        _trouble(name, state[name], shape) for name, shape in expected.items() if name in state
     ]
     problems = [text for text in troubles if text and not text.endswith(": ")]
     if problems:
@@ -125,9 +107,7 @@ def require_tensors(
 def first_names(names: Iterable[str], between: str = ", ") -> str:
     """Join the first names, and add how many more there are."""
     shown = list(names)
-    remainder = (
-        f"{between}and {len(shown) - _MAX_SHOWN} more" if len(shown) > _MAX_SHOWN else ""
-    )
+    remainder = f"{between}and {len(shown) - _MAX_SHOWN} more" if len(shown) > _MAX_SHOWN else ""
     return between.join(shown[:_MAX_SHOWN]) + remainder
 
 
@@ -135,8 +115,7 @@ def _trouble(name: str, value: Any, shape: Shape) -> str:
     if not isinstance(value, Tensor):
         return f"{name} is a {type(value).__name__}, expected a tensor"
     fits = value.ndim == len(shape) and all(
-        expected in (None, actual)
-        for expected, actual in zip(shape, value.shape, strict=True)
+        expected in (None, actual) for expected, actual in zip(shape, value.shape, strict=True)
     )
     if not fits:
         words = ", ".join("any" if size is None else str(size) for size in shape)

@@ -49,28 +49,20 @@ class _Resolution(nn.Module):
     moments: Tensor
 
     def __init__(
-        self,
-        planes: Sequence[Tensor],
-        position: Float[Tensor, "n 3"],
-        time: Float[Tensor, " f"],
+        self, planes: Sequence[Tensor], position: Float[Tensor, "n 3"], time: Float[Tensor, " f"]
     ) -> None:
         super().__init__()
         parts = [
             sample_plane(planes[index].double(), position[:, [a, b]])
             for index, (a, b) in SPACE_PLANES.items()
         ]
-        self.register_buffer(
-            "spatial", (parts[0] * parts[1] * parts[2]).float().contiguous()
-        )
+        self.register_buffer("spatial", (parts[0] * parts[1] * parts[2]).float().contiguous())
         count = planes[TIME_PLANES[0]].shape[1]
         coordinate = ((time + 1) / 2 * (count - 1)).clamp(0, count - 1)[:, None]
-        hats = torch.relu(
-            1 - (torch.arange(count, dtype=torch.float64)[None] - coordinate).abs()
-        )
+        hats = torch.relu(1 - (torch.arange(count, dtype=torch.float64)[None] - coordinate).abs())
         self.register_buffer("moments", hats.float())
         self.x, self.y, self.z = (
-            _TimePlane(planes[plane], position[:, axis])
-            for axis, plane in enumerate(TIME_PLANES)
+            _TimePlane(planes[plane], position[:, axis]) for axis, plane in enumerate(TIME_PLANES)
         )
 
     def forward(self, frame: Int[Tensor, "1"]) -> Float[Tensor, "n c"]:

@@ -71,9 +71,7 @@ class GauHuman(GaussianGenerator):
         """
         super().__init__()
         free = body.shape_dirs.shape[2] if shape is None else 0
-        self.actors = ActorInputs(
-            joints=body.joints, rotation=rotation, shape=free, bodies=bodies
-        )
+        self.actors = ActorInputs(joints=body.joints, rotation=rotation, shape=free, bodies=bodies)
         self.inputs = self.actors.declared()
         xyz = canonical.position.double().numpy()
         vertices = rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0))
@@ -112,6 +110,4 @@ class GauHuman(GaussianGenerator):
 def big_pose_transforms(body: Body) -> Float[np.ndarray, "j 3 4"]:
     """Return the joint transforms from the rest pose to the big pose, for the mean shape."""
     turns = rest_pose.rodrigues(rest_pose.big_pose(body))
-    return rest_pose.joint_transforms(
-        turns, rest_pose.joints_of(body, np.zeros(0)), body.parents
-    )
+    return rest_pose.joint_transforms(turns, rest_pose.joints_of(body, np.zeros(0)), body.parents)

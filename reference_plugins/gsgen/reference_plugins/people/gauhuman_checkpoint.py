@@ -108,9 +108,7 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
     joints = JOINTS[kind]
     # Training reads assets from the folder of its code, and writes runs to output/NAME there.
     homes = [folder, *folder.absolute().parents[:_LEVELS]]
-    candidates = {
-        f"assets {level}": home / "assets" / file for level, home in enumerate(homes)
-    }
+    candidates = {f"assets {level}": home / "assets" / file for level, home in enumerate(homes)}
     path = required_body(body, candidates, joints)
     read = read_body(path, joints)
     return replace(read, shape_dirs=read.shape_dirs[:, :, : SHAPES[kind]])

@@ -110,9 +110,7 @@ def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
     home = path.parent
     tensors = _tensors(path)
     candidates = {"beside": home / "SMPLX_NEUTRAL.npz"}
-    candidates["models"] = (
-        home / "pretrained_models/human_model_files/smplx/SMPLX_NEUTRAL.npz"
-    )
+    candidates["models"] = home / "pretrained_models/human_model_files/smplx/SMPLX_NEUTRAL.npz"
     model = read_body(required_body(body, candidates, JOINTS), JOINTS)
     if model.shape_dirs.shape[2] < FIRST_EXPRESSION + EXPRESSIONS:
         message = f"has {model.shape_dirs.shape[2]} shape coefficients, expected 400"
@@ -158,17 +156,16 @@ def read_face(flame: Path, ids: Path, body: Body) -> Face:
         raise CheckpointInvalid(message, where=str(flame))
     whole = vertices.ndim == 1 and vertices.dtype.kind in "iu"
     if not whole or len(vertices) != len(dirs) or vertices.max() >= len(body.template):
-        message = f"holds {vertices.dtype} {list(vertices.shape)}, expected {len(dirs)} vertex indices"
+        message = (
+            f"holds {vertices.dtype} {list(vertices.shape)}, expected {len(dirs)} vertex indices"
+        )
         raise CheckpointInvalid(message, where=str(ids))
     expressions = dirs[:, :, FIRST_EXPRESSION:last].astype(np.float64)
     return Face(vertices.astype(np.int64), expressions)
 
 
 def _face_dirs(path: Path) -> Any:
-    if path.suffix != ".npz":
-        read = read_array_pickle(path)
-    else:
-        read = read_npz(path, ("shapedirs",))
+    read = read_array_pickle(path) if path.suffix != ".npz" else read_npz(path, ("shapedirs",))
     if "shapedirs" not in read:
         raise CheckpointInvalid("lacks shapedirs", where=str(path))
     return read["shapedirs"]
@@ -178,17 +175,13 @@ def _avatar_file(folder: Path) -> Path:
     if folder.is_file():
         return folder
     if not folder.is_dir():
-        raise CheckpointInvalid(
-            "does not exist: expected a file or a folder", where=str(folder)
-        )
+        raise CheckpointInvalid("does not exist: expected a file or a folder", where=str(folder))
     files = sorted(folder.glob("*.pth"))
     if len(files) != 1:
         names = ", ".join(path.name for path in files) or "no file"
         hint = "Give the file itself, or a folder with exactly one .pth file."
         near = (
-            ""
-            if files
-            else likely_folders(folder, lambda candidate: any(candidate.glob("*.pth")))
+            "" if files else likely_folders(folder, lambda candidate: any(candidate.glob("*.pth")))
         )
         message = f"holds {len(files)} .pth files ({names}), expected one"
         raise CheckpointInvalid(message, where=str(folder), hint=near or hint)
@@ -239,9 +232,7 @@ def _samples(folder: Path, count: int) -> Float[np.ndarray, "n 3"]:
         points = _points(path)
         if len(points) == count:
             return points
-    message = (
-        f"holds no .ply file of {count} points ({', '.join(path.name for path in names)})"
-    )
+    message = f"holds no .ply file of {count} points ({', '.join(path.name for path in names)})"
     raise CheckpointInvalid(message, where=str(folder), hint=hint)
 
 

@@ -24,24 +24,17 @@ if TYPE_CHECKING:
 Flame = Annotated[
     Path | None,
     typer.Option(
-        "--flame",
-        help="FLAME_NEUTRAL.pkl, whose expressions LHM uses.",
-        show_default="none",
+        "--flame", help="FLAME_NEUTRAL.pkl, whose expressions LHM uses.", show_default="none"
     ),
 ]
 FlameIds = Annotated[
     Path | None,
     typer.Option(
-        "--flame-ids",
-        help="SMPL-X__FLAME_vertex_ids.npy, with --flame.",
-        show_default="none",
+        "--flame-ids", help="SMPL-X__FLAME_vertex_ids.npy, with --flame.", show_default="none"
     ),
 ]
 NoExpression = Annotated[
-    bool,
-    typer.Option(
-        "--no-expression", help="Keep the neutral expression: no expression input."
-    ),
+    bool, typer.Option("--no-expression", help="Keep the neutral expression: no expression input.")
 ]
 
 

@@ -74,11 +74,7 @@ class R3Avatar(GaussianGenerator):
         body = read.body
         free = body.shape_dirs.shape[2] if shape is None else 0
         self.actors = ActorInputs(
-            joints=body.joints,
-            rotation=rotation,
-            shape=free,
-            frames=len(poses),
-            bodies=bodies,
+            joints=body.joints, rotation=rotation, shape=free, frames=len(poses), bodies=bodies
         )
         self.inputs = self.actors.declared()
         self.appearance = Appearance(read, poses)
@@ -115,9 +111,7 @@ class R3Avatar(GaussianGenerator):
         from scipy.spatial import cKDTree
 
         body = read.body
-        tree = cKDTree(
-            rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0))
-        )
+        tree = cKDTree(rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0)))
         vertices = []
         for frame in range(frames):
             shift = self.appearance(torch.tensor([frame], dtype=torch.int32))[:3]
@@ -165,9 +159,7 @@ class R3Avatar(GaussianGenerator):
         position = self.position + attributes[None, :3] - big[:, :, 3]
         position = _rotate_points(back, position) + torch.index_select(added, 2, vertex)
         scale = attributes[3:6] * attributes[3:6]
-        columns = rotation_columns(
-            [attributes[index : index + 1] for index in range(6, 10)]
-        )
+        columns = rotation_columns([attributes[index : index + 1] for index in range(6, 10)])
         turn = torch.stack([torch.cat(column) for column in columns], dim=1)
         root = multiply_matrices(posed, multiply_matrices(back, (turn * scale[None])[None]))
         opacity = torch.sigmoid(attributes[10:11]).transpose(0, 1)

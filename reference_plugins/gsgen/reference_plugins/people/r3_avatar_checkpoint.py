@@ -32,12 +32,7 @@ from gsgen.reference_plugins.tensors.hexplane import PLANES
 # Data set → the pose id at which time is 0 (R3-Avatar, gaussian_renderer/__init__.py).
 DATASETS = {"dna": 50, "zju": 150, "hifi4g": 75, "mvhuman": 75}
 # Part of the path by which training selects the reader, in its order (its scene/__init__.py).
-_MARKS = {
-    "zju_mocap": "zju",
-    "DNA-Rendering": "dna",
-    "HiFi4G": "hifi4g",
-    "MVHumanNet": "mvhuman",
-}
+_MARKS = {"zju_mocap": "zju", "DNA-Rendering": "dna", "HiFi4G": "hifi4g", "MVHumanNet": "mvhuman"}
 # Body model that each data set is fitted with (its scripts).
 _BODIES = {"dna": "smplx", "zju": "smpl", "hifi4g": "smpl", "mvhuman": "smplx"}
 
@@ -116,10 +111,7 @@ class R3Checkpoint:
 
 
 def read_r3(
-    folder: Path,
-    iteration: int | None = None,
-    body: Path | None = None,
-    dataset: str | None = None,
+    folder: Path, iteration: int | None = None, body: Path | None = None, dataset: str | None = None
 ) -> R3Checkpoint:
     """Read a checkpoint of R3-Avatar.
 
@@ -138,17 +130,13 @@ def read_r3(
     origin = DATASETS[dataset or guess_dataset(cfg)]
     model = read_body_of(folder, cfg, body)
     fields = _fields(path)
-    nets = read_pose_nets(
-        path, _state(path, fields[12]), _state(path, fields[13]), model.joints
-    )
+    nets = read_pose_nets(path, _state(path, fields[12]), _state(path, fields[13]), model.joints)
     grids = _grids(path, _state(path, fields[16]))
     features = sum(six[0].shape[0] for six in grids)
     inner, heads = _decoder(path, _state(path, fields[18]), features)
     aabb = require_tensors(path, {"aabb": fields[14]}, {"aabb": (2, 3)})["aabb"]
     if not (aabb[0] < aabb[1]).all():
-        message = (
-            f"aabb is {aabb.tolist()}, expected the lower corner before the upper corner"
-        )
+        message = f"aabb is {aabb.tolist()}, expected the lower corner before the upper corner"
         raise CheckpointInvalid(message, where=str(path))
     canonical = _canonical(path, fields)
     return R3Checkpoint(
@@ -179,18 +167,13 @@ def _checkpoint_file(folder: Path, iteration: int | None) -> Path:
     if not files:
         refuse_other_method("r3-avatar", folder, _last_iteration_folder(folder))
         hint = "Give the folder of a training run: only chkpntN.pth holds the planes."
-        hint = (
-            likely_folders(folder, lambda candidate: any(candidate.glob("chkpnt*.pth")))
-            or hint
-        )
+        hint = likely_folders(folder, lambda candidate: any(candidate.glob("chkpnt*.pth"))) or hint
         raise CheckpointInvalid("holds no chkpntN.pth", where=str(folder), hint=hint)
     number = max(files) if iteration is None else iteration
     if number not in files:
         known = ", ".join(map(str, sorted(files)))
         message = f"has no iteration {number}"
-        raise NotInCheckpoint(
-            message, where=str(folder), hint=f"The iterations are {known}."
-        )
+        raise NotInCheckpoint(message, where=str(folder), hint=f"The iterations are {known}.")
     return files[number]
 
 
@@ -212,12 +195,8 @@ def guess_dataset(cfg: CfgArgs) -> str:
         if mark in source:
             return dataset
     for text in (source, name):
-        mentioned = [
-            dataset_name for dataset_name in DATASETS if dataset_name in text.lower()
-        ]
-        fitting = [
-            dataset_name for dataset_name in mentioned if _BODIES[dataset_name] == body
-        ]
+        mentioned = [dataset_name for dataset_name in DATASETS if dataset_name in text.lower()]
+        fitting = [dataset_name for dataset_name in mentioned if _BODIES[dataset_name] == body]
         if len(mentioned) == 1 or len(fitting) == 1:
             return (mentioned if len(mentioned) == 1 else fitting)[0]
     known = ", ".join(DATASETS)

@@ -122,9 +122,7 @@ def parse_pose_ids(text: str) -> list[int]:
             raise ConfigInvalid(f"{word!r} is not a pose id", where="--pose-ids", hint=hint)
         listed = range(int(first), int(last or first) + 1)
         if not listed or listed.stop > _MOST_POSES:
-            message = (
-                f"{word!r} is not an ascending range of pose ids below {_MOST_POSES:,}"
-            )
+            message = f"{word!r} is not an ascending range of pose ids below {_MOST_POSES:,}"
             raise ConfigInvalid(message, where="--pose-ids")
         ids += listed
     return ids

@@ -19,10 +19,7 @@ def _is_r3_checkpoint(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             for entry in archive.infolist():
-                if (
-                    entry.filename.endswith("/data.pkl")
-                    and entry.file_size < _MAX_PICKLE_BYTES
-                ):
+                if entry.filename.endswith("/data.pkl") and entry.file_size < _MAX_PICKLE_BYTES:
                     return _MODULE in archive.read(entry)
     except (zipfile.BadZipFile, OSError, ValueError, RuntimeError):
         return False  # the reader of the file reports the error

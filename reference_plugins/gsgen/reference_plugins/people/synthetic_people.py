@@ -36,9 +36,7 @@ _CORRECTED = PersonOptions(nets=True)
 
 
 def _assets(folder: Path, options: PersonOptions) -> Body:
-    file = (
-        "models/smplx/SMPLX_NEUTRAL.npz" if options.kind == "smplx" else "SMPL_NEUTRAL.pkl"
-    )
+    file = "models/smplx/SMPLX_NEUTRAL.npz" if options.kind == "smplx" else "SMPL_NEUTRAL.pkl"
     return read_body(write_body(folder / "assets" / file, options), options.joints)
 
 
@@ -81,9 +79,7 @@ def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Ten
     noise = torch.Generator().manual_seed(options.seed)
     turns, width = 3 * (options.joints - 1), options.width
     pose: dict[str, Tensor] = {}
-    for index, (inputs, outputs) in enumerate(
-        [(turns, width), (width, width), (width, turns)]
-    ):
+    for index, (inputs, outputs) in enumerate([(turns, width), (width, width), (width, turns)]):
         gain = 0.05 if index == 2 else 1.0
         pose |= random_linear(f"block_mlps.{2 * index}", inputs, outputs, noise, gain)
     weights: dict[str, Tensor] = {}
@@ -91,8 +87,7 @@ def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Ten
         weights |= random_linear(f"bw_linears.{index}", inputs, width, noise)
     weights |= random_linear("bw_fc", width, options.joints, noise, 0.3)
     convolved = {
-        name: value[:, :, None] if value.ndim == 2 else value
-        for name, value in weights.items()
+        name: value[:, :, None] if value.ndim == 2 else value for name, value in weights.items()
     }
     return pose, convolved
 
@@ -123,24 +118,18 @@ def write_lhm(folder: Path, options: PersonOptions = _UNCORRECTED) -> Path:
     prior = folder / "pretrained_models/voxel_grid/human_prior_constrain.npz"
     prior.parent.mkdir(parents=True, exist_ok=True)
     np.savez(prior, masks=(rng.random(options.vertices) < 0.3).astype(np.float32))
-    torch.save(
-        _lhm_tensors(samples, clothing_colors(near, body), rng), folder / "avatar.pth"
-    )
+    torch.save(_lhm_tensors(samples, clothing_colors(near, body), rng), folder / "avatar.pth")
     return folder
 
 
 def _lhm_tensors(
-    samples: Float[np.ndarray, "n 3"],
-    colors: Float[np.ndarray, "n 3"],
-    rng: np.random.Generator,
+    samples: Float[np.ndarray, "n 3"], colors: Float[np.ndarray, "n 3"], rng: np.random.Generator
 ) -> list[Any]:
     count = len(samples)
     quaternion = rng.normal(size=(count, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     neutral = np.tile(np.eye(4), (55, 1, 1))
-    left_vectors, _, right_vectors = np.linalg.svd(
-        np.eye(3) + rng.normal(0, 0.03, (55, 3, 3))
-    )
+    left_vectors, _, right_vectors = np.linalg.svd(np.eye(3) + rng.normal(0, 0.03, (55, 3, 3)))
     neutral[:, :3, :3] = left_vectors @ right_vectors  # the nearest rotations
     neutral[:, :3, 3] = rng.normal(0, 0.01, (55, 3))
     arrays = [
@@ -184,29 +173,20 @@ def _r3_fields(
     for factor in (1, 2, 4):
         sizes = [*(factor * n for n in options.resolution[:3]), options.resolution[3]]
         planes = [
-            0.8
-            + 0.4 * torch.randn((1, options.channels, sizes[b], sizes[a]), generator=noise)
+            0.8 + 0.4 * torch.randn((1, options.channels, sizes[b], sizes[a]), generator=noise)
             for a, b in combinations(range(4), 2)
         ]
         grids.append(nn.ParameterList(planes))
     width = options.width
     decoder = random_linear("linear.0", 3 * options.channels, width, noise)
     decoder |= random_linear("linear.1", width, width, noise)
-    heads = {
-        "warp": (3, 0.02),
-        "opacity": (1, 0.7),
-        "rotation": (4, 1.0),
-        "scaling": (3, 0.03),
-    }
+    heads = {"warp": (3, 0.02), "opacity": (1, 0.7), "rotation": (4, 1.0), "scaling": (3, 0.03)}
     for name, (outputs, gain) in heads.items():
         decoder |= random_linear(f"gaussian_{name}", width, outputs, noise, gain)
     decoder["gaussian_opacity.bias"] += 2  # most Gaussians are opaque
     decoder["gaussian_scaling.bias"] += 0.11  # its square is the scale
     margin = 0.05
-    low, high = (
-        xyz.amin(dim=0) + margin,
-        xyz.amax(dim=0) + margin,
-    )  # some Gaussians are outside
+    low, high = (xyz.amin(dim=0) + margin, xyz.amax(dim=0) + margin)  # some Gaussians are outside
     parameters = [
         nn.Parameter(values)
         for values in (xyz, sh[:, :1], sh[:, 1:], torch.from_numpy(splats.log_scale))
@@ -219,15 +199,8 @@ def _r3_fields(
         *({"state": {}, "param_groups": [{"lr": np.float64(1.6e-6)}]}, np.float64(1.1)),
         _with_tensors(classes["BodyPoseRefiner"](), pose),
         _with_tensors(classes["LBSOffsetDecoder"](), weights),
-        *(
-            nn.Parameter(torch.stack([low, high])),
-            [{"resolution": list(options.resolution)}],
-        ),
-        *(
-            grids,
-            3 * options.channels,
-            _with_tensors(classes["GaussianDecoder"](), decoder),
-        ),
+        *(nn.Parameter(torch.stack([low, high])), [{"resolution": list(options.resolution)}]),
+        *(grids, 3 * options.channels, _with_tensors(classes["GaussianDecoder"](), decoder)),
     )
 
 

@@ -6,12 +6,7 @@ points get the initialisation of its published code: isotropic Gaussians whose v
 mean squared distance to the three nearest neighbours, at opacity 0.1.
 """
 
-__all__ = [
-    "INITIAL_OPACITY",
-    "StaticScene",
-    "from_content",
-    "neighbour_scale",
-]
+__all__ = ["INITIAL_OPACITY", "StaticScene", "from_content", "neighbour_scale"]
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
@@ -22,12 +17,7 @@ from jaxtyping import Float
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.geometry import covariance_upper
-from gsgen.contract.spec.spherical_harmonics import (
-    COEFFICIENTS,
-    MAX_DEGREE,
-    basis,
-    coefficients,
-)
+from gsgen.contract.spec.spherical_harmonics import COEFFICIENTS, MAX_DEGREE, basis, coefficients
 from gsgen.formats import PackedRows, PointCloud, Splats
 from gsgen.sdk.exporting.constant_generator import ConstantRows, ConstantSource
 from gsgen.sdk.exporting.pipeline import Dtype

@@ -20,8 +20,7 @@ def build(
     file: Annotated[
         Path,
         typer.Argument(
-            help=f"A file of splats, packed rows or points: {format_titles()}.",
-            show_default=False,
+            help=f"A file of splats, packed rows or points: {format_titles()}.", show_default=False
         ),
     ],
     opacity: Annotated[
@@ -29,9 +28,7 @@ def build(
     ] = 0.1,
     appearance: Annotated[
         Literal["sh", "rgb"] | None,
-        typer.Option(
-            help="Appearance of packed rows with three channels.", show_default="rgb"
-        ),
+        typer.Option(help="Appearance of packed rows with three channels.", show_default="rgb"),
     ] = None,
     sh_degree: Annotated[
         int | None,
@@ -49,8 +46,7 @@ def build(
     antialias: Annotated[
         Literal["classic", "mip"] | None,
         typer.Option(
-            help="Antialiasing of the training.",
-            show_default="that of the file, or classic",
+            help="Antialiasing of the training.", show_default="that of the file, or classic"
         ),
     ] = None,
 ) -> "StaticScene":

@@ -22,15 +22,8 @@ if TYPE_CHECKING:
         write_hexplane,
     )
     from gsgen.reference_plugins.images.synthetic_difix import write_difix
-    from gsgen.reference_plugins.images.synthetic_images import (
-        write_denoiser,
-        write_stylise,
-    )
-    from gsgen.reference_plugins.people.synthetic_people import (
-        write_gauhuman,
-        write_lhm,
-        write_r3,
-    )
+    from gsgen.reference_plugins.images.synthetic_images import write_denoiser, write_stylise
+    from gsgen.reference_plugins.people.synthetic_people import write_gauhuman, write_lhm, write_r3
     from gsgen.reference_plugins.synthetic.knot import torus_knot
 
 __all__ = [

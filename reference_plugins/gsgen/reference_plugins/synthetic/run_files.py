@@ -14,11 +14,7 @@ from jaxtyping import Float
 def write_cfg_args(folder: Path, options: Mapping[str, Any]) -> None:
     """Write ``cfg_args``, the printed ``argparse.Namespace`` of a training run."""
     folder.mkdir(parents=True, exist_ok=True)
-    defaults = {
-        "source_path": "/data/scene",
-        "model_path": "output/synthetic",
-        "eval": True,
-    }
+    defaults = {"source_path": "/data/scene", "model_path": "output/synthetic", "eval": True}
     text = str(argparse.Namespace(**(defaults | dict(options))))
     (folder / "cfg_args").write_text(text, "utf-8")
 

@@ -34,14 +34,9 @@ class Constants(nn.Module):
         with torch.no_grad():  # in float64, so that results are rounded only once
             exact = copy.deepcopy(make).double()
             results = exact(
-                *(
-                    tensor.double() if tensor.is_floating_point() else tensor
-                    for tensor in arguments
-                )
+                *(tensor.double() if tensor.is_floating_point() else tensor for tensor in arguments)
             )
-        stored = [
-            tensor.float() if tensor.is_floating_point() else tensor for tensor in results
-        ]
+        stored = [tensor.float() if tensor.is_floating_point() else tensor for tensor in results]
         smaller = _bytes(stored) <= _bytes(make.buffers())
         self.bakes = bake == "always" or (bake == "auto" and smaller)
         self.make = None if self.bakes else make

@@ -131,9 +131,7 @@ def bake_source(
     values = FrameValues(source, tracks)
     frames = _frame_count(values.frames, len(cameras))
     if not 0 <= max_degree <= MAX_DEGREE:
-        raise ConfigInvalid(
-            f"is {max_degree}, expected 0 to {MAX_DEGREE}", where="max_degree"
-        )
+        raise ConfigInvalid(f"is {max_degree}, expected 0 to {MAX_DEGREE}", where="max_degree")
     if views < MIN_VIEWS:
         raise ConfigInvalid(
             f"is {views}, expected {MIN_VIEWS} or more",
@@ -200,9 +198,7 @@ class _Job:
         gaussians = self._gaussians(number, values, head)
         mask, nonfinite = drawn_mask(gaussians)
         if nonfinite:
-            self._note(
-                f"frame {number}: {nonfinite:,} rows are not finite and were left out"
-            )
+            self._note(f"frame {number}: {nonfinite:,} rows are not finite and were left out")
         drawn = _rows(gaussians, mask)
         splats = splats_of_frame(
             drawn, antialiased=source.antialias == "mip", color_space=source.color_space
@@ -226,9 +222,7 @@ class _Job:
 
     # ---- The Gaussians of a frame
 
-    def _gaussians(
-        self, number: int, values: Mapping[str, object], head: str
-    ) -> DecodedGaussians:
+    def _gaussians(self, number: int, values: Mapping[str, object], head: str) -> DecodedGaussians:
         """Return the live rows of a frame, with colours that a file can hold."""
         source = self.source
         if self.cameras or not _camera_inputs(source):
@@ -236,13 +230,9 @@ class _Job:
             if self.cameras:
                 self._note_camera()
             data = source.data
-            return decode(
-                data.rows[: data.count], data.appearance[: data.count], data.space
-            )
+            return decode(data.rows[: data.count], data.appearance[: data.count], data.space)
         if number == 0:
-            source.survey(
-                [(0, values)]
-            )  # the sphere of cameras stays the same in all frames
+            source.survey([(0, values)])  # the sphere of cameras stays the same in all frames
         samples = sample_views(
             source,
             cameras_around(source, self.views),
@@ -299,13 +289,9 @@ class _Job:
     def _note_losses(self, splats: Splats) -> None:
         codec = self.files.codec
         if splats.degree > codec.most_degree:
-            self._note(
-                f"{codec.title} holds SH up to degree {codec.most_degree}: the rest is lost"
-            )
+            self._note(f"{codec.title} holds SH up to degree {codec.most_degree}: the rest is lost")
         if splats.antialiased and "antialiased" not in codec.keeps_flags:
-            self._note(
-                f"{codec.title} does not store antialiasing: draw it with `--antialias mip`"
-            )
+            self._note(f"{codec.title} does not store antialiasing: draw it with `--antialias mip`")
         if splats.color_space != "srgb" and "color_space" not in codec.keeps_flags:
             self._note(f"{codec.title} does not store the colour space: colours are linear")
         if self.source.weighted is not None:
@@ -317,9 +303,7 @@ class _Job:
         self, number: int, values: Mapping[str, object], path: Path, head: str
     ) -> float | None:
         """Return the PSNR of the first, the middle or the last frame; None for others."""
-        is_exact = (
-            self.view_dependence in ("none", "camera") and self.source.weighted is None
-        )
+        is_exact = self.view_dependence in ("none", "camera") and self.source.weighted is None
         is_measured = self.psnr if self.psnr is not None else not is_exact
         if not is_measured or number not in {0, self.frames // 2, self.frames - 1}:
             return None

@@ -78,18 +78,13 @@ def psnr_of_file(
     source = StillSource(path)
     source.color_space = color_space
     images = [_image(source, camera, antialias, renderer) for camera in cameras]
-    squares = [
-        np.square(a.astype(np.float64) - b) for a, b in zip(images, expected, strict=True)
-    ]
+    squares = [np.square(a.astype(np.float64) - b) for a, b in zip(images, expected, strict=True)]
     error = float(np.mean(squares))
     return float(-10 * np.log10(error)) if error > 0 else float("inf")
 
 
 def _image(
-    source: Source,
-    camera: Camera,
-    antialias: Literal["classic", "mip"],
-    renderer: "Renderer",
+    source: Source, camera: Camera, antialias: Literal["classic", "mip"], renderer: "Renderer"
 ) -> Float32[np.ndarray, "h w 3"]:
     from gsgen.runtime.scene.scene import Scene
 

@@ -41,9 +41,7 @@ def number_range(text: str, where: str) -> Float64[np.ndarray, " f"]:
         raise ConfigInvalid(f"{text!r} is not a number or a range", where=where, hint=hint)
     if not 1 <= count <= _MAX_FRAMES:
         raise ConfigInvalid(
-            f"{text!r} has {count} frames, expected 1 to {_MAX_FRAMES:,}",
-            where=where,
-            hint=hint,
+            f"{text!r} has {count} frames, expected 1 to {_MAX_FRAMES:,}", where=where, hint=hint
         )
     return np.linspace(numbers[0], numbers[-1], count)
 
@@ -66,17 +64,12 @@ class FrameValues:
 
     def __init__(self, source: GeneratorSource, tracks: Sequence[Track]) -> None:
         self._source = source
-        self._tracks = [
-            (spec, track) for track in tracks for spec in _inputs_of(source, track)
-        ]
+        self._tracks = [(spec, track) for track in tracks for spec in _inputs_of(source, track)]
         lengths = {
-            track.where: track.frames(source.shape(spec.name))
-            for spec, track in self._tracks
+            track.where: track.frames(source.shape(spec.name)) for spec, track in self._tracks
         }
         self.frames = max(lengths.values(), default=1)
-        uneven = [
-            where for where, length in lengths.items() if length not in (1, self.frames)
-        ]
+        uneven = [where for where, length in lengths.items() if length not in (1, self.frames)]
         if uneven:
             longest = max(lengths, key=lambda where: lengths[where])
             raise ConfigInvalid(
@@ -127,9 +120,7 @@ def _require_range(spec: Input, track: Track) -> None:
     low, high = spec.range
     slack = 1e-6 * (high - low)  # a range in decimal text may end one rounding beyond
     values = np.asarray(track.values, np.float64)
-    outside = values[
-        (values < low - slack) | (values > high + slack) | ~np.isfinite(values)
-    ]
+    outside = values[(values < low - slack) | (values > high + slack) | ~np.isfinite(values)]
     if outside.size:
         raise ConfigInvalid(
             f"is {outside.flat[0]:g} for input {spec.name}, expected {low:g} to {high:g}",

@@ -10,12 +10,8 @@ from jaxtyping import Float, Float32, Float64
 from gsgen.contract.spec.spherical_harmonics import basis, coefficients
 
 _CHUNK = 1 << 14  # Gaussians at a time: normal equations of degree 3 take 2.5 KB each
-_RIDGE = (
-    1e-6  # of the mean diagonal, on degrees above 0: rows that few cameras see stay tame
-)
-_NEAR_BEST = (
-    1.05  # a lower degree is taken if its error is at most this factor above the best …
-)
+_RIDGE = 1e-6  # of the mean diagonal, on degrees above 0: rows that few cameras see stay tame
+_NEAR_BEST = 1.05  # a lower degree is taken if its error is at most this factor above the best …
 _INVISIBLE = 1e-3  # … or this much: a quarter of a step of 8-bit colour
 
 Colors = Float[np.ndarray, "v n 3"]

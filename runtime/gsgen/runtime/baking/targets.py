@@ -81,9 +81,7 @@ def _writable_codec(path: Path, format: str | None) -> Codec:
     else:
         codec, where = codec_of_suffix(path), f"-o {path}"
     if codec is None or codec.write is None:
-        actual = (
-            f"{codec.title} is only read" if codec else "has no suffix of a splat format"
-        )
+        actual = f"{codec.title} is only read" if codec else "has no suffix of a splat format"
         suffixes = ", ".join(known.suffixes[0] for known in writable)
         raise ConfigInvalid(
             f"{actual}, expected a format that is written: {suffixes}",

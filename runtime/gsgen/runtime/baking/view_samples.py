@@ -50,9 +50,7 @@ class _View:
     eye: np.ndarray
 
 
-def cameras_around(
-    source: GeneratorSource, count: int, *, offset: float = 0.5
-) -> list[Camera]:
+def cameras_around(source: GeneratorSource, count: int, *, offset: float = 0.5) -> list[Camera]:
     """Return cameras on a sphere from which all Gaussians are in view, evenly spread.
 
     Args:
@@ -112,9 +110,7 @@ def sample_views(
         if views and views[-1].versions == versions:
             gaussians = views[-1].gaussians
         else:
-            gaussians = decode(
-                data.rows[: data.count], data.appearance[: data.count], data.space
-            )
+            gaussians = decode(data.rows[: data.count], data.appearance[: data.count], data.space)
         views.append(_View(gaussians, versions, np.asarray(camera.eye, np.float32)))
     first = views[0].versions
     counts_change = any(view.versions[2] != first[2] for view in views)
@@ -164,17 +160,13 @@ def _mean(
     """Return the Gaussians that stand for those of all views."""
     size = opacity.shape[1]
     weight, sums = np.zeros(size), np.zeros((size, 9))
-    appearance = (
-        views[0].gaussians.rgb if views[0].gaussians.sh is None else views[0].gaussians.sh
-    )
+    appearance = views[0].gaussians.rgb if views[0].gaussians.sh is None else views[0].gaussians.sh
     assert appearance is not None
     first = np.zeros((size, *appearance.shape[1:]), np.float32)
     is_set = np.zeros(size, bool)
     for view, rows in zip(views, ids, strict=True):
         gaussians = view.gaussians
-        share = np.maximum(gaussians.opacity, 1e-6).astype(
-            np.float64
-        )  # invisible rows count, too
+        share = np.maximum(gaussians.opacity, 1e-6).astype(np.float64)  # invisible rows count, too
         weight[rows] += share
         sums[rows, :3] += share[:, None] * gaussians.position
         sums[rows, 3:] += share[:, None] * gaussians.covariance
@@ -194,9 +186,7 @@ def _mean(
     )
 
 
-def _matched_by_position(
-    views: Sequence[_View], model: str
-) -> list[Int64[np.ndarray, " n"]]:
+def _matched_by_position(views: Sequence[_View], model: str) -> list[Int64[np.ndarray, " n"]]:
     """Return the row in the union of each row of each view, in order of first appearance."""
     ids: list[np.ndarray] = []
     known = np.empty(0, np.dtype((np.void, 16)))

@@ -16,12 +16,7 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files import colmap_binary, colmap_text
-from gsgen.runtime.camera_files.colmap_models import (
-    PINHOLES,
-    ColmapImage,
-    ColmapLens,
-    parameters,
-)
+from gsgen.runtime.camera_files.colmap_models import PINHOLES, ColmapImage, ColmapLens, parameters
 from gsgen.runtime.camera_files.fields import camera_at
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.scene.camera import Camera
@@ -56,9 +51,7 @@ def read_colmap(folder: Path) -> CameraFile:
     if not images:
         raise ConfigInvalid("has no images", where=str(folder))
     ordered = sorted(images, key=lambda image: image.name)
-    cameras = tuple(
-        NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered
-    )
+    cameras = tuple(NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered)
     used = {number: lenses[number] for number in sorted({image.lens for image in images})}
     return CameraFile(str(folder), "a model of COLMAP", cameras, _notes(used, folder))
 
@@ -67,9 +60,7 @@ def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> 
     where = f"{folder}, image {image.name!r}"
     lens = lenses.get(image.lens)
     if lens is None:
-        raise ConfigInvalid(
-            f"has camera {image.lens}; there are {sorted(lenses)[:8]}", where=where
-        )
+        raise ConfigInvalid(f"has camera {image.lens}; there are {sorted(lenses)[:8]}", where=where)
     fx, fy, cx, cy, _ = parameters(lens.model, lens.values, where)
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = _rotation(image.quaternion, where), image.translation
@@ -82,9 +73,7 @@ def _rotation(quaternion: tuple[float, ...], where: str) -> Float[np.ndarray, "3
     """Return the matrix of a quaternion (w, x, y, z)."""
     length = math.hypot(*quaternion)
     if not 0 < length < math.inf:
-        raise ConfigInvalid(
-            f"has the quaternion {list(quaternion)}: no rotation", where=where
-        )
+        raise ConfigInvalid(f"has the quaternion {list(quaternion)}: no rotation", where=where)
     w, *vector = np.asarray(quaternion) / length
     x, y, z = vector
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

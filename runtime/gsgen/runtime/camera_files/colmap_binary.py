@@ -108,10 +108,7 @@ class _Reader:
 @contextmanager
 def _opened(path: Path) -> Iterator[_Reader]:
     try:
-        with (
-            open(path, "rb") as file,
-            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
-        ):
+        with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             yield _Reader(data, path)
     except (OSError, ValueError) as error:  # ValueError: the file is empty
         raise ConfigInvalid(f"cannot be read: {error}", where=str(path)) from error

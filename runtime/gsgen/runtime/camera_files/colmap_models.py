@@ -85,7 +85,5 @@ def parameters(
     by_name = dict(zip(names, values, strict=True))
     fx = by_name.get("fx", by_name.get("f", 0.0))
     fy = by_name.get("fy", by_name.get("f", 0.0))
-    bending = tuple(
-        by_name[name] for name in names if name not in ("f", "fx", "fy", "cx", "cy")
-    )
+    bending = tuple(by_name[name] for name in names if name not in ("f", "fx", "fy", "cx", "cy"))
     return fx, fy, by_name["cx"], by_name["cy"], bending

@@ -26,13 +26,10 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
         words, where = line.split(), f"{path}, line {number}"
         if len(words) < 5:
             raise ConfigInvalid(
-                f"has {len(words)} words, expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS",
-                where=where,
+                f"has {len(words)} words, expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS", where=where
             )
         lens_number, width, height = _integers([words[0], *words[2:4]], where)
-        by_number[lens_number] = ColmapLens(
-            words[1], width, height, _numbers(words[4:], where)
-        )
+        by_number[lens_number] = ColmapLens(words[1], width, height, _numbers(words[4:], where))
     return by_number
 
 
@@ -52,8 +49,7 @@ def images(path: Path) -> list[ColmapImage]:
         words, where = line.split(maxsplit=9), f"{path}, line {number}"
         if len(words) < 10:
             raise ConfigInvalid(
-                f"has {len(words)} words, expected "
-                "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
+                f"has {len(words)} words, expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
                 where=where,
             )
         pose = _numbers(words[1:8], where)

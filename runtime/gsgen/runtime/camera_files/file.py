@@ -59,9 +59,7 @@ class CameraFile:
         if selection is None:
             return self.cameras
         for known_as in (_whole, _last, _stem):
-            matches = [
-                camera for camera in self.cameras if known_as(camera.name) == selection
-            ]
+            matches = [camera for camera in self.cameras if known_as(camera.name) == selection]
             if len(matches) > 1:
                 raise ConfigInvalid(
                     f"{len(matches)} cameras are called {selection!r}: {_listed(matches)}",
@@ -92,8 +90,7 @@ class CameraFile:
         matches = self.cameras[slice(first, last, step)] if step != 0 else ()
         if not matches:
             raise ConfigInvalid(
-                f"{selection!r} selects none of the {len(self.cameras)} cameras",
-                where=self.path,
+                f"{selection!r} selects none of the {len(self.cameras)} cameras", where=self.path
             )
         return matches
 

@@ -110,11 +110,5 @@ def _from_json(content: bytes, location: Path) -> CameraFile:
     if document in ([], {}):
         raise ConfigInvalid("has no cameras", where=str(location), hint=_KNOWN)
     first = document[0] if isinstance(document, list) else document
-    keys = (
-        ", ".join(map(str, list(first)[:8]))
-        if isinstance(first, dict)
-        else repr(first)[:60]
-    )
-    raise ConfigInvalid(
-        f"is JSON without cameras: it has {keys}", where=str(location), hint=_KNOWN
-    )
+    keys = ", ".join(map(str, list(first)[:8])) if isinstance(first, dict) else repr(first)[:60]
+    raise ConfigInvalid(f"is JSON without cameras: it has {keys}", where=str(location), hint=_KNOWN)

@@ -39,10 +39,7 @@ def read_path(document: Mapping[str, Any], path: str) -> CameraFile:
         )
     if not document["camera_path"]:
         raise ConfigInvalid("has no frames", where=path)
-    width, height = (
-        side(document, "render_width", path),
-        side(document, "render_height", path),
-    )
+    width, height = (side(document, "render_width", path), side(document, "render_height", path))
     cameras = tuple(
         _camera(frame, index, path, (width, height), kind)
         for index, frame in enumerate(document["camera_path"])
@@ -55,9 +52,7 @@ def _camera(
 ) -> NamedCamera:
     where = f"{path}, frame {index}"
     if not isinstance(document, dict):
-        raise ConfigInvalid(
-            f"is a {type(document).__name__}, expected an object", where=where
-        )
+        raise ConfigInvalid(f"is a {type(document).__name__}, expected an object", where=where)
     width, height = size
     to_world = matrix(document, "camera_to_world", (16,), where).reshape(4, 4)
     values: dict[str, Any] = {

@@ -18,14 +18,7 @@ from gsgen.runtime.camera_files.fields import camera_at, matrix, number, side, t
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.poses import view_from_opengl
 
-_STRAIGHT: Final = (
-    "PERSPECTIVE",
-    "PINHOLE",
-    "SIMPLE_PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-)
+_STRAIGHT: Final = ("PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 _PANORAMA: Final = "EQUIRECTANGULAR"
 _BENT: Final = ("k1", "k2", "k3", "k4", "p1", "p2")
 _SUFFIXES: Final = ("", ".png", ".jpg")  # the synthetic scenes leave it out
@@ -52,9 +45,7 @@ def read_transforms(document: Mapping[str, Any], path: str) -> CameraFile:
     for index, frame in enumerate(frames):
         where = f"{path}, frame {index}"
         if not isinstance(frame, dict):
-            raise ConfigInvalid(
-                f"is a {type(frame).__name__}, expected an object", where=where
-            )
+            raise ConfigInvalid(f"is a {type(frame).__name__}, expected an object", where=where)
         merged = {**document, **frame}
         if not {"w", "h"} <= merged.keys():
             size = size or _picture_size(merged, path, where)

@@ -201,9 +201,7 @@ def scene_of(manifest: GeneratorManifest, tensors: Mapping[str, np.ndarray]) -> 
     return Scene([splat_set], outputs.appearance.color_space)
 
 
-def _compare_references(
-    probe_runs: ProbeRuns, renderer: Renderer
-) -> Iterator[ComparedReference]:
+def _compare_references(probe_runs: ProbeRuns, renderer: Renderer) -> Iterator[ComparedReference]:
     """Compare the reference images of the manifest with the frames that the model draws."""
     manifest = probe_runs.subject.generator
     if manifest is None or find_spec("PIL") is None:
@@ -228,13 +226,9 @@ def _compare_references(
             )
             continue
         frame = renderer.render(
-            _probe_scene(probe_runs, labels.index(reference.inputs)),
-            camera,
-            background=BACKGROUND,
+            _probe_scene(probe_runs, labels.index(reference.inputs)), camera, background=BACKGROUND
         )
-        mean_error = np.square(
-            frame.srgb8[..., :3] / 255 - expected.astype(np.float64)
-        ).mean()
+        mean_error = np.square(frame.srgb8[..., :3] / 255 - expected.astype(np.float64)).mean()
         psnr = float(-10 * np.log10(max(mean_error, _MIN_ERROR)))
         yield ComparedReference(reference.path, reference.psnr, psnr)
 
@@ -280,9 +274,7 @@ def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
             width=default_camera.width,
             height=default_camera.height,
         )
-    lens = as_tensor(np.asarray(by_role["projection"], np.float64), order).astype(
-        np.float64
-    )
+    lens = as_tensor(np.asarray(by_role["projection"], np.float64), order).astype(np.float64)
     height = max(1, round(_WIDTH * lens[0, 0] / -lens[1, 1]))
     return Camera(
         view,
@@ -317,10 +309,5 @@ def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Ca
             fov_y=_FOV_Y,
         )
     return Camera.look_at(
-        eye.reshape(-1).tolist(),
-        center.tolist(),
-        up=up,
-        width=_WIDTH,
-        height=_HEIGHT,
-        fov_y=_FOV_Y,
+        eye.reshape(-1).tolist(), center.tolist(), up=up, width=_WIDTH, height=_HEIGHT, fov_y=_FOV_Y
     )

@@ -123,9 +123,7 @@ def record_references(
         if path.name not in {Path(image.path).name for image in images}:
             path.unlink()
     empty = [
-        picture.probe.label
-        for picture in pictures
-        if not picture.frame.alpha.max() >= CULL_OPACITY
+        picture.probe.label for picture in pictures if not picture.frame.alpha.max() >= CULL_OPACITY
     ]
     return References(model, images, tuple(empty), renderer.device.name)
 
@@ -170,9 +168,7 @@ class _PictureCameras:
         if camera.kind != "pinhole":
             message = f"is a camera of kind {camera.kind}, expected one with perspective"
             raise SceneInvalid(message, where="--camera")
-        return camera.scaled(
-            self._width, max(1, round(camera.height * self._width / camera.width))
-        )
+        return camera.scaled(self._width, max(1, round(camera.height * self._width / camera.width)))
 
 
 def _draw(
@@ -195,11 +191,7 @@ def _draw(
 
 
 def _write(
-    subject: InspectedModel,
-    pictures: Sequence[_Picture],
-    model: Path,
-    folder: str,
-    psnr: float,
+    subject: InspectedModel, pictures: Sequence[_Picture], model: Path, folder: str, psnr: float
 ) -> tuple[ReferenceImage, ...]:
     """Write the copy and its pictures; return their declarations in its manifest."""
     assert subject.parsed is not None
@@ -238,9 +230,7 @@ def _spread_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
         count = min(_DEFAULT_COUNT, limit)
     if not 1 <= count <= limit:
         message = f"is {count}, expected from 1 to {limit}"
-        raise ConfigInvalid(
-            message, where="--count", hint=f"The largest is --count {limit}."
-        )
+        raise ConfigInvalid(message, where="--count", hint=f"The largest is --count {limit}.")
     return evenly_spaced(candidates, count)
 
 

@@ -53,9 +53,7 @@ def picture_not_empty(evidence: "RenderEvidence") -> Iterator[Violation]:
     frames = [frame for frame in evidence.frames if frame.live]
     if frames and not any(_is_seen(frame.covered) for frame in frames):
         most = max(frame.covered for frame in frames)
-        actual = (
-            f"no pixel is covered by more than {most:.2g} in any of {len(frames)} frames"
-        )
+        actual = f"no pixel is covered by more than {most:.2g} in any of {len(frames)} frames"
         yield Violation.at("picture", actual, f"at least {CULL_OPACITY:.2g} somewhere")
 
 
@@ -80,10 +78,10 @@ def every_frame_shows(evidence: "RenderEvidence") -> Iterator[Violation]:
     """
     for frame in evidence.frames:
         if frame.live and not _is_seen(frame.covered):
-            actual = f"{frame.visible} of {frame.live} rows are drawn at {frame.probe!r}, none visible"
-            yield Violation.at(
-                "picture", actual, f"a pixel covered by at least {CULL_OPACITY:.2g}"
+            actual = (
+                f"{frame.visible} of {frame.live} rows are drawn at {frame.probe!r}, none visible"
             )
+            yield Violation.at("picture", actual, f"a pixel covered by at least {CULL_OPACITY:.2g}")
 
 
 @rule(

@@ -80,8 +80,7 @@ def bake(
     camera: _BakedCamera = None,
     up: Axis = None,
     views: Annotated[
-        int,
-        typer.Option(help="Cameras around the scene that colours are fitted to.", min=20),
+        int, typer.Option(help="Cameras around the scene that colours are fitted to.", min=20)
     ] = 30,
     sh_degree: Annotated[
         int, typer.Option(help="Highest SH degree of fitted colours.", min=0, max=3)
@@ -89,15 +88,11 @@ def bake(
     psnr: _Psnr = None,
     format: Annotated[
         str | None,
-        typer.Option(
-            help="ply, compressed-ply, splat, spz or glb. [default: the suffix of OUT]"
-        ),
+        typer.Option(help="ply, compressed-ply, splat, spz or glb. [default: the suffix of OUT]"),
     ] = None,
     size: Sizes = None,
     provider: Provider = "cpu",
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the report as JSON.")
-    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Write frames of a generator as plain splat files, which every viewer reads.
 
@@ -212,8 +207,7 @@ def _as_text(report: "BakeReport") -> str:
     ]
     if report.fit_error:
         errors = ", ".join(
-            f"{error:.4f} (degree {degree})"
-            for degree, error in enumerate(report.fit_error)
+            f"{error:.4f} (degree {degree})" for degree, error in enumerate(report.fit_error)
         )
         lines.append(f"error of colours at held-out cameras: {errors}")
     measured = [frame.psnr for frame in report.frames if frame.psnr is not None]

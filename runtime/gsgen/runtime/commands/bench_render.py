@@ -31,9 +31,7 @@ def bench_render(
     scenes: Scenes,
     camera: Annotated[
         str | None,
-        typer.Option(
-            help="Camera; see `gsgen render`. [default: a full turn around the scene]"
-        ),
+        typer.Option(help="Camera; see `gsgen render`. [default: a full turn around the scene]"),
     ] = None,
     width: Width = None,
     height: Height = None,
@@ -44,8 +42,7 @@ def bench_render(
     provider: Provider = "cpu",
     as_json: AsJson = False,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Also write the JSON to this file."),
+        Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
     ] = None,
 ) -> None:
     """Measure the time and the memory of a frame of SCENES, stage by stage.
@@ -70,9 +67,7 @@ def bench_render(
     with open_scenes(scenes, provider=provider, size=size) as (sources, _):
         renderer = Renderer(rasteriser=rasteriser, compact=compact)
         # The orbit makes models that depend on the camera compute in every frame.
-        sequence = FrameSequence(
-            sources, view, frames=frames, turn=FULL_TURN, renderer=renderer
-        )
+        sequence = FrameSequence(sources, view, frames=frames, turn=FULL_TURN, renderer=renderer)
         cost = measure(sequence, progress)
     clear()
     document = _document(scenes, cost) | {"rasteriser": renderer.rasteriser}

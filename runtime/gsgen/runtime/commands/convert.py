@@ -23,10 +23,7 @@ if TYPE_CHECKING:
 _WRITABLE = [codec.name for codec in CODECS if codec.write]
 
 Source = Annotated[
-    Path,
-    typer.Argument(
-        help=f"{format_titles()}; recognised by its content.", show_default=False
-    ),
+    Path, typer.Argument(help=f"{format_titles()}; recognised by its content.", show_default=False)
 ]
 Target = Annotated[Path, typer.Argument(help="The file to write.", show_default=False)]
 Format = Annotated[
@@ -35,9 +32,7 @@ Format = Annotated[
         help=f"{', '.join(_WRITABLE[:-1])} or {_WRITABLE[-1]}. [default: by TARGET's suffix]"
     ),
 ]
-Degree = Annotated[
-    int | None, typer.Option(help="Drop harmonics above this degree.", min=0, max=4)
-]
+Degree = Annotated[int | None, typer.Option(help="Drop harmonics above this degree.", min=0, max=4)]
 DropInvalid = Annotated[
     bool,
     typer.Option(
@@ -48,9 +43,7 @@ DropInvalid = Annotated[
 SpzVersion = Annotated[
     int | None,
     typer.Option(
-        help="Version of SPZ; few viewers read 4, which uses zstd. [default: 3]",
-        min=1,
-        max=4,
+        help="Version of SPZ; few viewers read 4, which uses zstd. [default: 3]", min=1, max=4
     ),
 ]
 Encoding = Annotated[
@@ -130,16 +123,10 @@ def _codec(name: str | None, target: Path) -> Codec:
     codec = codec_of_suffix(target)
     if codec is None or codec.write is None:
         suffix = target.suffix or "(none)"
-        problem = (
-            f"{codec.title} can only be read"
-            if codec
-            else f"has the unknown suffix {suffix}"
-        )
+        problem = f"{codec.title} can only be read" if codec else f"has the unknown suffix {suffix}"
         suffixes = [known.suffixes[0] for known in CODECS if known.write]
         raise ConfigInvalid(
-            problem,
-            where=str(target),
-            hint=f"Use one of {', '.join(suffixes)}, or give --format.",
+            problem, where=str(target), hint=f"Use one of {', '.join(suffixes)}, or give --format."
         )
     return codec
 
@@ -161,9 +148,7 @@ def _writer(
                 hint="Leave the option out.",
             )
     assert codec.write is not None
-    options = {
-        key: value for _, values in arguments.values() for key, value in values.items()
-    }
+    options = {key: value for _, values in arguments.values() for key, value in values.items()}
     return partial(codec.write, **options) if options else None
 
 

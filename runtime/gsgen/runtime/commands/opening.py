@@ -67,9 +67,7 @@ def open_scenes(
     with ExitStack() as stack:
         with _warnings_as_notes():
             try:
-                sizes_by_path = _sizes_by_path(
-                    [*scenes, *model_paths, *(post or ())], sizes or {}
-                )
+                sizes_by_path = _sizes_by_path([*scenes, *model_paths, *(post or ())], sizes or {})
                 sources: list[Source] = []
                 models: list[PostProcessor] = []
                 for path in scenes:
@@ -100,9 +98,7 @@ def _warnings_as_notes() -> Iterator[None]:
         typer.echo(f"note: {warning.message}", err=True)
 
 
-def _sizes_by_path(
-    paths: Sequence[Path], sizes: Mapping[str, int]
-) -> dict[Path, dict[str, int]]:
+def _sizes_by_path(paths: Sequence[Path], sizes: Mapping[str, int]) -> dict[Path, dict[str, int]]:
     """Return the sizes of each model's own open dimensions.
 
     Raises:

@@ -57,9 +57,7 @@ class ModeName(StrEnum):
 
 Antialias = Annotated[
     Literal["classic", "mip"] | None,
-    typer.Option(
-        help="Antialiasing of the training. [default: the manifest's, or classic]"
-    ),
+    typer.Option(help="Antialiasing of the training. [default: the manifest's, or classic]"),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Axis = Annotated[
@@ -77,8 +75,7 @@ FieldOfView = Annotated[
     float | None, typer.Option(help="Vertical field of view, in degrees. [default: 50]")
 ]
 Height = Annotated[
-    int | None,
-    typer.Option(help="Height in pixels. [default: the camera's, or 720]", min=1),
+    int | None, typer.Option(help="Height in pixels. [default: the camera's, or 720]", min=1)
 ]
 Inputs = Annotated[
     list[str] | None,
@@ -95,8 +92,7 @@ ModeOption = Annotated[
 Orthographic = Annotated[
     bool,
     typer.Option(
-        "--orthographic",
-        help="Draw without perspective; the centre of the scene keeps its size.",
+        "--orthographic", help="Draw without perspective; the centre of the scene keeps its size."
     ),
 ]
 Panorama = Annotated[
@@ -148,18 +144,14 @@ Scenes = Annotated[
     ),
 ]
 ShDegree = Annotated[
-    int | None,
-    typer.Option(help="Highest degree of spherical harmonics to use.", min=0, max=3),
+    int | None, typer.Option(help="Highest degree of spherical harmonics to use.", min=0, max=3)
 ]
 Sizes = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="SYMBOL=SIZE", help="Size of an open dimension of a model; repeatable."
-    ),
+    typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension of a model; repeatable."),
 ]
 Width = Annotated[
-    int | None,
-    typer.Option(help="Width in pixels. [default: the camera's, or 1280]", min=1),
+    int | None, typer.Option(help="Width in pixels. [default: the camera's, or 1280]", min=1)
 ]
 
 

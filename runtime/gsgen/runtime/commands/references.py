@@ -30,9 +30,7 @@ def references(
     ],
     camera: Annotated[
         str | None,
-        typer.Option(
-            help="Camera; see `gsgen render`. [default: the probes', or an orbit]"
-        ),
+        typer.Option(help="Camera; see `gsgen render`. [default: the probes', or an orbit]"),
     ] = None,
     count: Annotated[
         int | None,
@@ -53,9 +51,7 @@ def references(
     ] = None,
     psnr: Annotated[
         float,
-        typer.Option(
-            help="Least decibels that a picture must have on another machine.", min=1
-        ),
+        typer.Option(help="Least decibels that a picture must have on another machine.", min=1),
     ] = 50.0,
     force: Annotated[
         bool, typer.Option("--force", help="Replace existing pictures of the copy.")
@@ -75,9 +71,7 @@ def references(
     from gsgen.contract.validation.settings_from_options import make_settings
     from gsgen.runtime.checks.reference_recording import record_references
 
-    settings = make_settings(
-        installed_rules(), config=config, timeout=timeout, memory=memory
-    )
+    settings = make_settings(installed_rules(), config=config, timeout=timeout, memory=memory)
     try:
         result = record_references(
             model,

@@ -56,9 +56,7 @@ Background = Annotated[
         "[default: black; transparent for .npy]"
     ),
 ]
-Time = Annotated[
-    float | None, typer.Option(help="Time of generators. [default: the manifest's]")
-]
+Time = Annotated[float | None, typer.Option(help="Time of generators. [default: the manifest's]")]
 Frames = Annotated[
     int | None,
     typer.Option(
@@ -74,9 +72,7 @@ Turn = Annotated[
 FramesPerSecond = Annotated[
     float | None,
     typer.Option(
-        help="Frames per second of a video. [default: the manifest's, or 25]",
-        min=0.1,
-        max=100,
+        help="Frames per second of a video. [default: the manifest's, or 25]", min=0.1, max=100
     ),
 ]
 WeightedSums = Annotated[
@@ -153,9 +149,7 @@ def render(
             fps=fps or pose_fps,
             tracks=tracks,
             post=models,
-            renderer=Renderer(
-                rasteriser=rasteriser, compact=compact, published=is_published
-            ),
+            renderer=Renderer(rasteriser=rasteriser, compact=compact, published=is_published),
         )
         _write(sequence, output, as_json=as_json)
 
@@ -227,6 +221,5 @@ def _write(sequence: "FrameSequence", output: Path, *, as_json: bool) -> None:
     )
     if document["gaussians"] and not document["visible"]:
         typer.echo(
-            "note: no Gaussian is visible: all are behind the camera or transparent",
-            err=True,
+            "note: no Gaussian is visible: all are behind the camera or transparent", err=True
         )

@@ -34,12 +34,10 @@ if TYPE_CHECKING:
     from gsgen.runtime.playback.live_playback import LivePlayback
 
 WindowWidth = Annotated[
-    int | None,
-    typer.Option(help="Width of the window. [default: the camera's, or 1280]", min=1),
+    int | None, typer.Option(help="Width of the window. [default: the camera's, or 1280]", min=1)
 ]
 WindowHeight = Annotated[
-    int | None,
-    typer.Option(help="Height of the window. [default: the camera's, or 720]", min=1),
+    int | None, typer.Option(help="Height of the window. [default: the camera's, or 720]", min=1)
 ]
 Background = Annotated[
     str | None,
@@ -48,25 +46,19 @@ Background = Annotated[
     ),
 ]
 Time = Annotated[
-    float | None,
-    typer.Option(help="Fixed time of generators. [default: the time is played]"),
+    float | None, typer.Option(help="Fixed time of generators. [default: the time is played]")
 ]
 Frames = Annotated[
     int | None,
     typer.Option(
-        help="Number of steps of the slider. [default: one per pose or value, or 100]",
-        min=2,
+        help="Number of steps of the slider. [default: one per pose or value, or 100]", min=2
     ),
 ]
 FramesPerSecond = Annotated[
     float | None,
-    typer.Option(
-        help="Steps per second. [default: the manifest's, or 25]", min=0.1, max=1000
-    ),
+    typer.Option(help="Steps per second. [default: the manifest's, or 25]", min=0.1, max=1000),
 ]
-Play = Annotated[
-    bool, typer.Option("--play/--no-play", help="Whether the window opens playing.")
-]
+Play = Annotated[bool, typer.Option("--play/--no-play", help="Whether the window opens playing.")]
 Pictures = Annotated[Path, typer.Option(help="Folder of saved pictures.")]
 
 
@@ -135,9 +127,7 @@ def view(
         interface = viewer.Viewer(
             playback,
             viewpoint,
-            renderer=surface_renderer.SurfaceRenderer(
-                rasteriser=rasteriser, compact=compact
-            ),
+            renderer=surface_renderer.SurfaceRenderer(rasteriser=rasteriser, compact=compact),
             mode=mode.mode,
             background=color or (0.0, 0.0, 0.0, 1.0),
             folder=pictures,

@@ -13,9 +13,7 @@ PACKED_BYTES: Final = 32
 """Of a row: x, y, z, opacity; six fixed-point numbers in [-1, 1]; what they are multiplied by."""
 
 _FIXED_POINT_ONE: Final = 32767  # as unpack2x16snorm of WGSL has it
-_ROUNDING: Final = (
-    1e-5  # of the largest variance: negative pivots closer to zero are rounding
-)
+_ROUNDING: Final = 1e-5  # of the largest variance: negative pivots closer to zero are rounding
 
 
 def pack_rows(rows: Float[np.ndarray, "n 10"]) -> UInt32[np.ndarray, "n 8"]:
@@ -31,12 +29,8 @@ def pack_rows(rows: Float[np.ndarray, "n 10"]) -> UInt32[np.ndarray, "n 8"]:
         root = _root(rows[:, layout.COVARIANCE].astype(np.float64))
         scale = np.abs(root).max(axis=1).astype(np.float32)
         scale[~np.isfinite(scale)] = np.nan
-        share = np.divide(
-            root, scale[:, None], where=scale[:, None] > 0, out=np.zeros_like(root)
-        )
-        fixed = np.nan_to_num(np.rint(np.clip(share, -1, 1) * _FIXED_POINT_ONE)).astype(
-            np.int16
-        )
+        share = np.divide(root, scale[:, None], where=scale[:, None] > 0, out=np.zeros_like(root))
+        fixed = np.nan_to_num(np.rint(np.clip(share, -1, 1) * _FIXED_POINT_ONE)).astype(np.int16)
     packed[:, 4:7] = fixed.view(np.uint32)
     packed[:, 7] = scale.view(np.uint32)
     return packed

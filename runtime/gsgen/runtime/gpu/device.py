@@ -33,7 +33,9 @@ _RETRY_HINT = (
     "device: see `gsgen doctor`."
 )
 _LESS = "Draw fewer Gaussians or a smaller image, or close what else uses the device."
-_DRIVER_HINT = "Install a Vulkan driver; without a GPU, Mesa's lavapipe 25 or newer. See `gsgen doctor`."
+_DRIVER_HINT = (
+    "Install a Vulkan driver; without a GPU, Mesa's lavapipe 25 or newer. See `gsgen doctor`."
+)
 
 
 @final
@@ -86,9 +88,7 @@ class Device:
         try:
             adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
         except (RuntimeError, OSError, ValueError) as error:
-            raise DeviceUnavailable(
-                f"no graphics adapter: {error}", hint=_DRIVER_HINT
-            ) from error
+            raise DeviceUnavailable(f"no graphics adapter: {error}", hint=_DRIVER_HINT) from error
         if adapter is None:
             raise DeviceUnavailable("no graphics adapter", hint=_DRIVER_HINT)
         limits = {
@@ -185,9 +185,7 @@ class Device:
         self._buffers.add(buffer)
         return buffer
 
-    def texture(
-        self, label: str, size: tuple[int, int], format: str, usage: str
-    ) -> Texture:
+    def texture(self, label: str, size: tuple[int, int], format: str, usage: str) -> Texture:
         """Return a new texture of one level.
 
         Args:
@@ -269,9 +267,7 @@ class Device:
         return DeviceLost(message, hint=_RETRY_HINT)
 
     @contextmanager
-    def mapped(
-        self, buffer: Buffer, offset: int, size: int
-    ) -> Iterator[UInt8[np.ndarray, " n"]]:
+    def mapped(self, buffer: Buffer, offset: int, size: int) -> Iterator[UInt8[np.ndarray, " n"]]:
         """Map a buffer and yield its memory for writing.
 
         Args:
@@ -293,9 +289,7 @@ class Device:
         finally:
             buffer.unmap()
 
-    def write(
-        self, buffer: Buffer, data: Shaped[np.ndarray, "..."], offset: int = 0
-    ) -> None:
+    def write(self, buffer: Buffer, data: Shaped[np.ndarray, "..."], offset: int = 0) -> None:
         """Copy an array into a buffer, padded to whole words of four bytes."""
         raw = np.ascontiguousarray(data).reshape(-1).view(np.uint8)
         if raw.size % 4:

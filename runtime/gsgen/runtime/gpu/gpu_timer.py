@@ -27,13 +27,9 @@ class StageClock:
     def __init__(self, device: Device) -> None:
         self._device = device
         raw = device.raw
-        self._ticks = raw.create_query_set(
-            label="stage clock", type="timestamp", count=2 * _MOST
-        )
+        self._ticks = raw.create_query_set(label="stage clock", type="timestamp", count=2 * _MOST)
         self._resolved = raw.create_buffer(
-            label="stage clock",
-            size=2 * _MOST * _TICK,
-            usage="QUERY_RESOLVE|COPY_SRC",
+            label="stage clock", size=2 * _MOST * _TICK, usage="QUERY_RESOLVE|COPY_SRC"
         )
         self._period = _period(raw)
         self._names: list[str] = []

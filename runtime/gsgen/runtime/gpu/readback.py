@@ -35,9 +35,7 @@ class Staging:
         """Encode the copy of the named sources, or of all."""
         for name in self._sources if names is None else names:
             source = self._sources[name]
-            encoder.copy_buffer_to_buffer(
-                source, 0, self._buffer, self._offsets[name], source.size
-            )
+            encoder.copy_buffer_to_buffer(source, 0, self._buffer, self._offsets[name], source.size)
 
     def read(self, dtypes: Mapping[str, type[np.generic]]) -> dict[str, np.ndarray]:
         """Wait for the device, and return a copy of each named source as an array."""
@@ -45,8 +43,7 @@ class Staging:
         try:
             return {
                 name: np.frombuffer(
-                    self._buffer.read_mapped(self._offsets[name], self._sources[name].size),
-                    dtype,
+                    self._buffer.read_mapped(self._offsets[name], self._sources[name].size), dtype
                 ).copy()
                 for name, dtype in dtypes.items()
             }

@@ -198,13 +198,9 @@ class Residency:
         now = _State(data.rows_version, data.appearance_version, data.count)
         if resident.state is not None:
             self._follow(data, resident, resident.state, now)
-        resident.state = (
-            now  # not before: where there is no memory, the next frame has to follow
-        )
+        resident.state = now  # not before: where there is no memory, the next frame has to follow
 
-    def _follow(
-        self, data: SplatData, resident: _Resident, before: _State, now: _State
-    ) -> None:
+    def _follow(self, data: SplatData, resident: _Resident, before: _State, now: _State) -> None:
         """Choose the order and the packing of rows after a frame."""
         moved = before.rows != now.rows
         if moved:
@@ -214,9 +210,7 @@ class Residency:
                 self.restore_order(data)
         elif resident.is_unordered or len(data) < ARRANGED_FROM or data.cells is not None:
             return
-        elif resident.order is None or (
-            moved and not resident.order.is_valid_after_change(data)
-        ):
+        elif resident.order is None or (moved and not resident.order.is_valid_after_change(data)):
             self._arrange(resident, SpatialOrder.of(data))
 
     def restore_order(self, data: SplatData) -> None:
@@ -293,9 +287,7 @@ class Residency:
             return
         for part in resident.cells.missing(data.cells_version, len(data.cells)):
             make = None if data.cells.dtype == np.float32 else _wide
-            to = Target(
-                resident.pages[0].cells, part.start, _bytes_of_row(packed=False), make
-            )
+            to = Target(resident.pages[0].cells, part.start, _bytes_of_row(packed=False), make)
             upload(self._device, to, data.cells[part])
 
     def _allocate(self, data: SplatData) -> Iterator[Page]:
@@ -310,9 +302,7 @@ class Residency:
             yield Page(
                 first=first,
                 capacity=capacity,
-                rows=self._device.dynamic_storage(
-                    "rows", capacity * _bytes_of_row(packed=packed)
-                ),
+                rows=self._device.dynamic_storage("rows", capacity * _bytes_of_row(packed=packed)),
                 appearance=self._device.dynamic_storage(
                     "appearance", capacity * _bytes_of_appearance(words)
                 ),

@@ -35,10 +35,7 @@ def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: floa
     from PIL import Image
 
     options: dict[str, Any] = {"duration": round(_MILLISECONDS / fps), "loop": 0}
-    if any(
-        picture.shape[2:] == (4,) and picture[..., 3].min() < _OPAQUE
-        for picture in pictures
-    ):
+    if any(picture.shape[2:] == (4,) and picture[..., 3].min() < _OPAQUE for picture in pictures):
         frames = [_with_transparent_color(picture) for picture in pictures]
         options |= {"disposal": _CLEARED, "transparency": _ABSENT, "optimize": False}
     else:

@@ -135,9 +135,7 @@ def _differing_sizes(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
 def _entry(avif: bytes) -> bytes:
     """Convert the sample entry of an AVIF sequence to that of a video."""
     retained = {b"av1C", b"colr"}
-    boxes = [
-        _box(kind, body) for kind, body in _boxes(avif[_ENTRY_FIELDS:]) if kind in retained
-    ]
+    boxes = [_box(kind, body) for kind, body in _boxes(avif[_ENTRY_FIELDS:]) if kind in retained]
     return _box(b"av01", avif[8:_ENTRY_FIELDS], *boxes)
 
 
@@ -164,9 +162,7 @@ def _contents(
         _box(b"minf", _box(b"vmhd", _u32(1, 0, 0)), _box(b"dinf", data_reference), table),
     )
     size = _u32(group.width << 16, group.height << 16)
-    track_fields = _u32(
-        3, 0, 0, 1, 0, duration, 0, 0, 0, 0
-    )  # flags enabled and in movie; track 1
+    track_fields = _u32(3, 0, 0, 1, 0, duration, 0, 0, 0, 0)  # flags enabled and in movie; track 1
     track = _box(b"trak", _box(b"tkhd", track_fields, _UNITY, size), media)
     header = _u32(0, 0, 0, rate, duration, 0x10000, 0x1000000, 0, 0)
     return _box(b"moov", _box(b"mvhd", header, _UNITY, bytes(24), _u32(2)), track)

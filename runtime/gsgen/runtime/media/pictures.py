@@ -122,9 +122,7 @@ def save_picture(
         SceneInvalid: Pillow is missing, or cannot write such a file.
     """
     image = _image()
-    metadata = (
-        _metadata(camera, picture) if path.suffix.lower() in (".jpg", ".jpeg") else {}
-    )
+    metadata = _metadata(camera, picture) if path.suffix.lower() in (".jpg", ".jpeg") else {}
     with atomic_write(path) as draft:
         try:
             image.fromarray(_on_black(path, picture)).save(draft, **metadata)
@@ -143,9 +141,7 @@ def png_of(picture: UInt8[np.ndarray, "h w *c"]) -> bytes:
     return file.getvalue()
 
 
-def _metadata(
-    camera: Camera | None, picture: UInt8[np.ndarray, "h w *c"]
-) -> dict[str, bytes]:
+def _metadata(camera: Camera | None, picture: UInt8[np.ndarray, "h w *c"]) -> dict[str, bytes]:
     """Return the metadata of a picture, unless a post-process model changed its size."""
     if camera is None or picture.shape[:2] != (camera.height, camera.width):
         return {}
@@ -159,9 +155,7 @@ def save_array(path: Path, array: Float32[np.ndarray, "h w *c"]) -> None:
         np.save(draft, array)
 
 
-def save_video(
-    path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: float
-) -> None:
+def save_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: float) -> None:
     """Write an MP4, or an animated GIF that repeats for ever, atomically.
 
     An MP4 is blended with black; :func:`save_gif` describes the transparency of a GIF.
@@ -171,9 +165,7 @@ def save_video(
     """
     image = _image()
     if path.suffix.lower() == ".mp4":
-        colors = (
-            image.fromarray(_on_black(path, picture)).convert("RGB") for picture in pictures
-        )
+        colors = (image.fromarray(_on_black(path, picture)).convert("RGB") for picture in pictures)
         video = mp4.encode(colors, fps)
         with atomic_write(path) as draft:
             draft.write_bytes(video)
@@ -185,11 +177,7 @@ def save_video(
 
 def _on_black(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
     """Blend a picture with black if its format has no transparency."""
-    if (
-        picture.ndim == 3
-        and picture.shape[2] == 4
-        and path.suffix.lower() in OPAQUE_SUFFIXES
-    ):
+    if picture.ndim == 3 and picture.shape[2] == 4 and path.suffix.lower() in OPAQUE_SUFFIXES:
         alpha = picture[..., 3:] / 255
         return np.asarray(np.rint(picture[..., :3] * alpha), np.uint8)
     return picture
@@ -200,7 +188,6 @@ def _image() -> ModuleType:
         from PIL import Image
     except ImportError as error:
         raise SceneInvalid(
-            "image files need pillow, which is not installed",
-            hint="pip install 'gsgen[runtime]'",
+            "image files need pillow, which is not installed", hint="pip install 'gsgen[runtime]'"
         ) from error
     return Image

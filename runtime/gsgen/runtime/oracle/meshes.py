@@ -42,9 +42,7 @@ class Surface:
     fragile: Bool[np.ndarray, "h w"]
 
 
-def cast(
-    meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "linear"]
-) -> Surface:
+def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "linear"]) -> Surface:
     """Return what ``camera`` sees of ``meshes``: the first of the nearest.
 
     Args:
@@ -76,9 +74,7 @@ def cast(
             mesh_color = _converted(_color(mesh, face, weights), mesh, color_space)
             if mesh.shading == "headlight":
                 length = np.linalg.norm(ahead[part], axis=-1, keepdims=True)
-                mesh_color = mesh_color * (
-                    _AMBIENT + (1 - _AMBIENT) * np.abs(facing) / length
-                )
+                mesh_color = mesh_color * (_AMBIENT + (1 - _AMBIENT) * np.abs(facing) / length)
             color[part] = np.where(nearer[..., None], mesh_color, color[part])
     return Surface(depth[0], color[0], normal[0], _edges(depth, color, normal))
 
@@ -149,9 +145,7 @@ def _color(mesh: Mesh, face: int, weights: np.ndarray) -> np.ndarray:
     color = weights @ data.colors[corners].astype(np.float64)
     if data.texture is None or data.uv is None:
         return np.asarray(color)
-    return np.asarray(
-        color * _texel(data.texture, weights @ data.uv[corners].astype(float))
-    )
+    return np.asarray(color * _texel(data.texture, weights @ data.uv[corners].astype(float)))
 
 
 def _texel(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
@@ -162,9 +156,7 @@ def _texel(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     for right in (0, 1):
         for below in (0, 1):
             column, row = np.floor(x) + right, np.floor(y) + below
-            share = np.maximum(1 - np.abs(x - column), 0) * np.maximum(
-                1 - np.abs(y - row), 0
-            )
+            share = np.maximum(1 - np.abs(x - column), 0) * np.maximum(1 - np.abs(y - row), 0)
             color = texture[(row % height).astype(int), (column % width).astype(int), :3]
             blended += share[..., None] * (color / 255.0)
     return blended

@@ -86,9 +86,7 @@ class Ellipses:
     position: Float[np.ndarray, "n 3"]
 
 
-def ellipses(
-    rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera
-) -> Ellipses:
+def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera) -> Ellipses:
     """Return where packed rows of a set are in an image; opacities do not count."""
     linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
     turn = camera.view[:3, :3]
@@ -98,15 +96,9 @@ def ellipses(
         sigma = np.einsum("ij,njk,lk->nil", both, symmetric(rows[:, 4:]), both)
         mean, covariance = _flattened(position, sigma, camera)
         dilated = covariance + _DILATION * np.eye(2)
-        depth = (
-            np.linalg.norm(position, axis=1)
-            if camera.kind == "panorama"
-            else position[:, 2]
-        )
+        depth = np.linalg.norm(position, axis=1) if camera.kind == "panorama" else position[:, 2]
         sound = np.isfinite(rows).all(axis=1) & np.isfinite(dilated).all(axis=(1, 2))
-        sound &= (
-            (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)
-        )
+        sound &= (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)
     return Ellipses(
         mean=mean,
         covariance=covariance,
@@ -201,9 +193,7 @@ def _thinnest(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(is_averted[:, None], -axes, axes))
 
 
-def across(
-    pixels: Float[np.ndarray, " n"], mean: float, camera: Camera
-) -> Float[np.ndarray, " n"]:
+def across(pixels: Float[np.ndarray, " n"], mean: float, camera: Camera) -> Float[np.ndarray, " n"]:
     """Return how far pixels are to the right of a mean: around a panorama the shorter way."""
     if camera.kind != "panorama":
         return pixels - mean

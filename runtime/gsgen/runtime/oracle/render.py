@@ -69,11 +69,7 @@ def render(
     """
     walls = cast(scene.meshes, camera, scene.color_space)
     veil = sums(scene, camera, walls.depth)
-    if (
-        not scene.meshes
-        and scene.sets
-        and all(splat_set.weighted for splat_set in scene.sets)
-    ):
+    if not scene.meshes and scene.sets and all(splat_set.weighted for splat_set in scene.sets):
         return alone(veil, background, published=published)
     first, parts = 0, [_project(SplatSet(_nobody()), camera, 0)]
     for splat_set in scene.sets:
@@ -81,9 +77,7 @@ def render(
             parts.append(_project(splat_set, camera, first))
         first += len(splat_set.data)
     names = _Splats.__slots__
-    joined = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in names
-    }
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     order = np.argsort(joined["depth"], kind="stable")
     ordered = _Splats(**{name: column[order] for name, column in joined.items()})
     return _blend(ordered, camera, background, walls, veil.veil())
@@ -127,11 +121,7 @@ def _project(splat_set: SplatSet, camera: Camera, first: int) -> _Splats:
 
 
 def _blend(
-    splats: _Splats,
-    camera: Camera,
-    background: Sequence[float],
-    walls: Surface,
-    veil: Veil,
+    splats: _Splats, camera: Camera, background: Sequence[float], walls: Surface, veil: Veil
 ) -> Picture:
     height, width = camera.height, camera.width
     color, normal = np.zeros((height, width, 3)), np.zeros((height, width, 3))
@@ -217,9 +207,7 @@ def _opacity(
     return splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy), dx
 
 
-def _over(
-    background: Sequence[float], color: np.ndarray, through: np.ndarray
-) -> np.ndarray:
+def _over(background: Sequence[float], color: np.ndarray, through: np.ndarray) -> np.ndarray:
     """Return colours over the background, with alpha."""
     red, green, blue, opaque = background
     mixed = color + through[..., None] * np.array([red, green, blue]) * opaque

@@ -129,9 +129,7 @@ class _Cell:
     index: np.ndarray
 
 
-def alone(
-    partial: Sums, background: Sequence[float], *, published: bool = False
-) -> Picture:
+def alone(partial: Sums, background: Sequence[float], *, published: bool = False) -> Picture:
     """Return the picture of sums with nothing but a background behind them.
 
     Args:
@@ -145,9 +143,7 @@ def alone(
     image = veil.color + share[..., None] * np.array(color) * opaque
     size = np.linalg.norm(veil.normal, axis=-1, keepdims=True)
     return Picture(
-        rgba=np.concatenate(
-            [image, (veil.alpha + (1 - veil.alpha) * opaque)[..., None]], axis=-1
-        ),
+        rgba=np.concatenate([image, (veil.alpha + (1 - veil.alpha) * opaque)[..., None]], axis=-1),
         depth=veil.depth,
         median_depth=partial.median_depth,
         ids=partial.ids,
@@ -158,9 +154,7 @@ def alone(
     )
 
 
-def sums(
-    scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = None
-) -> Sums:
+def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = None) -> Sums:
     """Sum the Gaussians of a scene's weighted sets.
 
     Args:
@@ -210,26 +204,19 @@ class _State:
         self.median, self.ids = np.full(shape, np.inf), np.full(shape, -1)
         self.fragile, self.fragile_median = np.zeros(shape, bool), np.zeros(shape, bool)
 
-    def add(
-        self, cell: _Cell, camera: Camera, limit: np.ndarray, tied: np.ndarray
-    ) -> np.ndarray:
+    def add(self, cell: _Cell, camera: Camera, limit: np.ndarray, tied: np.ndarray) -> np.ndarray:
         """Sum a cell, and say which pixels it touches."""
         divisor, behind = cell.weighted
         entered = self.through.copy()
         entered_pixels = cell.box & (entered >= _FINISHED)
         changed, most = np.zeros_like(entered_pixels), np.zeros(entered_pixels.shape)
-        second, strongest = (
-            np.zeros(entered_pixels.shape),
-            np.full(entered_pixels.shape, -1),
-        )
+        second, strongest = (np.zeros(entered_pixels.shape), np.full(entered_pixels.shape, -1))
         x, y = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
         for k in range(len(cell.opacity)):
             dx = across(x, cell.mean[k, 0], camera)
             dy = y - cell.mean[k, 1]
             (a, b), (_, c) = cell.conic[k]
-            unclamped = cell.opacity[k] * np.exp(
-                -0.5 * (a * dx**2 + c * dy**2) - b * dx * dy
-            )
+            unclamped = cell.opacity[k] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
             far = np.hypot(dx, dy)
             reached = (unclamped >= _CULL) & (far <= cell.radius[k])
             hit = reached & entered_pixels & (cell.distance[k] <= limit)
@@ -305,9 +292,7 @@ def _splats(
     shapes, far = ellipses(rows, splat_set, camera), splat_set.depth_range
     with np.errstate(all="ignore"):
         opacity = (
-            rows[:, 3]
-            * splat_set.opacity_scale
-            * np.repeat(visibility, data.per_cell)[: len(rows)]
+            rows[:, 3] * splat_set.opacity_scale * np.repeat(visibility, data.per_cell)[: len(rows)]
         )
         if far is not None:
             opacity = opacity * (1 - shapes.depth / far)
@@ -347,9 +332,7 @@ def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.nd
     return np.ceil(radius), np.where(unsure, 1.1, _PIXELS)
 
 
-def _box(
-    mean: np.ndarray, covariance: np.ndarray, camera: Camera
-) -> tuple[np.ndarray, np.ndarray]:
+def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels of a cell's tiles, and those that float32 may add or leave out."""
     (radius,), (ring,) = _reach(covariance[None], 2)
     boxes = [

@@ -15,7 +15,9 @@ from gsgen.runtime.camera_files import open_cameras, split_pick
 from gsgen.runtime.scene.camera import DEFAULT_NEAR, Camera
 from gsgen.runtime.sources.source import Source, axis_direction
 
-_FORMS: Final = "Give orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ or a file of cameras."
+_FORMS: Final = (
+    "Give orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ or a file of cameras."
+)
 _AZIMUTH: Final = 30.0
 _ELEVATION: Final = 20.0
 _PANORAMA_WIDTH: Final = 2048  # pixels
@@ -116,12 +118,7 @@ class Viewpoint:
         return orbit.eye.tolist(), level
 
     def _placed(
-        self,
-        source: Source,
-        center: Float[np.ndarray, "3"],
-        reach: float,
-        number: int,
-        turn: float,
+        self, source: Source, center: Float[np.ndarray, "3"], reach: float, number: int, turn: float
     ) -> Camera:
         if self.cameras:
             file_camera = self.cameras[number % len(self.cameras)]
@@ -204,9 +201,7 @@ def viewpoint(
     path, selection = split_pick(text or "")
     if not _exists(path):
         raise ConfigInvalid(
-            f"{text!r} is neither a camera nor an existing file",
-            where="--camera",
-            hint=_FORMS,
+            f"{text!r} is neither a camera nor an existing file", where="--camera", hint=_FORMS
         )
     file = open_cameras(path)
     cameras = tuple(entry.camera for entry in file.pick(selection))

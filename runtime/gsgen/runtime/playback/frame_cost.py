@@ -84,9 +84,7 @@ class FrameCost:
     capacity: int
 
 
-def measure(
-    sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: None
-) -> FrameCost:
+def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: None) -> FrameCost:
     """Play a frame sequence without writing it, and return the cost of its frames.
 
     Args:
@@ -110,9 +108,7 @@ def measure(
         wall=Span.of(played.wall),
         cpu=Span.of(played.cpu),
         submit=Span.of(staged.submit),
-        inference={
-            name: Span.of(seconds) for name, seconds in played.inference.items() if seconds
-        },
+        inference={name: Span.of(seconds) for name, seconds in played.inference.items() if seconds},
         stages=staged.stages,
         clock=staged.clock,
         gaussians=int(np.median(played.gaussians)),
@@ -181,9 +177,7 @@ def _stage(sequence: FrameSequence) -> _Staged:
     submit: list[float] = []
     rows: list[dict[str, float]] = []
     clock_kind: Literal["timestamps", "cpu"] = "timestamps"
-    _PlannedFrame.of(sequence, sequence.frames - 1).submit(
-        clock
-    )  # the first timestamps are slow
+    _PlannedFrame.of(sequence, sequence.frames - 1).submit(clock)  # the first timestamps are slow
     for number in frame_numbers:
         sequence.draw(int(number))
         planned = _PlannedFrame.of(sequence, int(number))
@@ -220,9 +214,7 @@ class _PlannedFrame:
         plan = renderer.plan(placed, camera, frozenset({"color"}), meshes)
         return cls(plan, placed, meshes, camera)
 
-    def submit(
-        self, clock: StageClock | None = None, only: Sequence[str] | None = None
-    ) -> float:
+    def submit(self, clock: StageClock | None = None, only: Sequence[str] | None = None) -> float:
         """Draw, and return the CPU seconds of this thread until everything is submitted."""
         started = time.thread_time()
         self.plan.submit(
@@ -240,9 +232,7 @@ class _PlannedFrame:
             started = time.process_time()
             self.submit(only=names[:length])
             sums.append(time.process_time() - started)
-        return {
-            name: max(b - a, 0.0) for name, a, b in zip(names, sums, sums[1:], strict=False)
-        }
+        return {name: max(b - a, 0.0) for name, a, b in zip(names, sums, sums[1:], strict=False)}
 
     @property
     def rows_bytes(self) -> int:

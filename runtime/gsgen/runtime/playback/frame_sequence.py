@@ -73,9 +73,7 @@ class FrameSequence(Playback):
         renderer: Renderer | None = None,
     ) -> None:
         if turn is not None and not np.isfinite(turn):
-            raise ConfigInvalid(
-                f"is {turn}, expected a finite number of degrees", where="--turn"
-            )
+            raise ConfigInvalid(f"is {turn}, expected a finite number of degrees", where="--turn")
         timeline = Timeline([*sources, *post], tracks, time)
         super().__init__(
             sources,
@@ -123,9 +121,7 @@ class FrameSequence(Playback):
         if needs_one_size and len(self._view.sizes) > 1:
             raise _differing_sizes(path, self._view.sizes)
         if suffix == ".npy":
-            arrays = [
-                pictures.array_of(frame, self._mode) for frame in self._drawn(on_frame)
-            ]
+            arrays = [pictures.array_of(frame, self._mode) for frame in self._drawn(on_frame)]
             pictures.save_array(path, np.stack(arrays) if self.frames > 1 else arrays[0])
         elif suffix in pictures.VIDEO_SUFFIXES:
             pictures.save_video(path, self._pictures(on_frame), self.fps)

@@ -35,9 +35,7 @@ class Tile:
     left: int
 
 
-def lay_tiles(
-    image: tuple[int, int], tile: tuple[int, int], overlap: int
-) -> Iterator[Tile]:
+def lay_tiles(image: tuple[int, int], tile: tuple[int, int], overlap: int) -> Iterator[Tile]:
     """Yield tiles of one size that cover an image; the last tile ends at its edge.
 
     Args:
@@ -81,16 +79,11 @@ def _ramp(size: int, overlap: int) -> Float[np.ndarray, " n"]:
 
 
 def _part(tile: Tile, size: tuple[int, int]) -> tuple[slice, slice]:
-    rows, columns = (
-        slice(tile.top, tile.top + size[0]),
-        slice(tile.left, tile.left + size[1]),
-    )
+    rows, columns = (slice(tile.top, tile.top + size[0]), slice(tile.left, tile.left + size[1]))
     return rows, columns
 
 
-def run_tiled(
-    image: Image, network: Network, tile: tuple[int, int], overlap: int = 32
-) -> Image:
+def run_tiled(image: Image, network: Network, tile: tuple[int, int], overlap: int = 32) -> Image:
     """Run a network over an image tile by tile, and blend the results.
 
     An image that is smaller than a tile is padded with its edge pixels, and cropped afterwards.

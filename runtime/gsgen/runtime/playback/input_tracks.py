@@ -13,9 +13,7 @@ from jaxtyping import Shaped
 
 from gsgen.contract.errors import ConfigInvalid
 
-_FORMS: Final = (
-    "Give NAME=NUMBER, NAME=A,B,… , NAME=FROM..TO, or NAME=FILE of .npy, .npz or .json."
-)
+_FORMS: Final = "Give NAME=NUMBER, NAME=A,B,… , NAME=FROM..TO, or NAME=FILE of .npy, .npz or .json."
 
 ARRAY_SUFFIXES: Final = (".npy", ".npz", ".json")
 """Suffixes of files that hold the values of a track."""
@@ -56,9 +54,7 @@ class Track:
             where=self.where,
         )
 
-    def at(
-        self, shape: tuple[int, ...], number: int, frames: int
-    ) -> Shaped[np.ndarray, "..."]:
+    def at(self, shape: tuple[int, ...], number: int, frames: int) -> Shaped[np.ndarray, "..."]:
         """Return the value in a frame; a track with fewer values than frames repeats.
 
         Args:
@@ -85,9 +81,7 @@ def input_track(text: str) -> Track:
     word, sign, value = text.partition("=")
     where = f"--input {word}"
     if not (word and sign and value):
-        raise ConfigInvalid(
-            f"{text!r} has no name or no value", where="--input", hint=_FORMS
-        )
+        raise ConfigInvalid(f"{text!r} has no name or no value", where="--input", hint=_FORMS)
     if Path(value).suffix.lower() in ARRAY_SUFFIXES:
         return Track(word, read_array(Path(value)), f"{where}={value}")
     first, dots, last = value.partition("..")
@@ -151,7 +145,5 @@ def numbers_of(array: Shaped[np.ndarray, "..."], where: str) -> Shaped[np.ndarra
         raise ConfigInvalid(message, where=where)
     if not np.isfinite(array).all():
         count = int((~np.isfinite(array)).sum())
-        raise ConfigInvalid(
-            f"has {count} non-finite values, expected finite numbers", where=where
-        )
+        raise ConfigInvalid(f"has {count} non-finite values, expected finite numbers", where=where)
     return integers_if_whole(array)

@@ -145,9 +145,7 @@ class LivePlayback(Playback):
         self.begin(camera)
         self.take(wait=True)
 
-    def player(
-        self, renderer: Renderer, background: Sequence[float], output: Output
-    ) -> Player:
+    def player(self, renderer: Renderer, background: Sequence[float], output: Output) -> Player:
         """Return a player of the sources; post-process models take part in colours only."""
         post = self.post if output == "color" else ()
         return self.make_player(renderer, background, output, post)

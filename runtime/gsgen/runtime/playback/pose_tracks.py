@@ -104,10 +104,7 @@ def named_file(text: str) -> tuple[str, Path]:
 
 
 def _fit_pose(
-    pose: Float[np.ndarray, "t ..."],
-    shape: tuple[int, ...],
-    convention: str | None,
-    where: str,
+    pose: Float[np.ndarray, "t ..."], shape: tuple[int, ...], convention: str | None, where: str
 ) -> Float[np.ndarray, "t ..."]:
     """Convert poses between SMPL bodies; joints that the file lacks stay at zero."""
     frames, frame_size = len(pose), int(np.prod(pose.shape[1:]))
@@ -117,10 +114,7 @@ def _fit_pose(
         return flat.reshape(frames, *shape)
     joints, file_joints = shape[0], frame_size // 3
     known = (
-        shape[1:] == (3,)
-        and file_joints in _BODIES
-        and joints in _BODIES
-        and frame_size % 3 == 0
+        shape[1:] == (3,) and file_joints in _BODIES and joints in _BODIES and frame_size % 3 == 0
     )
     if not (known and convention == "smpl-axis-angle"):
         raise ConfigInvalid(
@@ -180,18 +174,14 @@ def _read_file(path: Path) -> _Motion:
         message = f"cannot be read: {error.strerror or error}"
         raise ConfigInvalid(message, where=str(path), hint=_KINDS) from error
     except (ValueError, EOFError, RecursionError, zipfile.BadZipFile) as error:
-        raise ConfigInvalid(
-            f"cannot be read: {error}", where=str(path), hint=_KINDS
-        ) from error
+        raise ConfigInvalid(f"cannot be read: {error}", where=str(path), hint=_KINDS) from error
 
 
 def _framed(array: np.ndarray, where: str) -> Float[np.ndarray, "t ..."]:
     """Add the frame axis to a single pose, such as [joints, 3]."""
     checked = numbers_of(array, where).astype(np.float64)
     if checked.ndim not in (1, 2, 3):
-        message = (
-            f"has shape {list(array.shape)}, expected [joints, 3] or [frames, joints, 3]"
-        )
+        message = f"has shape {list(array.shape)}, expected [joints, 3] or [frames, joints, 3]"
         raise ConfigInvalid(message, where=where, hint=_KINDS)
     is_single = checked.ndim == 1 or (checked.ndim == 2 and checked.shape[1] in (3, 4))
     return checked[None] if is_single else checked
@@ -210,9 +200,7 @@ def _of_json(document: object, where: str) -> _Motion:
     if isinstance(document, dict) and "body_pose" in document:
         return _of_lhm(document, where)
     if isinstance(document, dict):
-        return _of_arrays(
-            {name: np.asarray(values) for name, values in document.items()}, where
-        )
+        return _of_arrays({name: np.asarray(values) for name, values in document.items()}, where)
     return _Motion(_framed(np.asarray(document), where), {})
 
 
@@ -248,9 +236,7 @@ def _of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _Motion:
         ("R", "root_rotation", 9),
     ):
         if name in arrays:
-            rows = numbers_of(np.asarray(arrays[name]), f"{where}, {name}").astype(
-                np.float64
-            )
+            rows = numbers_of(np.asarray(arrays[name]), f"{where}, {name}").astype(np.float64)
             if rows.size != len(pose) * size:
                 message = f"has shape {list(rows.shape)}, expected [{len(pose)}, {size}]: {size} numbers a frame"
                 raise ConfigInvalid(message, where=f"{where}, {name}")

@@ -100,17 +100,13 @@ class PostProcessor:
             GsgenError: A value does not fit, or the model fails.
         """
         if frame.rgba is None:
-            raise SceneInvalid(
-                "needs colours, but the frame was drawn without", where=self.name
-            )
+            raise SceneInvalid("needs colours, but the frame was drawn without", where=self.name)
         alpha = np.clip(frame.rgba[..., 3:], 0, 1)
         height, width = alpha.shape[:2]
         session = self._session((height, width))
         session.update(values)
         binding = session.inputs[self._image]
-        pixels = np.concatenate([_srgb(frame, alpha), alpha], axis=-1)[
-            ..., : binding.shape[1]
-        ]
+        pixels = np.concatenate([_srgb(frame, alpha), alpha], axis=-1)[..., : binding.shape[1]]
         low, high = self.manifest.image_range
         image = (low + (high - low) * pixels).transpose(2, 0, 1)[None].astype(binding.dtype)
         result = self._run(session, image)
@@ -207,9 +203,7 @@ def _specs(facts: ModelFacts) -> Iterator[TensorSpec]:
         yield TensorSpec(value.name, np.dtype(np.float32), dims)
 
 
-def _srgb(
-    frame: Frame, alpha: Float32[np.ndarray, "h w 1"]
-) -> Float32[np.ndarray, "h w 3"]:
+def _srgb(frame: Frame, alpha: Float32[np.ndarray, "h w 1"]) -> Float32[np.ndarray, "h w 3"]:
     """Return the colours in sRGB, from 0 to 1, not multiplied by alpha."""
     assert frame.rgba is not None
     straight = frame.rgba[..., :3] / np.where(alpha > 0, alpha, 1)

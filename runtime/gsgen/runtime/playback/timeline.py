@@ -47,26 +47,19 @@ class Timeline:
     """
 
     def __init__(
-        self,
-        models: Sequence[AnimatedInputs],
-        tracks: Sequence[Track],
-        time: float | None = None,
+        self, models: Sequence[AnimatedInputs], tracks: Sequence[Track], time: float | None = None
     ) -> None:
         self._models, self._tracks, self._time = list(models), list(tracks), time
         if time is not None and not any(_of_role(model, "time") for model in models):
             raise ConfigInvalid(
-                f"is {time}, but no scene has a time",
-                where="--time",
-                hint="Leave the option out.",
+                f"is {time}, but no scene has a time", where="--time", hint="Leave the option out."
             )
         self._lengths = [self._length(track) for track in tracks]
 
     def _length(self, track: Track) -> int:
         """Return the number of values of a track, given the shapes of the inputs it sets."""
         shapes = [
-            model.shape(spec.name)
-            for model in self._models
-            for spec in model.named(track.word)
+            model.shape(spec.name) for model in self._models for spec in model.named(track.word)
         ]
         if not shapes:
             known = {
@@ -118,9 +111,7 @@ class Timeline:
 
         These are the times of a model, or else its frame numbers.
         """
-        fixed_names = {
-            spec.name for track in self._tracks for spec in model.named(track.word)
-        }
+        fixed_names = {spec.name for track in self._tracks for spec in model.named(track.word)}
         if self._time is not None:
             fixed_names |= {spec.name for spec in _of_role(model, "time")}
         times, numbers = (

@@ -58,9 +58,7 @@ class Kernels:
         self.cut = cut_for(device)
         self.scan = Scan(device, self.cut.block, WALK_THREADS * self.cut.walk, RANGE_BLOCK)
         self.sort = RadixSort(device, self.cut, self.scan)
-        self.bin = cache(
-            lambda panorama: BinTiles(device, self.cut.walk, panorama=panorama)
-        )
+        self.bin = cache(lambda panorama: BinTiles(device, self.cut.walk, panorama=panorama))
         self.ranges = TileRanges(device)
         self.blend = cache(
             lambda pick, panorama, layers: BlendTiles(
@@ -75,9 +73,7 @@ class Kernels:
         self.normals = cache(lambda packed: NormalsKernel(device, packed=packed))
         self.order = DepthOrder(device, self.cut, self.sort)
         self.weighted = cache(
-            lambda: WeightedKernels(
-                device, self.cut, self.scan, self.sort, self.order, self.ranges
-            )
+            lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.order, self.ranges)
         )
         self.quads = cache(
             lambda tested, panorama: DrawQuads(device, tested=tested, panorama=panorama)
@@ -140,9 +136,7 @@ class Plan:
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
-        self._mesh_slots = device.uniform(
-            "meshes", MESH_UNIFORM.itemsize * max(1, len(meshes))
-        )
+        self._mesh_slots = device.uniform("meshes", MESH_UNIFORM.itemsize * max(1, len(meshes)))
         self.buffers: dict[str, Buffer] = {}
         n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
@@ -262,15 +256,11 @@ class Plan:
         recorded = []
         outputs = (self._frame, keys, *self._splats, colors, lows)
         for slot, (_, page) in enumerate(placed):
-            kernel = self._kernels.project(
-                page.half, page.stride, self._panorama, page.packed
-            )
+            kernel = self._kernels.project(page.half, page.stride, self._panorama, page.packed)
             recorded.append(kernel.step(outputs, self._slots, slot, page))
         return recorded
 
-    def _normals(
-        self, placed: Sequence[Placed], keys: Buffer, normals: Buffer
-    ) -> list[Step]:
+    def _normals(self, placed: Sequence[Placed], keys: Buffer, normals: Buffer) -> list[Step]:
         return [
             self._kernels.normals(page.packed).step(keys, normals, self._slots, slot, page)
             for slot, (_, page) in enumerate(placed)
@@ -292,15 +282,7 @@ class Plan:
         run_pairs = self._storage("run pairs", 4 * -(-self._gaussians // walk))
         measure, emit = self._kernels.bin(self._panorama).steps(
             self._counts,
-            (
-                self._frame,
-                self._counts,
-                order,
-                colors,
-                run_pairs,
-                *pairs,
-                *self._splats,
-            ),
+            (self._frame, self._counts, order, colors, run_pairs, *pairs, *self._splats),
         )
         add = self._kernels.scan.steps(
             self._counts, run_pairs, source=Counts.VISIBLE, block=walk, total=Counts.PAIRS
@@ -371,9 +353,7 @@ class Plan:
         if self._meshes is not None:
             device.write(self._mesh_rays, mesh_rays(camera))
         for slot, mesh in enumerate(meshes):
-            device.write(
-                self._mesh_slots, mesh_uniform(mesh, camera), slot * MESH_UNIFORM.itemsize
-            )
+            device.write(self._mesh_slots, mesh_uniform(mesh, camera), slot * MESH_UNIFORM.itemsize)
         encoder = device.raw.create_command_encoder(label="frame")
         if clock is not None:
             clock.begin()
@@ -440,26 +420,20 @@ def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
     parts, base = [], 0
     for _, page in placed:
         row_indices = np.arange(page.first, page.first + page.capacity)
-        parts.append(
-            (row_indices if page.rows_of is None else page.rows_of) + (base - page.first)
-        )
+        parts.append((row_indices if page.rows_of is None else page.rows_of) + (base - page.first))
         base += page.capacity
     return np.concatenate(parts).astype(np.uint32)
 
 
 def _weighted(placed: Sequence[Placed]) -> list[Placed]:
-    return [
-        (splat_set, page) for splat_set, page in placed if splat_set.weighted is not None
-    ]
+    return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is not None]
 
 
 def _sorted(placed: Sequence[Placed]) -> list[Placed]:
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]
 
 
-def _together(
-    counts: Sequence[UInt32[np.ndarray, " n"]],
-) -> UInt32[np.ndarray, " n"]:
+def _together(counts: Sequence[UInt32[np.ndarray, " n"]]) -> UInt32[np.ndarray, " n"]:
     """Add up the counts of all parts; each part has its own capacity for pairs."""
     total = np.asarray(np.sum(counts, axis=0), np.uint32)
     total[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + total[Counts.DRAWN]

@@ -36,9 +36,7 @@ _SIZE: Final = (1280, 720)
 _PAIRS: Final = 1 << 16  # room at first
 _WARM: Final = 2  # frames before those that count: drivers compile, clocks rise
 _FRAMES: Final = 7
-_WORTH: Final = (
-    0.8  # quads must be this much faster: tiles are nearer to exact, and stop early
-)
+_WORTH: Final = 0.8  # quads must be this much faster: tiles are nearer to exact, and stop early
 _ONLY: Final[dict[Rasteriser, tuple[str, ...]]] = {
     "tiles": ("bin", "group", "blend"),
     "quads": ("quads",),
@@ -96,11 +94,7 @@ def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> 
 
 
 def probe(
-    device: Device,
-    kernels: Kernels,
-    *,
-    gaussians: int = _GAUSSIANS,
-    size: tuple[int, int] = _SIZE,
+    device: Device, kernels: Kernels, *, gaussians: int = _GAUSSIANS, size: tuple[int, int] = _SIZE
 ) -> Timings:
     """Draw the same frame both ways, and return the median seconds of several times.
 
@@ -164,11 +158,7 @@ def _roomy(
 
 
 def _seconds(
-    device: Device,
-    plan: Plan,
-    placed: list[Placed],
-    camera: Camera,
-    stages: tuple[str, ...],
+    device: Device, plan: Plan, placed: list[Placed], camera: Camera, stages: tuple[str, ...]
 ) -> tuple[float, float]:
     """Return the median seconds of some stages, 0 if no timestamps tell, and of the frame."""
     clock = StageClock(device) if device.has_clock else None
@@ -215,9 +205,7 @@ def _read() -> dict[str, Timings]:
     if not isinstance(document, dict):
         return {}
     return {
-        key: timings
-        for key, entry in document.items()
-        if (timings := _timings(entry)) is not None
+        key: timings for key, entry in document.items() if (timings := _timings(entry)) is not None
     }
 
 

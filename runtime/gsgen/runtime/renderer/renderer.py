@@ -10,12 +10,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float32, Int64, UInt32
 
-from gsgen.runtime.errors import (
-    CapacityExceeded,
-    DeviceUnavailable,
-    MemoryFull,
-    SceneInvalid,
-)
+from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, MemoryFull, SceneInvalid
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.mesh_residency import MeshResidency
@@ -100,8 +95,7 @@ class Renderer:
         self._pairs = _FIRST_PAIRS
         if rasteriser == "quads" and not self.device.blends_floats:
             raise DeviceUnavailable(
-                f"{self.device.name} cannot blend 32-bit floats",
-                hint="Use the rasteriser 'tiles'.",
+                f"{self.device.name} cannot blend 32-bit floats", hint="Use the rasteriser 'tiles'."
             )
         self._chosen = rasteriser == "auto"
         with self.device.translate_errors():
@@ -296,9 +290,7 @@ class Renderer:
         self._pairs = min(int(pairs * _ROOM), most)
 
 
-def _too_large(
-    scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool
-) -> MemoryFull:
+def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
     """Return an error with the memory of the Gaussians and smaller alternatives."""
     sets = list(dict.fromkeys(splat_set.data for splat_set in scene.sets))
     now, less = (
@@ -329,8 +321,7 @@ def _known(outputs: Collection[Output]) -> frozenset[Output]:
     requested = frozenset(outputs)
     if not requested or requested - set(_OUTPUTS):
         raise SceneInvalid(
-            f"is {sorted(requested)}, expected some of {', '.join(_OUTPUTS)}",
-            where="outputs",
+            f"is {sorted(requested)}, expected some of {', '.join(_OUTPUTS)}", where="outputs"
         )
     return requested
 
@@ -398,9 +389,7 @@ def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h
     return np.asarray(np.where(ids < 0, NOTHING, ids + (first - start)[set_index]))
 
 
-def _in_world(
-    normal: Float32[np.ndarray, "h w 3"], camera: Camera
-) -> Float32[np.ndarray, "h w 3"]:
+def _in_world(normal: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
     """Return unit vectors in world space, or zeros."""
     turned = normal @ camera.view[:3, :3].astype(np.float32)  # rows times R are Rᵀ n
     size = np.linalg.norm(turned, axis=-1, keepdims=True)

@@ -65,9 +65,7 @@ class WeightedKernels:
             )
         )
         self.cells = cache(lambda panorama: ProjectCells(device, panorama=panorama))
-        self.bin = cache(
-            lambda panorama: BinTiles(device, cut.walk, panorama=panorama, cells=True)
-        )
+        self.bin = cache(lambda panorama: BinTiles(device, cut.walk, panorama=panorama, cells=True))
         self.blend = cache(
             lambda pick, panorama, published, layers: BlendWsr(
                 device, pick=pick, panorama=panorama, published=published, layers=layers
@@ -147,13 +145,9 @@ class WeightedPart:
         n = sum(page.capacity for _, page in placed)
         keys = self._storage("keys of weighted", 4 * n)
         shapes, weights, colors = (
-            self._storage(f"weighted {name}", VEC4 * n)
-            for name in ("shapes", "weights", "colors")
+            self._storage(f"weighted {name}", VEC4 * n) for name in ("shapes", "weights", "colors")
         )
-        columns = (
-            self._columns("cells a", self._cells),
-            self._columns("cells b", self._cells),
-        )
+        columns = (self._columns("cells a", self._cells), self._columns("cells b", self._cells))
         lows = self._storage("lows of cells", 4 * self._cells)
         circles = self._storage("circles of cells", VEC4 * self._cells)
         spans = self._storage("spans of cells", VEC4 * self._cells)
@@ -164,9 +158,7 @@ class WeightedPart:
             ),
         }
         stages["sort cells"], order = self._sort(columns, lows)
-        pairs = [
-            self._columns(f"pairs of cells {side}", self._pair_capacity) for side in "ab"
-        ]
+        pairs = [self._columns(f"pairs of cells {side}", self._pair_capacity) for side in "ab"]
         stages["bin cells"] = self._bin(order, circles, pairs[0])
         stages["group cells"], members = self._group(pairs)
         known = (self._ranges, members, spans, shapes, weights)
@@ -208,9 +200,7 @@ class WeightedPart:
             for slot, (_, page) in enumerate(placed)
         ]
 
-    def _sort(
-        self, columns: tuple[Columns, Columns], lows: Buffer
-    ) -> tuple[list[Step], Buffer]:
+    def _sort(self, columns: tuple[Columns, Columns], lows: Buffer) -> tuple[list[Step], Buffer]:
         """Return the steps, and the buffer of cells, nearest first."""
         n = self._cells
         spare = self._storage("keys of cells c", 4 * n) if self._deep else None
@@ -241,9 +231,7 @@ class WeightedPart:
         mark = self._kernels.ranges.step(self.counts, pairs[side].keys, self._ranges)
         return [*steps, mark], pairs[side].values
 
-    def _blend(
-        self, name: str, resources: tuple[Buffer, ...], *, pick: bool = False
-    ) -> Step:
+    def _blend(self, name: str, resources: tuple[Buffer, ...], *, pick: bool = False) -> Step:
         if self._layers is not None:
             kernel = self._kernels.blend(False, self._panorama, False, self._layers.count)
             image = self._layers.normals if name == "normal" else self._layers.colors
@@ -272,9 +260,7 @@ class WeightedPart:
         for slot, (splat_set, page) in enumerate(placed):
             if page.first == 0:
                 live = -(-splat_set.data.count // splat_set.data.per_cell)
-                uniform = page_uniform(
-                    splat_set, camera, cell_base, _cells(splat_set), live
-                )
+                uniform = page_uniform(splat_set, camera, cell_base, _cells(splat_set), live)
                 cell_slots[number] = _weighing(uniform, splat_set)
                 cell_slots[number]["first_gaussian"] = base
                 cell_base, number = cell_base + _cells(splat_set), number + 1
@@ -296,9 +282,7 @@ def _cells(splat_set: SplatSet) -> int:
     return 0 if splat_set.data.cells is None else len(splat_set.data.cells)
 
 
-def _weighing(
-    uniform: Shaped[np.ndarray, ""], splat_set: SplatSet
-) -> Shaped[np.ndarray, ""]:
+def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
     """Add the parameters of a set's weighted sum to a page's uniform."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None

@@ -67,8 +67,7 @@ class Camera:
         view = np.array(self.view, np.float64)
         if view.shape != (4, 4) or not np.isfinite(view).all():
             raise SceneInvalid(
-                f"is {view.tolist()}, expected 4 rows of 4 finite numbers",
-                where="camera.view",
+                f"is {view.tolist()}, expected 4 rows of 4 finite numbers", where="camera.view"
             )
         object.__setattr__(self, "view", view)
         for name in ("fx", "fy", "near"):
@@ -79,8 +78,7 @@ class Camera:
             _require_side(name, getattr(self, name))
         if self.kind not in get_args(Kind):
             raise SceneInvalid(
-                f"is {self.kind!r}, expected pinhole, orthographic or panorama",
-                where="camera.kind",
+                f"is {self.kind!r}, expected pinhole, orthographic or panorama", where="camera.kind"
             )
         if self.kind == "panorama":
             _require_sphere(self)
@@ -122,9 +120,7 @@ class Camera:
             SceneInvalid: ``eye`` and ``target`` are one point, or a number is out of range.
         """
         if not 0 < fov_y < 180:
-            raise SceneInvalid(
-                f"is {fov_y} degrees, expected 0 to 180", where="camera.fov_y"
-            )
+            raise SceneInvalid(f"is {fov_y} degrees, expected 0 to 180", where="camera.fov_y")
         _require_side("height", height)
         position, goal = np.asarray(eye, np.float64), np.asarray(target, np.float64)
         if not np.linalg.norm(goal - position) > 0:
@@ -254,15 +250,7 @@ class Camera:
         view[:3, 3] = -view[:3, :3] @ np.asarray(eye, np.float64)
         cx, cy = -math.radians(longitudes[0]) * fx, math.radians(latitudes[1]) * fy
         return cls(
-            view,
-            fx=fx,
-            fy=fy,
-            cx=cx,
-            cy=cy,
-            width=width,
-            height=tall,
-            near=near,
-            kind="panorama",
+            view, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=tall, near=near, kind="panorama"
         )
 
     @classmethod
@@ -291,9 +279,7 @@ class Camera:
                 f"is a {type(document).__name__}, expected an object with {', '.join(known)}",
                 where="camera",
             )
-        missing = [
-            name for name in known if name not in document and name not in ("near", "kind")
-        ]
+        missing = [name for name in known if name not in document and name not in ("near", "kind")]
         unknown = [name for name in document if name not in known]
         if missing or unknown:
             parts = [f"lacks {', '.join(missing)}"] if missing else []
@@ -423,6 +409,5 @@ def _require_sphere(camera: Camera) -> None:
 def _require_side(name: str, value: object) -> None:
     if not (isinstance(value, int | np.integer) and 1 <= value <= _LARGEST_SIDE):
         raise SceneInvalid(
-            f"is {value!r}, expected an integer from 1 to {_LARGEST_SIDE}",
-            where=f"camera.{name}",
+            f"is {value!r}, expected an integer from 1 to {_LARGEST_SIDE}", where=f"camera.{name}"
         )

@@ -69,7 +69,5 @@ class Frame:
 
 def srgb_of_linear(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     """Encode linear light in [0, 1] as sRGB (IEC 61966-2-1)."""
-    curve = (
-        1.055 * np.power(color, 1 / 2.4, where=color > 0, out=np.zeros_like(color)) - 0.055
-    )
+    curve = 1.055 * np.power(color, 1 / 2.4, where=color > 0, out=np.zeros_like(color)) - 0.055
     return np.asarray(np.where(color <= 0.0031308, 12.92 * color, curve))

@@ -134,11 +134,7 @@ def _floats(
 ) -> Float32[np.ndarray, "n c"]:
     """Return finite rows of one of some widths as float32, in C order."""
     converted = np.asarray(array)
-    fits = (
-        converted.ndim == 2
-        and converted.shape[1] in widths
-        and converted.dtype.kind in "fiu"
-    )
+    fits = converted.ndim == 2 and converted.shape[1] in widths and converted.dtype.kind in "fiu"
     if not fits or (rows is not None and len(converted) != rows):
         expected = " or ".join(map(str, widths))
         raise SceneInvalid(
@@ -162,8 +158,7 @@ def _faces(array: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
     converted = np.asarray(array)
     if converted.ndim != 2 or converted.shape[1] != 3 or converted.dtype.kind not in "iu":
         raise SceneInvalid(
-            f"{converted.dtype} {list(converted.shape)}, expected integers [F, 3]",
-            where="faces",
+            f"{converted.dtype} {list(converted.shape)}, expected integers [F, 3]", where="faces"
         )
     wrong = ~((converted >= 0) & (converted < vertices)).all(axis=1)
     if wrong.any():
@@ -177,9 +172,7 @@ def _faces(array: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
 
 def _texture(array: np.ndarray) -> UInt8[np.ndarray, "h w 4"]:
     converted = np.asarray(array)
-    fits = (
-        converted.ndim == 3 and converted.shape[2] in (3, 4) and converted.dtype == np.uint8
-    )
+    fits = converted.ndim == 3 and converted.shape[2] in (3, 4) and converted.dtype == np.uint8
     if not fits or 0 in converted.shape:
         raise SceneInvalid(
             f"{converted.dtype} {list(converted.shape)}, expected uint8 [height, width, 3 or 4]",

@@ -70,13 +70,9 @@ class SplatSet:
                 f"is {self.opacity_scale}, expected a number from 0", where="opacity_scale"
             )
         if self.degree is not None and not 0 <= self.degree <= MAX_DEGREE:
-            raise SceneInvalid(
-                f"is {self.degree}, expected 0 to {MAX_DEGREE}", where="degree"
-            )
+            raise SceneInvalid(f"is {self.degree}, expected 0 to {MAX_DEGREE}", where="degree")
         if self.antialias not in ("classic", "mip"):
-            raise SceneInvalid(
-                f"is {self.antialias!r}, expected classic or mip", where="antialias"
-            )
+            raise SceneInvalid(f"is {self.antialias!r}, expected classic or mip", where="antialias")
         if self.weighted is not None:
             _require_weights(self.weighted, self.data)
 

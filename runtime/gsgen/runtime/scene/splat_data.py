@@ -141,9 +141,7 @@ class SplatData:
         checked = _checked_cells(cells, self.per_cell, len(self.rows))
         if self.cells is None or checked.dtype != self.cells.dtype:
             before = "none" if self.cells is None else str(self.cells.dtype)
-            raise SceneInvalid(
-                f"{checked.dtype}, expected {before} as before", where="cells"
-            )
+            raise SceneInvalid(f"{checked.dtype}, expected {before} as before", where="cells")
         return checked
 
     @property
@@ -173,10 +171,7 @@ def _spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
 
 
 def _checked(
-    rows: np.ndarray,
-    appearance: np.ndarray,
-    space: Literal["sh", "rgb"],
-    count: int | None,
+    rows: np.ndarray, appearance: np.ndarray, space: Literal["sh", "rgb"], count: int | None
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Return the arrays in C order, and how many rows are live."""
     allowed = layout.APPEARANCE_CHANNELS[space]

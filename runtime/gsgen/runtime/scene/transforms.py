@@ -33,9 +33,7 @@ def require_affine(matrix: Float[np.ndarray, "4 4"], where: str = "transform") -
             f"is {matrix.tolist()}, expected 4 rows of 4 finite numbers", where=where
         )
     if not np.array_equal(matrix[3], [0, 0, 0, 1]):
-        raise SceneInvalid(
-            f"has the last row {matrix[3].tolist()}, expected 0 0 0 1", where=where
-        )
+        raise SceneInvalid(f"has the last row {matrix[3].tolist()}, expected 0 0 0 1", where=where)
     sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
     if not sizes[2] * _WORST_CONDITION > sizes[0]:
         raise SceneInvalid(

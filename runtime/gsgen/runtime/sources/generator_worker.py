@@ -67,9 +67,7 @@ class GeneratorWorker:
         GsgenError: See ``FrameSession``.
     """
 
-    def __init__(
-        self, path: Path, provider: str, sizes: Mapping[str, int] | None = None
-    ) -> None:
+    def __init__(self, path: Path, provider: str, sizes: Mapping[str, int] | None = None) -> None:
         from gsgen.sdk.binding import FrameSession, Stop
 
         self._stop = Stop()
@@ -101,9 +99,7 @@ class GeneratorWorker:
         )
         self._forget()
 
-    def start(
-        self, camera: "Camera | None", values: Mapping[str, object]
-    ) -> "Future[FrameDelta]":
+    def start(self, camera: "Camera | None", values: Mapping[str, object]) -> "Future[FrameDelta]":
         """Begin to compute a frame, after the pending ones.
 
         Args:
@@ -146,9 +142,7 @@ class GeneratorWorker:
             live = (self._count, self._count, None)  # cells have no count of their own
             rows, appearance, *cells = (
                 buffer.take(frame[name], live_rows)
-                for buffer, name, live_rows in zip(
-                    self._buffers, self._names, live, strict=False
-                )
+                for buffer, name, live_rows in zip(self._buffers, self._names, live, strict=False)
             )
         except BaseException:
             self._forget()
@@ -169,13 +163,9 @@ def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
         hint = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
         if manifest and manifest.kind == "post-process":
             hint = "It works on images: `--post` runs it on the drawn frames."
-        raise SceneInvalid(
-            f"{kind}, expected a gaussian-generator", where=str(path), hint=hint
-        )
+        raise SceneInvalid(f"{kind}, expected a gaussian-generator", where=str(path), hint=hint)
     if manifest.outputs.gaussians is None or manifest.outputs.appearance is None:
-        raise SceneInvalid(
-            "declares no gaussians output or no appearance output", where=str(path)
-        )
+        raise SceneInvalid("declares no gaussians output or no appearance output", where=str(path))
     return manifest
 
 
@@ -188,9 +178,7 @@ class _OutputBuffer:
         self._spare: np.ndarray | None = None
         self._live = 0
 
-    def take(
-        self, array: Float[np.ndarray, "n c"], live_rows: int | None
-    ) -> np.ndarray | None:
+    def take(self, array: Float[np.ndarray, "n c"], live_rows: int | None) -> np.ndarray | None:
         """Return a copy that stays valid until the call after the next, or None if unchanged.
 
         Args:
@@ -209,9 +197,7 @@ class _OutputBuffer:
 def _same(a: Shaped[np.ndarray, "n c"], b: Shaped[np.ndarray, "n c"]) -> bool:
     """Return whether two arrays have the same bits, stopping at the first difference."""
     bits = np.dtype(f"u{a.itemsize}")
-    a_bits, b_bits = (
-        np.ascontiguousarray(array).reshape(-1).view(bits) for array in (a, b)
-    )
+    a_bits, b_bits = (np.ascontiguousarray(array).reshape(-1).view(bits) for array in (a, b))
     return all(
         np.array_equal(a_bits[start : start + _BLOCK], b_bits[start : start + _BLOCK])
         for start in range(0, len(a_bits), _BLOCK)

@@ -112,9 +112,7 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
         is_gltf = kind in ("glb", "gltf")
         if is_gltf:
             _require_textures(json.loads(_json_of(file)), scene)
-        meshes = tuple(
-            _meshes(scene, file, is_gltf=is_gltf, has_no_materials=has_no_materials)
-        )
+        meshes = tuple(_meshes(scene, file, is_gltf=is_gltf, has_no_materials=has_no_materials))
     except SceneUnreadable:
         raise
     except GsgenError as error:
@@ -127,9 +125,7 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
             hint="Copy or export the file again.",
         ) from error
     if not any(len(mesh.data) for mesh in meshes):
-        raise SceneUnreadable(
-            "has no triangles", where=str(file), hint="Give a file with faces."
-        )
+        raise SceneUnreadable("has no triangles", where=str(file), hint="Give a file with faces.")
     return meshes
 
 
@@ -151,8 +147,7 @@ def _trimesh() -> ModuleType:
         import trimesh
     except ImportError as error:
         raise SceneInvalid(
-            "meshes need trimesh, which is not installed",
-            hint="pip install 'gsgen[runtime]'",
+            "meshes need trimesh, which is not installed", hint="pip install 'gsgen[runtime]'"
         ) from error
     return trimesh
 
@@ -175,9 +170,7 @@ def _kind(path: Path) -> str:
     return kind
 
 
-def _load(
-    trimesh: ModuleType, path: Path, kind: str, *, has_no_materials: bool
-) -> _TrimeshScene:
+def _load(trimesh: ModuleType, path: Path, kind: str, *, has_no_materials: bool) -> _TrimeshScene:
     """Load a file with trimesh, without merging vertices and from its own folder alone."""
     options = {"process": False}
     if kind == "obj":
@@ -252,16 +245,12 @@ def _mesh_data(
     else:
         surface = _surface(geometry, has_no_materials=has_no_materials)
     is_colored = (
-        surface.colors is not None
-        or surface.texture is not None
-        or surface.factor is not _WHITE
+        surface.colors is not None or surface.texture is not None or surface.factor is not _WHITE
     )
     space: Literal["srgb", "linear"] = "srgb"
     colors = surface.colors
     if is_colored:
-        vertex_colors = (
-            np.broadcast_to(_WHITE, vertices.shape) if colors is None else colors
-        )
+        vertex_colors = np.broadcast_to(_WHITE, vertices.shape) if colors is None else colors
         colors = vertex_colors * surface.factor
         if is_gltf and surface.texture is None:
             space = "linear"
@@ -281,11 +270,7 @@ def _surface(geometry: _Geometry, *, has_no_materials: bool) -> _Surface:
         colors = np.asarray(visual.vertex_colors)[:, :3] / 255.0
     elif "color" in attributes:
         vertex_colors = np.asarray(attributes["color"], np.float64)[:, :3]
-        colors = (
-            vertex_colors / 255.0
-            if attributes["color"].dtype.kind in "iu"
-            else vertex_colors
-        )
+        colors = vertex_colors / 255.0 if attributes["color"].dtype.kind in "iu" else vertex_colors
     material = getattr(visual, "material", None)
     if material is None or has_no_materials:
         return _Surface(colors, _WHITE)
@@ -306,12 +291,12 @@ def _has_materials(path: Path) -> bool:
     """Return whether an OBJ file has all the material files it names; warn of missing ones."""
     with path.open("rb") as file:
         libraries = [line.split(None, 1) for line in file if line.startswith(b"mtllib")]
-    names = [
-        words[1].strip().decode("utf-8", "replace") for words in libraries if len(words) > 1
-    ]
+    names = [words[1].strip().decode("utf-8", "replace") for words in libraries if len(words) > 1]
     absent = [name for name in names if not (path.parent / name).is_file()]
     if absent:
-        note = f"{path}: {', '.join(absent)} is missing in its folder; it is drawn without materials"
+        note = (
+            f"{path}: {', '.join(absent)} is missing in its folder; it is drawn without materials"
+        )
         warnings.warn(note, UserWarning, stacklevel=2)
     return bool(names) and not absent
 
@@ -360,9 +345,7 @@ def _require_plausible_sizes(path: Path, kind: str) -> None:
         with path.open("rb") as file:
             head = file.read(_STL.size)
         if len(head) == _STL.size and not head.lstrip().startswith(b"solid"):
-            _require_count(
-                _STL.unpack(head)[0], (size - _STL.size) // _STL_FACE, "triangles"
-            )
+            _require_count(_STL.unpack(head)[0], (size - _STL.size) // _STL_FACE, "triangles")
     elif kind in ("glb", "gltf"):
         _require_plausible_gltf(path, size)
 
@@ -371,9 +354,7 @@ def _require_plausible_gltf(path: Path, size: int) -> None:
     """Refuse glTF whose counts or node graph would take unbounded memory or time."""
     document = json.loads(_json_of(path))
     if not isinstance(document, dict):
-        raise SceneInvalid(
-            f"is a {type(document).__name__}, expected an object", where="JSON"
-        )
+        raise SceneInvalid(f"is a {type(document).__name__}, expected an object", where="JSON")
     for name in document.get("extensionsRequired", []):
         if name in _COMPRESSIONS:
             raise SceneInvalid(
@@ -384,9 +365,7 @@ def _require_plausible_gltf(path: Path, size: int) -> None:
     room = size + sum(_buffer_size(path, buffer) for buffer in document.get("buffers", []))
     for index, accessor in enumerate(document.get("accessors", [])):
         _require_count(accessor["count"], room, f"accessors[{index}].count")
-    children = [
-        child for node in document.get("nodes", []) for child in node.get("children", [])
-    ]
+    children = [child for node in document.get("nodes", []) for child in node.get("children", [])]
     if len(children) != len(set(children)):
         raise SceneInvalid("has a node with two parents", where="nodes")
     _require_no_cycle(document.get("nodes", []))
@@ -405,8 +384,7 @@ def _require_textures(document: _GltfObject, scene: _TrimeshScene) -> None:
         getattr(geometry.visual, "material", None) for geometry in scene.geometry.values()
     ]
     loaded = sum(
-        getattr(material, "baseColorTexture", None) is not None
-        for material in loaded_materials
+        getattr(material, "baseColorTexture", None) is not None for material in loaded_materials
     )
     if loaded < declared:
         raise SceneInvalid(
@@ -426,9 +404,7 @@ def _buffer_size(path: Path, buffer: _GltfObject) -> int:
 def _require_no_cycle(nodes: list[_GltfObject]) -> None:
     """Refuse nodes that are their own ancestors; each node has at most one parent."""
     parent = {
-        child: parent
-        for parent, node in enumerate(nodes)
-        for child in node.get("children", [])
+        child: parent for parent, node in enumerate(nodes) for child in node.get("children", [])
     }
     for start in parent:
         steps, node_index = 0, start

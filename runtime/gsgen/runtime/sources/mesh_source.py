@@ -32,9 +32,7 @@ class MeshSource(StaticSource):
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
         """Return the centre of the box around the triangles, and half its diagonal."""
-        corners = np.concatenate(
-            [_vertices(mesh) for mesh in self.meshes if len(mesh.data)]
-        )
+        corners = np.concatenate([_vertices(mesh) for mesh in self.meshes if len(mesh.data)])
         low, high = corners.min(axis=0), corners.max(axis=0)
         return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
 

@@ -168,13 +168,7 @@ def local_camera(camera: Camera, transform: Float[np.ndarray, "4 4"]) -> Camera:
     view[:3, :3] = camera.view[:3, :3] @ rotation
     view[:3, 3] = -view[:3, :3] @ np.linalg.solve(linear, camera.eye - offset)
     scale = _scale(linear)
-    zoom = (
-        scale if camera.kind == "orthographic" else 1.0
-    )  # its focal length is pixels a unit
+    zoom = scale if camera.kind == "orthographic" else 1.0  # its focal length is pixels a unit
     return replace(
-        camera,
-        view=view,
-        near=camera.near / scale,
-        fx=camera.fx * zoom,
-        fy=camera.fy * zoom,
+        camera, view=view, near=camera.near / scale, fx=camera.fx * zoom, fy=camera.fy * zoom
     )

@@ -40,9 +40,7 @@ class Fields:
         separator: Text between the location and the name of a field.
     """
 
-    def __init__(
-        self, document: Mapping[str, object], where: str, separator: str = "."
-    ) -> None:
+    def __init__(self, document: Mapping[str, object], where: str, separator: str = ".") -> None:
         self._document, self.where, self._separator = document, where, separator
         self._known: list[str] = []
 
@@ -74,9 +72,7 @@ class Fields:
             self._mismatch(name, "text")
         return value
 
-    def text_or(
-        self, name: str, kind: type[Alternative], title: str
-    ) -> str | Alternative | None:
+    def text_or(self, name: str, kind: type[Alternative], title: str) -> str | Alternative | None:
         """Return a text or a value of another type, which messages call ``title``."""
         value = self.peek(name)
         if value is not None and not isinstance(value, str | kind):
@@ -99,12 +95,7 @@ class Fields:
         self, name: str, *, low: float = ..., high: float = ..., fallback: None = ...
     ) -> float | None: ...
     def number(
-        self,
-        name: str,
-        *,
-        low: float = -_MAX,
-        high: float = _MAX,
-        fallback: float | None = None,
+        self, name: str, *, low: float = -_MAX, high: float = _MAX, fallback: float | None = None
     ) -> float | None:
         """Return a number from ``low`` to ``high``."""
         value = self.peek(name)
@@ -123,11 +114,7 @@ class Fields:
         value = self.peek(name)
         if value is None:
             return None
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int)
-            or not low <= value <= high
-        ):
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             self._mismatch(name, f"a whole number from {low} to {high}")
         return int(value)
 
@@ -154,8 +141,7 @@ class Fields:
         if value is None:
             return None
         kinds = [
-            "a number" if not shape else "×".join(map(str, shape)) + " numbers"
-            for shape in shapes
+            "a number" if not shape else "×".join(map(str, shape)) + " numbers" for shape in shapes
         ]
         expected = " or ".join(kinds)
         try:
@@ -218,10 +204,7 @@ class Fields:
     def _mismatch(self, name: str, expected: str) -> NoReturn:
         if name not in self._document:
             refuse(f"is missing, expected {expected}", self.location(name))
-        refuse(
-            f"is {_shortened(self._document[name])}, expected {expected}",
-            self.location(name),
-        )
+        refuse(f"is {_shortened(self._document[name])}, expected {expected}", self.location(name))
 
 
 def _shortened(value: object) -> str:

@@ -178,14 +178,10 @@ def open_scene(
     return sources
 
 
-def _open_model(
-    model: SceneModel, provider: str, sizes: Mapping[str, int] | None
-) -> Source:
+def _open_model(model: SceneModel, provider: str, sizes: Mapping[str, int] | None) -> Source:
     if is_scene_file(model.path):
         refuse("is a scene file: scenes hold models, not scenes", f"{model.where}.path")
-    inner = _locate_errors(
-        lambda: open_source(model.path, provider, sizes), f"{model.where}.path"
-    )
+    inner = _locate_errors(lambda: open_source(model.path, provider, sizes), f"{model.where}.path")
     try:
         return PlacedSource(
             inner, model.transform, model.settings, model.inputs, f"{model.where}.inputs"
@@ -194,9 +190,7 @@ def _open_model(
         inner.close()
         separator = ": " if error.where.startswith(inner.name) else "."
         where = (
-            error.where
-            if model.where in error.where
-            else f"{model.where}{separator}{error.where}"
+            error.where if model.where in error.where else f"{model.where}{separator}{error.where}"
         )
         raise type(error)(error.message, where=where, hint=error.hint) from error
 
@@ -225,8 +219,7 @@ def _document(path: Path) -> Mapping[str, object]:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise SceneUnreadable(
-                f"has more than {_MAX_BYTES:,} bytes, the most for a scene file",
-                where=str(path),
+                f"has more than {_MAX_BYTES:,} bytes, the most for a scene file", where=str(path)
             )
         text = path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -236,9 +229,7 @@ def _document(path: Path) -> Mapping[str, object]:
     except (ValueError, RecursionError) as error:
         raise SceneUnreadable(f"is not valid JSON: {error}", where=str(path)) from error
     if not isinstance(document, dict):
-        raise SceneInvalid(
-            f"is a {type(document).__name__}, expected an object", where=str(path)
-        )
+        raise SceneInvalid(f"is a {type(document).__name__}, expected an object", where=str(path))
     return document
 
 
@@ -283,9 +274,7 @@ def _transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
     steps = [name for name in ("translate", "rotate", "scale") if fields.has(name)]
     if matrix is not None:
         if steps:
-            fields.refuse(
-                steps[0], "and `transform` exclude each other: leave one of them out"
-            )
+            fields.refuse(steps[0], "and `transform` exclude each other: leave one of them out")
         require_affine(matrix, fields.location("transform"))
         return matrix
     transform = np.eye(4)
@@ -307,9 +296,7 @@ def _rotation(fields: Fields) -> Float[np.ndarray, "3 3"]:
         degrees = inner.number("degrees")
         inner.close()
         if axis is None or degrees is None or not np.linalg.norm(axis) > 0:
-            fields.refuse(
-                "rotate", 'expected {"axis": [x, y, z], "degrees": d} or [w, x, y, z]'
-            )
+            fields.refuse("rotate", 'expected {"axis": [x, y, z], "degrees": d} or [w, x, y, z]')
         half = np.radians(degrees) / 2
         rotation = np.append(np.cos(half), np.sin(half) * axis / np.linalg.norm(axis))
     else:
@@ -330,9 +317,7 @@ def _clip(fields: Fields) -> Box | None:
     low, high = inner.array("low", (3,)), inner.array("high", (3,))
     inner.close()
     if low is None or high is None or not (low <= high).all():
-        fields.refuse(
-            "clip", 'expected {"low": [x, y, z], "high": [x, y, z]} with low <= high'
-        )
+        fields.refuse("clip", 'expected {"low": [x, y, z], "high": [x, y, z]} with low <= high')
     return Box(tuple(low.tolist()), tuple(high.tolist()))
 
 
@@ -347,9 +332,7 @@ def _background(fields: Fields) -> tuple[float, float, float, float] | None:
 def _fov(fields: Fields) -> float | None:
     degrees = fields.number("fov", low=0, high=180)
     if degrees in (0, 180):
-        fields.refuse(
-            "fov", f"is {degrees:g} degrees, expected more than 0 and less than 180"
-        )
+        fields.refuse("fov", f"is {degrees:g} degrees, expected more than 0 and less than 180")
     return degrees
 
 

@@ -49,9 +49,7 @@ class SceneSource(StaticSource):
         return linear @ center + offset, reach * scale
 
 
-def sources_of(
-    scene: Scene | SplatData | str | Path | Sequence[str | Path],
-) -> list[Source]:
+def sources_of(scene: Scene | SplatData | str | Path | Sequence[str | Path]) -> list[Source]:
     """Return the sources of a scene in memory, or of files.
 
     Args:

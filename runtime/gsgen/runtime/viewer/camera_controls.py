@@ -114,9 +114,7 @@ class Controls:
         rotation = self._rotation @ _rotation(self._up, around)
         # The angle to straight up stays away from the poles, where the view would flip over.
         angle = math.acos(float(np.clip(rotation[2] @ self._up, -1, 1)))
-        target = float(
-            np.clip(angle + over, min(angle, _POLE), max(angle, math.pi - _POLE))
-        )
+        target = float(np.clip(angle + over, min(angle, _POLE), max(angle, math.pi - _POLE)))
         rotation = rotation @ _rotation(rotation[0], target - angle)
         # Orthogonalised, so that rounding errors of many drags do not add up.
         left, _, right = np.linalg.svd(rotation)
@@ -144,9 +142,7 @@ class Controls:
         if not steps.any():
             return False
         length = _SPEED * self._reach * seconds * (_FAST if fast else 1)
-        self.pivot = (
-            self.pivot + self._rotation.T @ (steps / np.linalg.norm(steps)) * length
-        )
+        self.pivot = self.pivot + self._rotation.T @ (steps / np.linalg.norm(steps)) * length
         return True
 
     def focus(self, point: Vector) -> None:
@@ -187,6 +183,4 @@ def _rotation(axis: Vector, angle: float) -> Float[np.ndarray, "3 3"]:
     """Return the rotation about an axis, right-handed (Rodrigues' formula)."""
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(
-        np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
-    )
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross)

@@ -35,9 +35,7 @@ HELP: Final = (
 )
 """Keys and their effects, shown by the help panel and the guide."""
 
-_REFRESH: Final = (
-    0.25  # seconds between two updates of the statistics while something moves
-)
+_REFRESH: Final = 0.25  # seconds between two updates of the statistics while something moves
 _EDGE: Final = 10  # pixels between a panel and the edge of the window
 _CHARACTER: Final = 8.5  # pixels of a character, on average
 
@@ -152,14 +150,10 @@ class Overlay:
             )
         if message:
             lines = tuple((line, "") for line in _wrapped(message, size[0] / ratio))
-            builders["message", lines, size, ratio] = lambda: _centered(
-                lines, size, ratio, 0.3
-            )
+            builders["message", lines, size, ratio] = lambda: _centered(lines, size, ratio, 0.3)
         if self.shows_help:
             builders["help", size, ratio] = lambda: _centered(HELP, size, ratio, 0.5)
-        self._panels = {
-            key: self._panels.get(key) or build() for key, build in builders.items()
-        }
+        self._panels = {key: self._panels.get(key) or build() for key, build in builders.items()}
         return list(self._panels.values())
 
 
@@ -174,6 +168,4 @@ def _centered(
 
 def _wrapped(text: str, width: float) -> list[str]:
     columns = max(20, int(width / _CHARACTER))
-    return [
-        part for line in text.splitlines() for part in textwrap.wrap(line.strip(), columns)
-    ]
+    return [part for line in text.splitlines() for part in textwrap.wrap(line.strip(), columns)]

@@ -22,9 +22,7 @@ _GREY: Final = (150, 156, 166, 255)
 _ORANGE: Final = (255, 176, 64, 255)
 
 
-def paragraph(
-    rows: Sequence[tuple[str, str]], ratio: float = 1.0
-) -> UInt8[np.ndarray, "h w 4"]:
+def paragraph(rows: Sequence[tuple[str, str]], ratio: float = 1.0) -> UInt8[np.ndarray, "h w 4"]:
     """Return a panel with two columns of text.
 
     Args:
@@ -37,13 +35,10 @@ def paragraph(
     first = max((font.getlength(left) for left, right in rows if right), default=0.0)
     column = round(first + 1.2 * size) if first else 0
     widths = [
-        (column + font.getlength(right)) if right else font.getlength(left)
-        for left, right in rows
+        (column + font.getlength(right)) if right else font.getlength(left) for left, right in rows
     ]
     width = round(max(widths, default=0.0)) + 2 * margin
-    image, draw = _blank_panel(
-        width, line * len(rows) + 2 * margin - round(size * 0.4), ratio
-    )
+    image, draw = _blank_panel(width, line * len(rows) + 2 * margin - round(size * 0.4), ratio)
     for number, (left, right) in enumerate(rows):
         top = margin + number * line - round(size * 0.1)
         draw.text((margin, top), left, _ORANGE if right else _WHITE, font)
@@ -99,9 +94,7 @@ class Slider:
         low, high = self._ends()
         return float(np.clip((x - self.corner[0] - low) / (high - low), 0, 1))
 
-    def picture(
-        self, fraction: float, label: str, *, playing: bool
-    ) -> UInt8[np.ndarray, "h w 4"]:
+    def picture(self, fraction: float, label: str, *, playing: bool) -> UInt8[np.ndarray, "h w 4"]:
         """Return the panel.
 
         Args:
@@ -119,15 +112,9 @@ class Slider:
         left, half = 12 * ratio, 6 * ratio
         if playing:
             for start in (left, left + half):
-                draw.rectangle(
-                    (start, middle - half, start + half / 2, middle + half), _WHITE
-                )
+                draw.rectangle((start, middle - half, start + half / 2, middle + half), _WHITE)
         else:
-            corners = [
-                (left, middle - half),
-                (left, middle + half),
-                (left + 1.6 * half, middle),
-            ]
+            corners = [(left, middle - half), (left, middle + half), (left + 1.6 * half, middle)]
             draw.polygon(corners, _WHITE)
         font = _font(round(_TEXT * ratio * 0.9))
         draw.text((high + 14 * ratio, middle), _printable(label), _WHITE, font, anchor="lm")
@@ -145,9 +132,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(max(6, size))
 
 
-def _blank_panel(
-    width: int, height: int, ratio: float
-) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+def _blank_panel(width: int, height: int, ratio: float) -> tuple[Image.Image, ImageDraw.ImageDraw]:
     image = Image.new("RGBA", (width, height))
     draw = ImageDraw.Draw(image)
     draw.rounded_rectangle((0, 0, width - 1, height - 1), _CORNER * ratio, _BACKGROUND)
@@ -157,7 +142,5 @@ def _blank_panel(
 def _premultiplied(image: Image.Image) -> UInt8[np.ndarray, "h w 4"]:
     """Return the pixels with colours multiplied by alpha."""
     pixels = np.asarray(image, np.uint16)
-    pixels = np.concatenate(
-        [pixels[..., :3] * pixels[..., 3:] // 255, pixels[..., 3:]], axis=-1
-    )
+    pixels = np.concatenate([pixels[..., :3] * pixels[..., 3:] // 255, pixels[..., 3:]], axis=-1)
     return pixels.astype(np.uint8)

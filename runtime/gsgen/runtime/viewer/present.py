@@ -51,11 +51,7 @@ _UNIFORMS: Final = np.dtype(
 )
 """``Showing`` of ``present.wgsl``; a column of a matrix takes four numbers."""
 
-_BLEND_OVER: Final = {
-    "src_factor": "one",
-    "dst_factor": "one-minus-src-alpha",
-    "operation": "add",
-}
+_BLEND_OVER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
 
 
 @final
@@ -105,12 +101,7 @@ class Present:
         self._device, raw = device, device.raw
         self._uniform = device.uniform("showing", _UNIFORMS.itemsize)
         self._layout, self._pipeline = _pipeline(
-            raw,
-            "present",
-            {"buffer": {"type": "read-only-storage"}},
-            format,
-            None,
-            **_CONSTANTS,
+            raw, "present", {"buffer": {"type": "read-only-storage"}}, format, None, **_CONSTANTS
         )
         blend = {"color": _BLEND_OVER, "alpha": _BLEND_OVER}
         self._panel_layout, self._panels = _pipeline(
@@ -135,9 +126,7 @@ class Present:
             "load_op": "clear",
             "store_op": "store",
         }
-        render_pass = encoder.begin_render_pass(
-            label="present", color_attachments=[attachment]
-        )
+        render_pass = encoder.begin_render_pass(label="present", color_attachments=[attachment])
         if view is not None:
             self._device.write(self._uniform, _uniforms(view, (width, height)))
             render_pass.set_pipeline(self._pipeline)
@@ -229,11 +218,8 @@ def _pipeline(
     return layout, pipeline
 
 
-def _bind_group(
-    raw: RawDevice, layout: BindGroupLayout, resources: Sequence[object]
-) -> BindGroup:
+def _bind_group(raw: RawDevice, layout: BindGroupLayout, resources: Sequence[object]) -> BindGroup:
     entries = [
-        {"binding": binding, "resource": resource}
-        for binding, resource in enumerate(resources)
+        {"binding": binding, "resource": resource} for binding, resource in enumerate(resources)
     ]
     return raw.create_bind_group(layout=layout, entries=entries)

@@ -82,9 +82,7 @@ class SurfaceRenderer:
         self._begin()
 
     def _begin(self) -> None:
-        self.renderer = Renderer(
-            self._open(), rasteriser=self._rasteriser, compact=self._compact
-        )
+        self.renderer = Renderer(self._open(), rasteriser=self._rasteriser, compact=self._compact)
         self._present: Present | None = None
         self._configured: WgpuContext | None = None
         self._last_view: tuple[object, View] | None = None
@@ -111,9 +109,7 @@ class SurfaceRenderer:
         self._last_view = request.key(playback), view
         return view
 
-    def show(
-        self, context: "WgpuContext", view: View | None, panels: Sequence[Panel]
-    ) -> None:
+    def show(self, context: "WgpuContext", view: View | None, panels: Sequence[Panel]) -> None:
         """Show a picture, or black, with panels over it.
 
         Args:
@@ -130,11 +126,7 @@ class SurfaceRenderer:
             self._show(device, context, view, panels)
 
     def _show(
-        self,
-        device: Device,
-        context: "WgpuContext",
-        view: View | None,
-        panels: Sequence[Panel],
+        self, device: Device, context: "WgpuContext", view: View | None, panels: Sequence[Panel]
     ) -> None:
         if self._present is None or self._configured is not context:
             # The shader encodes sRGB itself, so that panels are blended in sRGB.
@@ -158,15 +150,9 @@ class SurfaceRenderer:
         else:
             scene = playback.scene()
             color_space = scene.color_space
-            drawn = self.renderer.draw(
-                scene, camera, background=request.background, output=output
-            )
+            drawn = self.renderer.draw(scene, camera, background=request.background, output=output)
         return View(
-            drawn=drawn,
-            camera=camera,
-            mode=request.mode,
-            depths=depths,
-            color_space=color_space,
+            drawn=drawn, camera=camera, mode=request.mode, depths=depths, color_space=color_space
         )
 
     def _uploaded(self, frame: Frame) -> Drawn:
@@ -200,9 +186,7 @@ class SurfaceRenderer:
             self._upload = None
             self._begin()
         except DeviceUnavailable as error:
-            message = (
-                f"the graphics device was lost, and cannot be opened again: {error.message}"
-            )
+            message = f"the graphics device was lost, and cannot be opened again: {error.message}"
             raise DeviceUnavailable(message, hint=error.hint) from error
 
 

@@ -410,8 +410,7 @@ def _unused_path(folder: Path) -> Path:
     """Return the first path ``view_001.png``, ``view_002.png``, … without a picture or camera."""
     number = 1
     while any(
-        (folder / f"view_{number:03}").with_suffix(suffix).exists()
-        for suffix in (".png", ".json")
+        (folder / f"view_{number:03}").with_suffix(suffix).exists() for suffix in (".png", ".json")
     ):
         number += 1
     return folder / f"view_{number:03}.png"

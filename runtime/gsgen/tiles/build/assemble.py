@@ -81,9 +81,7 @@ def write_index(plan: Plan, root: Tile, key: str) -> dict[str, tuple[int, str]]:
     for name in [*names, *subtrees]:
         data = (output / name).read_bytes()
         files[name] = len(data), hashlib.sha256(data).hexdigest()
-    write_build_record(
-        output / BUILD_RECORD, key=key, source_splats=plan.count, files=dict(files)
-    )
+    write_build_record(output / BUILD_RECORD, key=key, source_splats=plan.count, files=dict(files))
     return files
 
 

@@ -166,9 +166,7 @@ def build_tileset(
     # 2. Plan: cells, partitions, top.
     plan_path = work / "plan.json"
     if not plan_path.exists():
-        save_plan(
-            _plan(run, files, chunks, facts, parameters, partition, output, work), plan_path
-        )
+        save_plan(_plan(run, files, chunks, facts, parameters, partition, output, work), plan_path)
     plan = load_plan(str(plan_path))
     if plan.count != splats:
         raise AssertionError(f"{plan.count} splats counted of {splats}")
@@ -187,9 +185,7 @@ def _write_tiles(run: _Run, path: str, rows: int) -> None:
     if spilled != plan.count:
         raise AssertionError(f"{spilled} rows spilled of {plan.count}")
     # 4. Partitions, the largest first; then the levels above, deepest first.
-    order = sorted(
-        plan.partitions, key=lambda partition: (-partition.count, partition.index)
-    )
+    order = sorted(plan.partitions, key=lambda partition: (-partition.count, partition.index))
     items = [PlanTask(plan=path, item=partition.index) for partition in order]
     run.phase("tiles", plan.count, run_partition, items)
     for depth in sorted({depth_of(cell) for cell in plan.top}, reverse=True):
@@ -276,9 +272,7 @@ def _prepare(
     return folder / name
 
 
-def _note_skipped(
-    facts: Sequence[ChunkFacts], chunks: Sequence[Chunk], progress: Progress
-) -> int:
+def _note_skipped(facts: Sequence[ChunkFacts], chunks: Sequence[Chunk], progress: Progress) -> int:
     skipped: dict[str, list[ChunkFacts]] = {}
     for chunk, fact in zip(chunks, facts, strict=True):
         if fact.skipped:
@@ -345,13 +339,7 @@ def _plan(
 
 
 def _count(
-    run: _Run,
-    chunks: Sequence[Chunk],
-    cube: Cube,
-    limit: int,
-    work: Path,
-    *,
-    anchored: bool,
+    run: _Run, chunks: Sequence[Chunk], cube: Cube, limit: int, work: Path, *, anchored: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Count splats in cells that are fine enough for partitions.
 
@@ -378,9 +366,7 @@ def _count(
             for cell, count in zip(cells.tolist(), counts.tolist(), strict=True):
                 known[cell] = known.get(cell, 0) + count
         crowded = [
-            cell
-            for cell, count in known.items()
-            if count > limit and depth_of(cell) == depth
+            cell for cell, count in known.items() if count > limit and depth_of(cell) == depth
         ]
         if not crowded or depth == DEPTH:
             break

@@ -37,23 +37,12 @@ def globe_transform(longitude: float, latitude: float, height: float) -> tuple[f
     Raises:
         ConfigInvalid: An angle or the height is out of range.
     """
-    limits = {
-        "--lon": (longitude, 180.0),
-        "--lat": (latitude, 90.0),
-        "--height": (height, 1e7),
-    }
+    limits = {"--lon": (longitude, 180.0), "--lat": (latitude, 90.0), "--height": (height, 1e7)}
     for option, (value, limit) in limits.items():
         if not abs(value) <= limit:
-            raise ConfigInvalid(
-                f"is {value}; expected -{limit:g} to {limit:g}", where=option
-            )
+            raise ConfigInvalid(f"is {value}; expected -{limit:g} to {limit:g}", where=option)
     east, north = math.radians(longitude), math.radians(latitude)
-    sin_e, cos_e, sin_n, cos_n = (
-        math.sin(east),
-        math.cos(east),
-        math.sin(north),
-        math.cos(north),
-    )
+    sin_e, cos_e, sin_n, cos_n = (math.sin(east), math.cos(east), math.sin(north), math.cos(north))
     matrix = np.eye(4)
     matrix[:3, 0] = -sin_e, cos_e, 0
     matrix[:3, 1] = -sin_n * cos_e, -sin_n * sin_e, cos_n

@@ -59,9 +59,7 @@ def _build(
     parts: list[Built] = []
     # 1. Large splats stay at this cell, in extra leaves beside the children.
     large = anchors == depth
-    extra = (
-        _extra_leaves(plan, rows[large], codes[large], location) if large.any() else None
-    )
+    extra = _extra_leaves(plan, rows[large], codes[large], location) if large.any() else None
     if extra is not None:
         rows, codes, anchors = rows[~large], codes[~large], anchors[~large]
     # 2. The others go to the octants; small neighbours become one leaf.
@@ -80,9 +78,7 @@ def _build(
     return _above(plan, location, parts)
 
 
-def _extra_leaves(
-    plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int
-) -> Built:
+def _extra_leaves(plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int) -> Built:
     """Write the large splats that stay at a cell, in as many leaves as they need."""
     count = -(-len(rows) // plan.parameters.leaf)
     limits = [len(rows) * index // count for index in range(count + 1)]

@@ -93,8 +93,7 @@ def coordinates_of(location: int) -> tuple[int, int, int]:
     """Return the coordinates of a cell among those of its depth."""
     depth = depth_of(location)
     x, y, z = (
-        sum((location >> (3 * bit + axis) & 1) << bit for bit in range(depth))
-        for axis in range(3)
+        sum((location >> (3 * bit + axis) & 1) << bit for bit in range(depth)) for axis in range(3)
     )
     return x, y, z
 

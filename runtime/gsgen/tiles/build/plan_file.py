@@ -42,9 +42,7 @@ def load_plan(path: str) -> Plan:
     """
     content = read_json(Path(path))
     files = [_file(item) for item in content.pop("files")]
-    chunks = tuple(
-        Chunk(**{**item, "file": files[item["file"]]}) for item in content["chunks"]
-    )
+    chunks = tuple(Chunk(**{**item, "file": files[item["file"]]}) for item in content["chunks"])
     parameters = content["parameters"]
     parameters["qualities"] = tuple(parameters["qualities"])
     parameters["transform"] = tuple(parameters["transform"])

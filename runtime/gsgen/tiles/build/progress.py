@@ -94,9 +94,7 @@ class JsonProgress(Progress):
             "done": self._splats_done,
             "total": self._total,
             "splats_per_second": round(rate),
-            "eta_seconds": round((self._total - self._splats_done) / rate, 1)
-            if rate
-            else None,
+            "eta_seconds": round((self._total - self._splats_done) / rate, 1) if rate else None,
         }
         self._emit(event)
 

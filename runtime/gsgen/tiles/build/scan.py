@@ -4,13 +4,7 @@ A splat is *anchored* at the deepest level whose tiles are at least twice as lon
 of 3σ; there it stays, in an extra leaf, so that it is not in a tile far smaller than itself.
 """
 
-__all__ = [
-    "ChunkFacts",
-    "anchor_depths",
-    "count_cells",
-    "location_codes",
-    "scan_chunk",
-]
+__all__ = ["ChunkFacts", "anchor_depths", "count_cells", "location_codes", "scan_chunk"]
 
 import hashlib
 import math
@@ -76,9 +70,7 @@ def scan_chunk(chunk: Chunk) -> ChunkFacts:
         low=(float(low[0]), float(low[1]), float(low[2])),
         high=(float(high[0]), float(high[1]), float(high[2])),
         largest=max(largest, _SMALLEST_LOG_SCALE),
-        digests=tuple(
-            _digest(splats, first) for first in range(0, len(splats), BLOCK_ROWS)
-        ),
+        digests=tuple(_digest(splats, first) for first in range(0, len(splats), BLOCK_ROWS)),
     )
 
 
@@ -90,9 +82,7 @@ def _digest(splats: Splats, first: int) -> str:
     return digest.hexdigest()
 
 
-def anchor_depths(
-    log_scale: Float32[np.ndarray, "n 3"], cube: Cube
-) -> Int64[np.ndarray, " n"]:
+def anchor_depths(log_scale: Float32[np.ndarray, "n 3"], cube: Cube) -> Int64[np.ndarray, " n"]:
     """Return the deepest level at which a tile is twice as long as the splat's 3σ."""
     x, y, z = log_scale.T  # a maximum along rows of three would take ten times as long
     largest = np.maximum(np.maximum(x, y), z).astype(np.float64)

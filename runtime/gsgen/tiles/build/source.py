@@ -22,14 +22,7 @@ from jaxtyping import Bool
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
-from gsgen.formats import (
-    FormatError,
-    PackedRows,
-    PointCloud,
-    Splats,
-    open_splats,
-    splats_of_rows,
-)
+from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats, splats_of_rows
 from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
 from gsgen.formats.shared.splats import SH_COUNTS
 
@@ -173,16 +166,10 @@ def _unreadable(error: FormatError) -> InputUnreadable:
 
 def chunks_of(files: Sequence[SceneFile], chunk_bytes: int = CHUNK_BYTES) -> list[Chunk]:
     """Return the chunks of ``files``, in order."""
-    parts = [
-        (file, first, count)
-        for file in files
-        for first, count in _ranges(file, chunk_bytes)
-    ]
+    parts = [(file, first, count) for file in files for first, count in _ranges(file, chunk_bytes)]
     source, chunks = 0, []
     for index, (file, first, count) in enumerate(parts):
-        chunks.append(
-            Chunk(index=index, file=file, first=first, count=count, source=source)
-        )
+        chunks.append(Chunk(index=index, file=file, first=first, count=count, source=source))
         source += count
     return chunks
 

@@ -4,15 +4,7 @@ A task is a plain value; it writes its result to a file that appears whole, and 
 that is there already. So it can be run twice, elsewhere, or again after a crash.
 """
 
-__all__ = [
-    "CountTask",
-    "PlanTask",
-    "run_bin",
-    "run_count",
-    "run_partition",
-    "run_scan",
-    "run_top",
-]
+__all__ = ["CountTask", "PlanTask", "run_bin", "run_count", "run_partition", "run_scan", "run_top"]
 
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -142,11 +142,7 @@ def _leaf_splats(rows: Rows) -> Splats:
 
 
 def write_leaf(
-    plan: Plan,
-    rows: Rows,
-    codes: UInt64[np.ndarray, " n"],
-    location: int,
-    extra: int = 0,
+    plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int, extra: int = 0
 ) -> tuple[Tile, Mixture]:
     """Write source splats as the content of a leaf; return the tile and its Gaussians."""
     splats = _leaf_splats(rows)
@@ -177,9 +173,7 @@ def _write(
     contents: list[Content] = []
     degree = splats.degree
     for quality in plan.parameters.qualities:
-        encoded = write_content(
-            splats, center, codec=plan.parameters.codec, quality=quality
-        )
+        encoded = write_content(splats, center, codec=plan.parameters.codec, quality=quality)
         digest = hashlib.sha256(encoded.data).hexdigest()
         depth, cell_index = depth_of(location), coordinates_of(location)
         if plan.parameters.implicit:

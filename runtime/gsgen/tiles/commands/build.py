@@ -21,8 +21,7 @@ _QUALITIES = {1: (0,), 2: (0, 2), 3: (0, 2, 4)}
 _Scenes = Annotated[
     list[Path],
     typer.Argument(
-        help="Files of splats: PLY is read in pieces, other formats as a whole.",
-        show_default=False,
+        help="Files of splats: PLY is read in pieces, other formats as a whole.", show_default=False
     ),
 ]
 _Output = Annotated[
@@ -33,12 +32,10 @@ _Engine = Annotated[
     str, typer.Option(help="serial, processes, dask (this machine) or dask=ADDRESS.")
 ]
 _Workers = Annotated[
-    int | None,
-    typer.Option(help="Processes. [default: one a processor core]", min=1, max=1024),
+    int | None, typer.Option(help="Processes. [default: one a processor core]", min=1, max=1024)
 ]
 _QualityCount = Annotated[
-    int,
-    typer.Option(help="How many qualities to write, each a tileset-qN.json.", min=1, max=3),
+    int, typer.Option(help="How many qualities to write, each a tileset-qN.json.", min=1, max=3)
 ]
 _Codec = Annotated[
     Literal["spz", "khr"], typer.Option(help="SPZ version 2, or plain float32 attributes.")
@@ -50,20 +47,11 @@ _Transform = Annotated[
     Path | None,
     typer.Option(help="JSON: 16 numbers, scene → world. [default: upright, y down → z up]"),
 ]
-_Longitude = Annotated[
-    float | None, typer.Option(help="Longitude of the origin, in degrees.")
-]
-_Latitude = Annotated[
-    float | None, typer.Option(help="Latitude of the origin, in degrees.")
-]
-_Height = Annotated[
-    float | None, typer.Option(help="Height of the origin over WGS 84, in metres.")
-]
+_Longitude = Annotated[float | None, typer.Option(help="Longitude of the origin, in degrees.")]
+_Latitude = Annotated[float | None, typer.Option(help="Latitude of the origin, in degrees.")]
+_Height = Annotated[float | None, typer.Option(help="Height of the origin over WGS 84, in metres.")]
 _Fresh = Annotated[
-    bool,
-    typer.Option(
-        "--fresh", help="Start from the beginning; do not resume a stopped build."
-    ),
+    bool, typer.Option("--fresh", help="Start from the beginning; do not resume a stopped build.")
 ]
 _AsJson = Annotated[
     bool, typer.Option("--json", help="Print progress and result as lines of JSON.")
@@ -116,12 +104,7 @@ def build(
     try:
         with open_engine(engine, workers) as running, progress:
             report = build_tileset(
-                scenes,
-                output,
-                parameters,
-                engine=running,
-                progress=progress,
-                fresh=fresh,
+                scenes, output, parameters, engine=running, progress=progress, fresh=fresh
             )
     except KeyboardInterrupt:
         message = f"stopped; the same command goes on where it was ({output})"
@@ -144,9 +127,7 @@ def _transform(
     missing = [name for name, value in angles.items() if value is None]
     if path is not None:
         if len(missing) < len(angles) or height is not None:
-            raise ConfigInvalid(
-                "is given with --lon, --lat or --height", where="--transform"
-            )
+            raise ConfigInvalid("is given with --lon, --lat or --height", where="--transform")
         return read_transform(path)
     if lon is not None and lat is not None:
         return globe_transform(lon, lat, height or 0.0)

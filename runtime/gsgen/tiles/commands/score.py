@@ -21,17 +21,13 @@ if TYPE_CHECKING:
 def score(
     tileset: Annotated[
         str,
-        typer.Argument(
-            help="tileset.json, its folder, .3tz, or an address.", show_default=False
-        ),
+        typer.Argument(help="tileset.json, its folder, .3tz, or an address.", show_default=False),
     ],
     scene: Annotated[
-        Path,
-        typer.Argument(help="The file that it was built from.", show_default=False),
+        Path, typer.Argument(help="The file that it was built from.", show_default=False)
     ],
     output: Annotated[
-        Path,
-        typer.Option("-o", "--output", help="Where the pictures of all levels go, as PNG."),
+        Path, typer.Option("-o", "--output", help="Where the pictures of all levels go, as PNG.")
     ] = Path("score.png"),
     width: Annotated[int, typer.Option(help="Of a picture.", min=32, max=4096)] = 320,
     height: Annotated[int, typer.Option(help="Of a picture.", min=32, max=4096)] = 240,
@@ -55,9 +51,7 @@ def score(
     from gsgen.tiles.scoring.sheet import draw_sheet
 
     try:
-        result = score_tileset(
-            tileset, scene, width=width, height=height, progress=progress
-        )
+        result = score_tileset(tileset, scene, width=width, height=height, progress=progress)
     except FormatError as error:
         raise InputUnreadable(str(error)) from error
     finally:
@@ -65,10 +59,7 @@ def score(
     with atomic_write(output) as draft:
         Image.fromarray(draw_sheet(result)).save(draft, "png")
     if as_json:
-        document = {
-            "splats": result.splats,
-            "levels": [asdict(entry) for entry in result.levels],
-        }
+        document = {"splats": result.splats, "levels": [asdict(entry) for entry in result.levels]}
         typer.echo(json.dumps(document | {"picture": str(output)}, indent=2))
     else:
         typer.echo(_as_text(result, output))

@@ -12,12 +12,9 @@ from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 
 def serve(
     folder: Annotated[
-        Path,
-        typer.Argument(help="The folder of a tileset, or of several.", show_default=False),
+        Path, typer.Argument(help="The folder of a tileset, or of several.", show_default=False)
     ],
-    port: Annotated[
-        int, typer.Option(help="0 takes one that is free.", min=0, max=65535)
-    ] = 8000,
+    port: Annotated[int, typer.Option(help="0 takes one that is free.", min=0, max=65535)] = 8000,
     host: Annotated[str, typer.Option(help="The address to listen at.")] = "127.0.0.1",
     rate: Annotated[
         float | None,
@@ -38,9 +35,7 @@ def serve(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of the choice which answers fail.")] = 0,
-    verbose: Annotated[
-        bool, typer.Option("-v", "--verbose", help="Print each answer.")
-    ] = False,
+    verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print each answer.")] = False,
 ) -> None:
     """Serve FOLDER until Ctrl-C, with ranges, CORS and ETags.
 
@@ -77,9 +72,7 @@ def serve(
     with server:
         typer.echo(server.address)
         index = "tileset.json" if (folder / "tileset.json").is_file() else ""
-        typer.echo(
-            f"serving {folder}; try: gsgen tiles info {server.address}{index}", err=True
-        )
+        typer.echo(f"serving {folder}; try: gsgen tiles info {server.address}{index}", err=True)
         server.serve_forever(poll_interval=0.1)
 
 

@@ -3,12 +3,7 @@
 What only a header says is read without decoding, so that a listing of a tileset is quick.
 """
 
-__all__ = [
-    "ContentHeader",
-    "SplatPrimitive",
-    "decode_content",
-    "read_header",
-]
+__all__ = ["ContentHeader", "SplatPrimitive", "decode_content", "read_header"]
 
 import re
 import struct
@@ -32,10 +27,7 @@ from gsgen.tiles.gltf.container import as_fault
 from gsgen.tiles.gltf.encoding import SPZ_EXTENSION
 from gsgen.tiles.json_values import JsonDict, JsonObject
 
-DRAFTS: Final = (
-    "KHR_gaussian_splatting_compression_spz",
-    "KHR_spz_gaussian_splats_compression",
-)
+DRAFTS: Final = ("KHR_gaussian_splatting_compression_spz", "KHR_spz_gaussian_splats_compression")
 """Extensions of drafts that hold SPZ."""
 DRAFT_ATTRIBUTES: Final = ("_ROTATION", "_SCALE")
 MAX_SPLATS: Final = 1 << 26
@@ -144,9 +136,7 @@ def _primitive(
     for name in (SPZ_EXTENSION, *DRAFTS):
         if name in packed:
             holder = object_member(packed, name, where)
-            version, counts["SPZ"], degree = _spz_head(
-                container, holder, f"{location}, {where}"
-            )
+            version, counts["SPZ"], degree = _spz_head(container, holder, f"{location}, {where}")
             break
     drafts: list[str] = [name for name in DRAFTS if name in packed]
     if version is None or NAME not in extensions:

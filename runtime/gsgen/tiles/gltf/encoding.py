@@ -63,11 +63,7 @@ class EncodedContent:
 
 
 def write_content(
-    splats: Splats,
-    center: Float64[np.ndarray, " 3"],
-    *,
-    codec: CodecName = "spz",
-    quality: int = 0,
+    splats: Splats, center: Float64[np.ndarray, " 3"], *, codec: CodecName = "spz", quality: int = 0
 ) -> EncodedContent:
     """Encode the splats of one tile as a GLB file.
 
@@ -112,9 +108,7 @@ def _translation(center: Float64[np.ndarray, " 3"]) -> list[float]:
     return [float(value) for value in matrix.T.ravel()]
 
 
-def _extent(
-    stored: Splats,
-) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+def _extent(stored: Splats) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
     """Return the box of splats at 3σ, turned from glTF axes to those of the tile."""
     scale = np.exp(stored.log_scale.astype(np.float64))
     variance = covariance_upper(scale, stored.rotation)[:, _DIAGONAL]
@@ -122,10 +116,7 @@ def _extent(
     low = (stored.position - reach).min(axis=0)
     high = (stored.position + reach).max(axis=0)
     x, y, z = range(3)
-    return (
-        np.array([low[x], -high[z], low[y]]),
-        np.array([high[x], -low[z], high[y]]),
-    )
+    return (np.array([low[x], -high[z], low[y]]), np.array([high[x], -low[z], high[y]]))
 
 
 def _as_spz(local: Splats, quality: int) -> _Parts:
@@ -170,9 +161,7 @@ def _as_floats(local: Splats, quality: int) -> _Parts:
     accessors["POSITION"]["max"] = [float(value) for value in high]
     document = _document(accessors, [array.nbytes for array in arrays.values()], local)
     document["extensionsUsed"] = document["extensionsRequired"] = [NAME]
-    binary = b"".join(
-        np.ascontiguousarray(array, "<f4").tobytes() for array in arrays.values()
-    )
+    binary = b"".join(np.ascontiguousarray(array, "<f4").tobytes() for array in arrays.values())
     return document, binary, local
 
 
@@ -208,8 +197,5 @@ def _document(accessors: dict[str, JsonDict], sizes: list[int], splats: Splats) 
     }
 
 
-CODECS: Final[dict[str, Callable[[Splats, int], _Parts]]] = {
-    "spz": _as_spz,
-    "khr": _as_floats,
-}
+CODECS: Final[dict[str, Callable[[Splats, int], _Parts]]] = {"spz": _as_spz, "khr": _as_floats}
 """Codec name → function of splats with glTF axes to JSON, binary chunk and the stored splats."""

@@ -42,12 +42,7 @@ class Quality:
 
 
 def _quality(
-    alphas: int,
-    colors: int,
-    scales: int,
-    rotations: int,
-    sh_bits: tuple[int, int],
-    steps: int,
+    alphas: int, colors: int, scales: int, rotations: int, sh_bits: tuple[int, int], steps: int
 ) -> Quality:
     bits = {"alphas": alphas, "colors": colors, "scales": scales, "rotations": rotations}
     return Quality(bits=bits, sh_bits=sh_bits, steps=steps)
@@ -74,9 +69,7 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
         ValueInvalid: A coordinate is beyond what 24 bits hold, or there is no such quality.
     """
     if not 0 <= quality < len(QUALITIES):
-        raise ValueInvalid(
-            str(quality), where="quality", expected=f"0 to {len(QUALITIES) - 1}"
-        )
+        raise ValueInvalid(str(quality), where="quality", expected=f"0 to {len(QUALITIES) - 1}")
     settings = QUALITIES[quality]
     fraction = _fractional_bits(local, settings, finest=quality == 0)
     content = streams.encode(

@@ -15,15 +15,7 @@ import numpy as np
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.json_values import JsonObject
 
-_WIDTHS: Final = {
-    "SCALAR": 1,
-    "VEC2": 2,
-    "VEC3": 3,
-    "VEC4": 4,
-    "MAT2": 4,
-    "MAT3": 9,
-    "MAT4": 16,
-}
+_WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _DTYPES: Final = {
     "INT8": "i1", "UINT8": "u1", "INT16": "<i2", "UINT16": "<u2", "INT32": "<i4",
     "UINT32": "<u4", "INT64": "<i8", "UINT64": "<u8", "FLOAT32": "<f4", "FLOAT64": "<f8",
@@ -91,9 +83,7 @@ def read_property_table(
     """
     name, rows = table.text("class"), table.whole("count")
     if name not in classes:
-        table.refuse(
-            "class", f"a class of the schema: {', '.join(classes) or 'none there'}"
-        )
+        table.refuse("class", f"a class of the schema: {', '.join(classes) or 'none there'}")
     if rows != count:
         table.refuse("count", f"{count}, as many as are available")
     columns: dict[str, np.ndarray] = {}

@@ -83,21 +83,16 @@ def read_subtree(
     count = tile_count(branching, levels)
     tiles = reader.availability(document.child("tileAvailability"), count)
     contents = tuple(
-        reader.availability(entry, count)
-        for entry in document.objects("contentAvailability")
+        reader.availability(entry, count) for entry in document.objects("contentAvailability")
     )
-    below = reader.availability(
-        document.child("childSubtreeAvailability"), branching**levels
-    )
+    below = reader.availability(document.child("childSubtreeAvailability"), branching**levels)
     _check_tree(document, tiles, contents, below, branching)
     tables = list(document.objects("propertyTables"))
     return Subtree(
         tiles=tiles,
         contents=contents,
         subtrees=below,
-        properties=reader.table(
-            tables, document, "tileMetadata", int(tiles.sum()), classes
-        ),
+        properties=reader.table(tables, document, "tileMetadata", int(tiles.sum()), classes),
         content_properties=_content_tables(reader, tables, document, contents, classes),
     )
 
@@ -142,9 +137,7 @@ def _split(data: bytes, location: str) -> tuple[JsonObject, bytes]:
             f"{whole}: the header, {json_size} of JSON and {binary_size} of data",
         )
     start = _HEADER.size + json_size
-    document = parse_object(
-        data[_HEADER.size : start], f"{location}, ", fault=Fault.SUBTREE
-    )
+    document = parse_object(data[_HEADER.size : start], f"{location}, ", fault=Fault.SUBTREE)
     return document, data[start:]
 
 
@@ -153,11 +146,7 @@ def _wrong(actual: str, location: str, expected: str) -> TilesetInvalid:
 
 
 def _check_tree(
-    document: JsonObject,
-    tiles: Bits,
-    contents: tuple[Bits, ...],
-    below: Bits,
-    branching: int,
+    document: JsonObject, tiles: Bits, contents: tuple[Bits, ...], below: Bits, branching: int
 ) -> None:
     """Raise for tiles without a parent, and for contents or subtrees of unavailable tiles."""
     location = document.location.removesuffix(", ")
@@ -209,9 +198,7 @@ class _Reader:
         data = self.view(entry, key)
         size = (count + 7) // 8
         if len(data) < size:
-            raise _wrong(
-                f"{len(data)} bytes", entry.at(key), f"{size}, a bit for each of {count}"
-            )
+            raise _wrong(f"{len(data)} bytes", entry.at(key), f"{size}, a bit for each of {count}")
         packed = np.frombuffer(data[:size], np.uint8)
         bits = np.unpackbits(packed, bitorder="little")[:count].astype(bool)
         if "availableCount" in entry:
@@ -231,9 +218,7 @@ class _Reader:
         start, size = view.whole("byteOffset"), view.whole("byteLength")
         data = self._buffer(view)
         if start + size > len(data):
-            raise _wrong(
-                f"ends at byte {start + size}", view.location, f"{len(data)} or less"
-            )
+            raise _wrong(f"ends at byte {start + size}", view.location, f"{len(data)} or less")
         return data[start : start + size]
 
     def _buffer(self, view: JsonObject) -> bytes:

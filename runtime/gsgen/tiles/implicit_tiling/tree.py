@@ -32,9 +32,7 @@ class TileCoordinates(NamedTuple):
 
     def child(self, index: int) -> "TileCoordinates":
         """Return a tile right below: its coordinates' last bits are those of ``index``."""
-        cell = tuple(
-            value * 2 + (index >> axis & 1) for axis, value in enumerate(self.cell)
-        )
+        cell = tuple(value * 2 + (index >> axis & 1) for axis, value in enumerate(self.cell))
         return TileCoordinates(self.level + 1, cell)
 
 
@@ -240,9 +238,7 @@ def _contents(
         volume = None
         if number < len(subtree.content_properties):
             columns = subtree.content_properties[number]
-            values = {
-                key: column[content_rows[number][index]] for key, column in columns.items()
-            }
+            values = {key: column[content_rows[number][index]] for key, column in columns.items()}
             volume = _declared_volume(values, "CONTENT")
         uri = tree.uri(tree.content_uris[number], tile, location)
         contents.append(Content(uri=uri, volume=volume, location=location))

@@ -182,8 +182,7 @@ def _subtrees(cells: list[_Cell], levels: int, quality: int) -> Iterable[tuple[s
         below = [
             child
             for level, child in groups
-            if level == top + levels
-            and tuple(value >> levels for value in child) == (x, y, z)
+            if level == top + levels and tuple(value >> levels for value in child) == (x, y, z)
         ]
         uri = _SUBTREE_URI.replace("{level}", str(top))
         for name, value in zip("xyz", (x, y, z), strict=True):
@@ -207,9 +206,7 @@ def _subtree(
         )
         return tile_count(_BRANCHING, depth) + morton((local[0], local[1], local[2]))
 
-    ordered = sorted(
-        members, key=lambda cell: index(cell.record.level, cell.record.coordinates)
-    )
+    ordered = sorted(members, key=lambda cell: index(cell.record.level, cell.record.coordinates))
     indices = [index(cell.record.level, cell.record.coordinates) for cell in ordered]
     filled = [cell for cell in ordered if cell.record.contents]
     content_indices = [index(c.record.level, c.record.coordinates) for c in filled]

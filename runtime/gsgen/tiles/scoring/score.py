@@ -122,9 +122,7 @@ def score_tileset(
                     tiles=len(cut),
                     splats=len(drawn),
                     bytes=size,
-                    ssim={
-                        name: _similarity(renders[name], expected[name]) for name in renders
-                    },
+                    ssim={name: _similarity(renders[name], expected[name]) for name in renders},
                 )
             )
     return TilesetScore(splats=len(splats), levels=tuple(levels), pictures=pictures)
@@ -160,9 +158,7 @@ def _depth(tileset: Tileset) -> int:
     return deepest
 
 
-def _read(
-    store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]
-) -> tuple[Splats, int]:
+def _read(store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]) -> tuple[Splats, int]:
     """Return the splats of a cut as one set, and the bytes of its files."""
     parts, size = [], 0
     for tile, content in cut:

@@ -21,10 +21,7 @@ def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
     levels = {f"level {entry.level}": entry for entry in score.levels}
     columns = ["scene", *reversed(levels)]
     height, width = score.pictures["scene"]["near"].shape[:2]
-    size = (
-        len(columns) * (width + _GAP) - _GAP,
-        len(DISTANCES) * (height + _BAR + _GAP) - _GAP,
-    )
+    size = (len(columns) * (width + _GAP) - _GAP, len(DISTANCES) * (height + _BAR + _GAP) - _GAP)
     sheet: Any = Image.new("RGB", size, (40, 40, 40))
     pen = ImageDraw.Draw(sheet)
     for column, name in enumerate(columns):

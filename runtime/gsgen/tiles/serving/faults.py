@@ -37,9 +37,7 @@ def parse_failure(text: str) -> FailureRule:
         ConfigInvalid: It says something else.
     """
     match = _FORM.match(text)
-    share = (
-        float(match[2]) if match and match[2].count(".") <= 1 and match[2] != "." else 2.0
-    )
+    share = float(match[2]) if match and match[2].count(".") <= 1 and match[2] != "." else 2.0
     failure = match[1] if match else ""
     status = failure.isdigit() and 400 <= int(failure) <= 599
     if not (0 <= share <= 1 and (status or failure in ("cut", "stall"))):

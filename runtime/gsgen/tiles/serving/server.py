@@ -92,9 +92,7 @@ def serve_folder(
     Raises:
         OSError: The port is taken.
     """
-    return TileServer(
-        folder, host=host, port=port, faults=faults or NetworkFaults(), log=log
-    )
+    return TileServer(folder, host=host, port=port, faults=faults or NetworkFaults(), log=log)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -211,11 +209,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Access-Control-Expose-Headers", exposed)
 
     def _refuse(
-        self,
-        status: HTTPStatus,
-        *,
-        with_body: bool,
-        headers: list[tuple[str, str]] | None = None,
+        self, status: HTTPStatus, *, with_body: bool, headers: list[tuple[str, str]] | None = None
     ) -> None:
         body = f"{status.value} {status.phrase}\n".encode()
         self.send_response(status)

@@ -38,9 +38,7 @@ class HttpStore:
             from urllib3 import PoolManager, Retry, Timeout
         except ImportError as error:
             raise ConfigInvalid(
-                "urllib3 is not installed",
-                where=address,
-                hint="pip install 'gsgen[tiles]'",
+                "urllib3 is not installed", where=address, hint="pip install 'gsgen[tiles]'"
             ) from error
         parts = urlsplit(address)
         folder = parts.path.rpartition("/")[0]
@@ -111,11 +109,7 @@ class HttpStore:
         address = f"{self.name}/{quote(path)}"
         try:
             response = self._pool.request(
-                method,
-                address,
-                headers=headers,
-                preload_content=False,
-                redirect=False,
+                method, address, headers=headers, preload_content=False, redirect=False
             )
         except HTTPError as error:
             raise self._failed(path, f"no answer ({error})") from error
@@ -128,10 +122,7 @@ class HttpStore:
 
     def _failed(self, path: str, actual: str) -> TilesetInvalid:
         return StoreUnavailable(
-            actual,
-            location=f"{self.name}/{path}",
-            expected="the file",
-            fault=Fault.CONTENT,
+            actual, location=f"{self.name}/{path}", expected="the file", fault=Fault.CONTENT
         )
 
     def close(self) -> None:

@@ -61,9 +61,7 @@ class Store(Protocol):
     ) -> None: ...
 
 
-def missing(
-    store: str, path: str, reason: str = "the file does not exist"
-) -> ContentMissing:
+def missing(store: str, path: str, reason: str = "the file does not exist") -> ContentMissing:
     """Return the error for a file that does not exist."""
     return ContentMissing(
         reason,
@@ -84,9 +82,7 @@ def too_large(store: str, path: str, size: int, limit: int) -> TilesetInvalid:
     )
 
 
-def check_range(
-    store: str, path: str, whole: int, start: int, size: int | None, limit: int
-) -> int:
+def check_range(store: str, path: str, whole: int, start: int, size: int | None, limit: int) -> int:
     """Return how many bytes to read of a file of ``whole`` bytes; raise above ``limit``."""
     count = max(whole - start, 0) if size is None else max(min(size, whole - start), 0)
     if count > limit:

@@ -79,20 +79,14 @@ class ZipStore:
             self._check_index(index, by_name)
         return by_name
 
-    def _check_index(
-        self, index: zipfile.ZipInfo, by_name: dict[str, zipfile.ZipInfo]
-    ) -> None:
+    def _check_index(self, index: zipfile.ZipInfo, by_name: dict[str, zipfile.ZipInfo]) -> None:
         """Raise if the index and the directory of the archive disagree on offsets."""
         members = [member for name, member in by_name.items() if name != INDEX_NAME]
         if index.file_size != _RECORD.size * len(members):
-            raise self._damaged(
-                f"an index of {index.file_size} bytes for {len(members)} members"
-            )
+            raise self._damaged(f"an index of {index.file_size} bytes for {len(members)} members")
         expected = {index_record(m.filename, m.header_offset) for m in members}
         data = self._member(index, 0, index.file_size)
-        records = [
-            data[offset : offset + 24] for offset in range(0, len(data), _RECORD.size)
-        ]
+        records = [data[offset : offset + 24] for offset in range(0, len(data), _RECORD.size)]
         if set(records) != expected:
             raise self._damaged("an index that does not name the members of the archive")
 

@@ -1,11 +1,6 @@
 """The input of the rules: a tileset, its faults, and its contents, each read once."""
 
-__all__ = [
-    "InspectedContent",
-    "InspectedTileset",
-    "inspect_content_file",
-    "inspect_tileset",
-]
+__all__ = ["InspectedContent", "InspectedTileset", "inspect_content_file", "inspect_tileset"]
 
 import hashlib
 import time
@@ -74,9 +69,7 @@ class InspectedTileset:
 
     tileset: Tileset | None
     store: Store
-    faults: dict[Fault, list[TilesetInvalid]] = field(
-        default_factory=lambda: defaultdict(list)
-    )
+    faults: dict[Fault, list[TilesetInvalid]] = field(default_factory=lambda: defaultdict(list))
     contents: list[InspectedContent] = field(default_factory=list)
     record: BuildRecord | None = None
     undecoded: str = ""
@@ -96,13 +89,7 @@ class InspectedTileset:
 
 
 def inspect_tileset(
-    store: Store,
-    index: str,
-    *,
-    decode: bool,
-    seconds: float,
-    progress: Progress,
-    name: str,
+    store: Store, index: str, *, decode: bool, seconds: float, progress: Progress, name: str
 ) -> InspectedTileset:
     """Read a tileset and its contents for the rules.
 
@@ -153,9 +140,7 @@ def inspect_content_file(
 class _ContentReader:
     """Reads contents; a file that several tiles share is opened once a tile, and checked once."""
 
-    def __init__(
-        self, inspected: InspectedTileset, *, decode: bool, deadline: float
-    ) -> None:
+    def __init__(self, inspected: InspectedTileset, *, decode: bool, deadline: float) -> None:
         self._inspected, self._decode = inspected, decode
         self._deadline = deadline
         self._headers: dict[str, tuple[ContentHeader | None, str]] = {}
@@ -168,9 +153,7 @@ class _ContentReader:
             self._inspected.undecoded = "the time was up before all contents were decoded"
         if known and (late or not self._decode):
             header, digest = self._headers[content.uri]
-            return InspectedContent(
-                tile=tile, content=content, header=header, sha256=digest
-            )
+            return InspectedContent(tile=tile, content=content, header=header, sha256=digest)
         header, digest, values = None, "", None
         try:
             data = self._inspected.store.read(content.uri, limit=MAX_CONTENT)
@@ -197,9 +180,7 @@ class _ContentReader:
 
         return fetch
 
-    def _values(
-        self, tile: Tile | None, content: Content, container: Container
-    ) -> ContentValues:
+    def _values(self, tile: Tile | None, content: Content, container: Container) -> ContentValues:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FormatWarning)  # GT019 says so
             decoded = decode_content(container, content.uri)
@@ -211,16 +192,13 @@ class _ContentReader:
         axes = tileset.content_axes
         to_world = tileset.transform
         parts = [
-            place(entry, tile.transform @ axes @ matrix)
-            for entry, matrix in decoded
-            if len(entry)
+            place(entry, tile.transform @ axes @ matrix) for entry, matrix in decoded if len(entry)
         ]
         tile_to_world = to_world @ tile.transform
         children: list[Volume] = []
         if tile.refine == "REPLACE":
             children = [
-                child.volume.transformed(to_world @ child.transform)
-                for child in tile.children
+                child.volume.transformed(to_world @ child.transform) for child in tile.children
             ]
         scale = float(np.cbrt(np.linalg.det(tile_to_world[:3, :3])))
         return measure_content(

@@ -1,12 +1,6 @@
 """Small generated tilesets that fixtures and tests change and write."""
 
-__all__ = [
-    "TilesetSketch",
-    "edit_glb",
-    "explicit_sketch",
-    "implicit_sketch",
-    "sample_splats",
-]
+__all__ = ["TilesetSketch", "edit_glb", "explicit_sketch", "implicit_sketch", "sample_splats"]
 
 import json
 import struct
@@ -101,11 +95,7 @@ def explicit_sketch(
     root = _record(coarse, 0, (0, 0, 0), codec, files)
     root = replace(root, geometric_error=_ERROR, cell=_ERROR / 4, children=children)
     document = tileset_document(
-        root,
-        source_splats=sum(map(len, leaves)),
-        sh_degree=1,
-        codec=codec,
-        transform=transform,
+        root, source_splats=sum(map(len, leaves)), sh_degree=1, codec=codec, transform=transform
     )
     sketch = TilesetSketch(document, files)
     if record:
@@ -136,9 +126,7 @@ def _record(
     if implicit:
         uri = implicit_uri(level, coordinates)
     files[uri] = encoded.data
-    content = ContentRecord(
-        uri=uri, size=len(encoded.data), low=encoded.low, high=encoded.high
-    )
+    content = ContentRecord(uri=uri, size=len(encoded.data), low=encoded.low, high=encoded.high)
     return TileRecord(
         level=level,
         coordinates=coordinates,
@@ -205,17 +193,12 @@ def _above(cell: tuple[int, int, int], levels: int) -> tuple[int, int, int]:
 def _add_record(sketch: TilesetSketch, source_splats: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / BUILD_RECORD
-        write_build_record(
-            path, key="example", source_splats=source_splats, files=sketch.files
-        )
+        write_build_record(path, key="example", source_splats=source_splats, files=sketch.files)
         sketch.files[BUILD_RECORD] = path.read_bytes()
 
 
 def edit_glb(
-    data: bytes,
-    *,
-    document: _Edit | None = None,
-    binary: Callable[[bytes], bytes] | None = None,
+    data: bytes, *, document: _Edit | None = None, binary: Callable[[bytes], bytes] | None = None
 ) -> bytes:
     """Return a GLB file with another document or another binary chunk.
 

@@ -22,11 +22,7 @@ from gsgen.contract.validation.waivers import apply_waivers
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.stores.opening import INDEX, open_store
 from gsgen.tiles.stores.store import Store
-from gsgen.tiles.validation.inspected import (
-    InspectedTileset,
-    inspect_content_file,
-    inspect_tileset,
-)
+from gsgen.tiles.validation.inspected import InspectedTileset, inspect_content_file, inspect_tileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
 
 _CONTENTS: Final = (".glb", ".gltf")

@@ -98,9 +98,7 @@ def _outside(
     centers = part.positions() @ linear.T + to_world[:3, 3]
     allowed = _SHARE_OF_SIZE * volume.size + _SMALLEST
     covariance = symmetric(
-        covariance_upper(
-            np.exp(part.splats.log_scale.astype(np.float64)), part.splats.rotation
-        )
+        covariance_upper(np.exp(part.splats.log_scale.astype(np.float64)), part.splats.rotation)
     )
     covariance = linear @ covariance @ linear.T
     center_out = volume.outside(centers) > allowed
@@ -120,10 +118,7 @@ def _outside(
 
 
 def _uncovered(
-    part: PlacedSplats,
-    children: list[Volume],
-    margin: float,
-    to_world: Float64[np.ndarray, "4 4"],
+    part: PlacedSplats, children: list[Volume], margin: float, to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     centers = part.positions() @ to_world[:3, :3].T + to_world[:3, 3]
     nearest = np.full(len(centers), np.inf)
@@ -163,9 +158,7 @@ def check_values(container: Container, decoded: list[Splats], location: str) -> 
                 require_drawable(splats)
         for primitive, _, where in scene_primitives(container):
             index = primitive.get("attributes", {}).get(f"{NAME}:ROTATION")
-            accessor = (
-                container.item("accessors", index, where) if index is not None else {}
-            )
+            accessor = container.item("accessors", index, where) if index is not None else {}
             if "bufferView" in accessor:
                 rotation = read_accessor(container, index, (4,), where)
                 _check_unit(rotation.astype(np.float64), f"{location}, {where}")

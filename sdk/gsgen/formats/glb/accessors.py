@@ -37,9 +37,7 @@ def read_accessor(
     """
     accessor = glb.item("accessors", index, where)
     if "sparse" in accessor or "bufferView" not in accessor:
-        raise NotSupported(
-            "a sparse accessor", where=where, expected="an accessor with all values"
-        )
+        raise NotSupported("a sparse accessor", where=where, expected="an accessor with all values")
     kind, width = accessor.get("componentType"), accessor.get("type")
     if (
         not (isinstance(kind, int) and isinstance(width, str))
@@ -61,9 +59,7 @@ def read_accessor(
     return values
 
 
-def _stored(
-    glb: Container, accessor: Json, dtype: np.dtype, width: int, where: str
-) -> np.ndarray:
+def _stored(glb: Container, accessor: Json, dtype: np.dtype, width: int, where: str) -> np.ndarray:
     view = glb.item("bufferViews", accessor["bufferView"], where)
     count = whole_number(accessor.get("count"), f"{where}, count")
     value_bytes = dtype.itemsize * width
@@ -85,9 +81,7 @@ def _stored(
         )
     if not count:
         return np.empty((0, width), dtype)
-    return np.ndarray(
-        (count, width), dtype, glb.data, start + offset, (stride, dtype.itemsize)
-    )
+    return np.ndarray((count, width), dtype, glb.data, start + offset, (stride, dtype.itemsize))
 
 
 def view_range(glb: Container, view: Json, where: str) -> tuple[int, int]:

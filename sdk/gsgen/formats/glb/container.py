@@ -63,9 +63,7 @@ def parse(data: Data) -> Container:
     magic, version, length = _HEADER.unpack_from(data)
     if magic != MAGIC:
         raise NotRecognised(
-            magic.hex(" "),
-            where="first bytes",
-            expected="67 6c 54 46 (glTF), the start of a GLB",
+            magic.hex(" "), where="first bytes", expected="67 6c 54 46 (glTF), the start of a GLB"
         )
     if version != 2:
         raise NotSupported(f"glTF version {version}", where="byte 4", expected="2")
@@ -93,10 +91,7 @@ def _document(content: bytes) -> Json:
         document = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise HeaderMalformed(
-            f"invalid JSON ({error})",
-            where="chunk JSON",
-            expected="JSON",
-            hint=DOWNLOAD_HINT,
+            f"invalid JSON ({error})", where="chunk JSON", expected="JSON", hint=DOWNLOAD_HINT
         ) from error
     if not isinstance(document, dict):
         raise _malformed(document, "chunk JSON", "an object")

@@ -12,21 +12,10 @@ from jaxtyping import Float32
 
 from gsgen.formats.glb.container import Container, array_member, build, parse
 from gsgen.formats.glb.nodes import Matrix, meshes, moved
-from gsgen.formats.glb.splats import (
-    COLOR_SPACES,
-    NAME,
-    coefficient,
-    is_splats,
-    read_primitive,
-)
+from gsgen.formats.glb.splats import COLOR_SPACES, NAME, coefficient, is_splats, read_primitive
 from gsgen.formats.shared.axes import RDF_LUF, flip
 from gsgen.formats.shared.bytes import MAX_BYTES, Data, contents
-from gsgen.formats.shared.errors import (
-    HeaderMalformed,
-    PropertyMissing,
-    SizeExceeded,
-    ValueInvalid,
-)
+from gsgen.formats.shared.errors import HeaderMalformed, PropertyMissing, SizeExceeded, ValueInvalid
 from gsgen.formats.shared.files import FilePath, naming, replacing
 from gsgen.formats.shared.joined import joined
 from gsgen.formats.shared.quantities import sigmoid, unit
@@ -79,21 +68,15 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
         used_bytes += len(splats) * (_BYTES_EACH + 12 * splats.sh.shape[1])
         if used_bytes > max_bytes:
             raise SizeExceeded(
-                f"splats of {used_bytes} bytes",
-                where=where,
-                expected=f"{max_bytes} or fewer",
+                f"splats of {used_bytes} bytes", where=where, expected=f"{max_bytes} or fewer"
             )
         parts.append(moved(splats, matrix))
     if not parts:
-        raise PropertyMissing(
-            "no splats in the scene", expected=f"a mesh of points with {NAME}"
-        )
+        raise PropertyMissing("no splats in the scene", expected=f"a mesh of points with {NAME}")
     spaces = {part.color_space for part in parts}
     if len(spaces) > 1:
         raise HeaderMalformed(
-            "sRGB and linear colours",
-            where="colorSpace",
-            expected="one color space for all",
+            "sRGB and linear colours", where="colorSpace", expected="one color space for all"
         )
     return flip(joined(parts), RDF_LUF)
 
@@ -127,9 +110,7 @@ def write_glb(path: FilePath, splats: Splats) -> None:
         size = sum(array.nbytes for array in arrays.values())
         if size > _LARGEST - _HEADER_ROOM:
             raise ValueInvalid(
-                f"{size} bytes",
-                where="arrays",
-                expected="less than 4 GiB, as of a GLB file",
+                f"{size} bytes", where="arrays", expected="less than 4 GiB, as of a GLB file"
             )
     with replacing(path) as file:
         file.write(build(_document(arrays, splats), size))
@@ -152,9 +133,7 @@ def _attributes(splats: Splats) -> dict[str, Float32[np.ndarray, "n w"]]:
     return arrays
 
 
-def _document(
-    arrays: dict[str, Float32[np.ndarray, "n w"]], splats: Splats
-) -> dict[str, Any]:
+def _document(arrays: dict[str, Float32[np.ndarray, "n w"]], splats: Splats) -> dict[str, Any]:
     views, accessors, offset = [], [], 0
     for index, (name, array) in enumerate(arrays.items()):
         views.append({"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes})

@@ -11,13 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.contract.spec.geometry import rotation_matrix
-from gsgen.formats.glb.container import (
-    Container,
-    Json,
-    array_member,
-    number_member,
-    whole_number,
-)
+from gsgen.formats.glb.container import Container, Json, array_member, number_member, whole_number
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported
 from gsgen.formats.shared.harmonics import rotate_sh
 from gsgen.formats.shared.quantities import log, rotations
@@ -59,10 +53,7 @@ def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
 def _roots(glb: Container) -> list[int]:
     if "scenes" in glb.document:
         scene = glb.item("scenes", glb.document.get("scene", 0), "scene")
-        return [
-            whole_number(root, "scene.nodes")
-            for root in array_member(scene, "nodes", "scene")
-        ]
+        return [whole_number(root, "scene.nodes") for root in array_member(scene, "nodes", "scene")]
     nodes = array_member(glb.document, "nodes", "document")
     inner: set[Any] = set()
     for index, node in enumerate(nodes):

@@ -43,9 +43,7 @@ _COEFFICIENT = re.compile(re.escape(NAME) + r":SH_DEGREE_(\d)_COEF_(\d)")
 def is_splats(primitive: Json) -> bool:
     """Return whether a primitive holds splats, by the extension or a draft."""
     extensions, attributes = primitive.get("extensions"), primitive.get("attributes")
-    has_extension = isinstance(extensions, dict) and any(
-        key in extensions for key in (NAME, *_SPZ)
-    )
+    has_extension = isinstance(extensions, dict) and any(key in extensions for key in (NAME, *_SPZ))
     drafted = isinstance(attributes, dict) and {"_ROTATION", "_SCALE"} <= attributes.keys()
     return has_extension or drafted
 
@@ -60,9 +58,7 @@ def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) 
     extension = object_member(extensions, NAME, where)
     mode = primitive.get("mode", 4)
     if mode != _POINTS:
-        raise HeaderMalformed(
-            shown(str(mode)), where=f"{where}, mode", expected="0, points"
-        )
+        raise HeaderMalformed(shown(str(mode)), where=f"{where}, mode", expected="0, points")
     space: Literal["srgb", "linear"] = "srgb"
     if NAME in extensions:
         space = _color_space(extension, where)
@@ -85,9 +81,7 @@ def _color_space(extension: Json, where: str) -> Literal["srgb", "linear"]:
         return "srgb"
     if not isinstance(space, str) or space not in COLOR_SPACES:
         raise NotSupported(
-            shown(str(space)),
-            where=f"{where}, colorSpace",
-            expected=" or ".join(COLOR_SPACES),
+            shown(str(space)), where=f"{where}, colorSpace", expected=" or ".join(COLOR_SPACES)
         )
     return COLOR_SPACES[space]
 
@@ -162,13 +156,9 @@ class _Arrays:
         return array
 
 
-def _harmonics(
-    arrays: _Arrays, attributes: Json, where: str
-) -> Float32[np.ndarray, "n k 3"]:
+def _harmonics(arrays: _Arrays, attributes: Json, where: str) -> Float32[np.ndarray, "n k 3"]:
     stored_pairs = {
-        (int(match[1]), int(match[2]))
-        for match in map(_COEFFICIENT.fullmatch, attributes)
-        if match
+        (int(match[1]), int(match[2])) for match in map(_COEFFICIENT.fullmatch, attributes) if match
     }
     degree = max((band for band, _ in stored_pairs), default=0)
     if degree >= len(SH_COUNTS):
@@ -196,10 +186,7 @@ def coefficient(band: int, index: int) -> str:
 
 
 def _require(
-    values: Float32[np.ndarray, "..."],
-    is_valid: Bool[np.ndarray, "..."],
-    where: str,
-    expected: str,
+    values: Float32[np.ndarray, "..."], is_valid: Bool[np.ndarray, "..."], where: str, expected: str
 ) -> None:
     if not is_valid.all():
         first = int(np.argmin(is_valid))  # the comparisons are false for NaN

@@ -87,9 +87,7 @@ def _lines(data: mmap.mmap, start: int) -> Iterator[str]:
         if end < 0:
             end = len(data)
         if end - start > MAX_LINE:
-            raise BodyMalformed(
-                f"a line of more than {MAX_LINE} bytes", where=f"byte {start}"
-            )
+            raise BodyMalformed(f"a line of more than {MAX_LINE} bytes", where=f"byte {start}")
         # The parser reports characters beyond ASCII as invalid numbers.
         line = data[start:end].decode("ascii", "replace").strip()
         if line:

@@ -75,9 +75,7 @@ def _length(data: mmap.mmap, header: Header, item: Property, start: int, row: in
     length = int.from_bytes(count, header.byte_order, signed=signed)
     if length < 0:
         where = f"property {shown(item.name)}, row {row}, byte {start}"
-        raise BodyMalformed(
-            f"a list of {length} values", where=where, expected="0 values or more"
-        )
+        raise BodyMalformed(f"a list of {length} values", where=where, expected="0 values or more")
     return length
 
 

@@ -56,9 +56,7 @@ def ply_table(path: FilePath) -> PlyTable | None:
             return None
         vertex = find_vertex(header)
         types = vertex.types
-        is_float32 = header.encoding == "binary_little_endian" and set(types.values()) == {
-            "f4"
-        }
+        is_float32 = header.encoding == "binary_little_endian" and set(types.values()) == {"f4"}
         if not (is_float32 and is_splat(types)):
             return None
         return PlyTable(

@@ -31,8 +31,7 @@ def read_columns(
     read = ascii_rows if header.encoding == "ascii" else binary_rows
     chunks = read(data, header, vertex)
     tables = {
-        group: np.empty((vertex.count, len(names)), np.float32)
-        for group, names in groups.items()
+        group: np.empty((vertex.count, len(names)), np.float32) for group, names in groups.items()
     }
     start = 0
     # A double beyond float32 becomes infinite, which the checks of values refuse.
@@ -53,12 +52,9 @@ def _floats(
     shape = vertex.count, len(vertex.properties)
     rows = np.ndarray(shape, "<f4", data, first_row(data, header, vertex))
     column_indices = {name: column for column, name in enumerate(vertex.types)}
-    columns = {
-        group: [column_indices[name] for name in names] for group, names in groups.items()
-    }
+    columns = {group: [column_indices[name] for name in names] for group, names in groups.items()}
     tables = {
-        group: np.empty((vertex.count, len(names)), np.float32)
-        for group, names in groups.items()
+        group: np.empty((vertex.count, len(names)), np.float32) for group, names in groups.items()
     }
     for start in range(0, vertex.count, CHUNK_ROWS):
         part = slice(start, start + CHUNK_ROWS)

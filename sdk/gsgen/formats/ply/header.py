@@ -123,9 +123,7 @@ def parse_header(data: mmap.mmap) -> Header:
             case ["element", name, count]:
                 _add_element(tables, name, count, number)
             case ["property", "list", count_type, item_type, name] if tables:
-                listing = Property(
-                    name, _known(item_type, number), _countable(count_type, number)
-                )
+                listing = Property(name, _known(item_type, number), _countable(count_type, number))
                 _add_property(tables, listing, number)
             case ["property", type_name, name] if tables:
                 _add_property(tables, Property(name, _known(type_name, number)), number)
@@ -155,9 +153,7 @@ def _split(data: mmap.mmap) -> tuple[list[str], int]:
     if not head[: end.start()].isascii():
         offset = next(index for index, byte in enumerate(head) if byte > 127)
         raise HeaderMalformed(
-            f"byte {head[offset]:#04x} at offset {offset}",
-            where="header",
-            expected="ASCII only",
+            f"byte {head[offset]:#04x} at offset {offset}", where="header", expected="ASCII only"
         )
     lines = head[: end.start()].decode("ascii").split("\n")
     return lines[1:-1], end.end()
@@ -180,9 +176,7 @@ def _add_element(
     tables: dict[str, tuple[int, dict[str, Property]]], name: str, count: str, number: int
 ) -> None:
     if name in tables:
-        raise _malformed(
-            number, f"element {shown(name)} for the second time", "unique names"
-        )
+        raise _malformed(number, f"element {shown(name)} for the second time", "unique names")
     if not (count.isdigit() and len(count) <= MAX_COUNT_DIGITS):
         raise _malformed(
             number,
@@ -204,18 +198,14 @@ def _add_property(
 
 def _known(type_name: str, number: int) -> str:
     if type_name not in TYPES:
-        raise _malformed(
-            number, f"unknown type {shown(type_name)}", f"one of {', '.join(TYPES)}"
-        )
+        raise _malformed(number, f"unknown type {shown(type_name)}", f"one of {', '.join(TYPES)}")
     return TYPES[type_name]
 
 
 def _countable(type_name: str, number: int) -> str:
     code = _known(type_name, number)
     if code[0] == "f":
-        raise _malformed(
-            number, f"a list counted in {shown(type_name)}", "a whole-number type"
-        )
+        raise _malformed(number, f"a list counted in {shown(type_name)}", "a whole-number type")
     return code
 
 
@@ -224,8 +214,7 @@ def _grammar(line: str) -> str:
     forms = {
         "format": f"one line `format ENCODING 1.0`, ENCODING {' or '.join(ENCODINGS)}",
         "element": "`element NAME COUNT`",
-        "property": "`property TYPE NAME` or `property list TYPE TYPE NAME`, "
-        "after an element",
+        "property": "`property TYPE NAME` or `property list TYPE TYPE NAME`, after an element",
     }
     keyword = line.split()[0]
     return forms.get(keyword, "format, element, property, comment or obj_info")

@@ -31,9 +31,7 @@ def splat_groups(degree: int) -> dict[str, tuple[str, ...]]:
     returned coefficient-major, so that reading by name reorders them.
     """
     higher_count = (degree + 1) ** 2 - 1
-    higher = (
-        f"f_rest_{c * higher_count + k}" for k in range(higher_count) for c in range(3)
-    )
+    higher = (f"f_rest_{c * higher_count + k}" for k in range(higher_count) for c in range(3))
     return {
         "position": XYZ,
         "sh": ("f_dc_0", "f_dc_1", "f_dc_2", *higher),
@@ -66,9 +64,7 @@ def find_vertex(header: Header) -> Element:
     vertex = header.find("vertex")
     if vertex is None:
         names = listed([element.name for element in header.elements])
-        raise PropertyMissing(
-            f"no element 'vertex', found {names}", expected="element 'vertex'"
-        )
+        raise PropertyMissing(f"no element 'vertex', found {names}", expected="element 'vertex'")
     if "packed_position" in vertex.types:
         raise NotSupported(
             "a compressed PLY",
@@ -133,9 +129,7 @@ def cloud_colors(types: Mapping[str, str]) -> tuple[str, ...]:
         NotSupported: The colours are neither bytes nor floats.
     """
     matches = {names: len(types.keys() & set(names)) for names in COLORS}
-    colors = max(
-        COLORS, key=lambda names: matches[names]
-    )  # the first one with the most properties
+    colors = max(COLORS, key=lambda names: matches[names])  # the first one with the most properties
     missing = [name for name in (*XYZ, *colors) if name not in types]
     if missing:
         raise PropertyMissing(

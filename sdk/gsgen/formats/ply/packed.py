@@ -72,16 +72,12 @@ def _higher(data: mmap.mmap, header: Header, count: int) -> Float32[np.ndarray, 
         return np.empty((count, 0, 3), np.float32)
     if element.count != count:
         raise HeaderMalformed(
-            f"{element.count} rows",
-            where="element 'sh'",
-            expected=f"{count}, the rows of vertex",
+            f"{element.count} rows", where="element 'sh'", expected=f"{count}, the rows of vertex"
         )
     value_count = len(element.properties)
     if value_count not in _REST_COUNTS:
         raise PropertyMissing(
-            f"{value_count} properties",
-            where="element 'sh'",
-            expected="9, 24, 45 or 72 of f_rest",
+            f"{value_count} properties", where="element 'sh'", expected="9, 24, 45 or 72 of f_rest"
         )
     names = [f"f_rest_{index}" for index in range(value_count)]
     columns = _columns(data, header, element, names, "u1")
@@ -113,6 +109,4 @@ def _columns(
     read = ascii_rows if header.encoding == "ascii" else binary_rows
     parts = list(read(data, header, element))
     with np.errstate(over="ignore", invalid="ignore"):
-        return [
-            np.concatenate([part[name] for part in parts]).astype(code) for name in names
-        ]
+        return [np.concatenate([part[name] for part in parts]).astype(code) for name in names]

@@ -142,9 +142,7 @@ def pack_sh(sh: Float32[np.ndarray, "n m"]) -> UInt8[np.ndarray, "n m"]:
 
 
 def _share(
-    values: Float[np.ndarray, "n 3"],
-    low: Float[np.ndarray, "n 3"],
-    high: Float[np.ndarray, "n 3"],
+    values: Float[np.ndarray, "n 3"], low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n 3"]:
     """Return the relative position of values between ``low`` and ``high``; 0 for an empty range."""
     extent = high.astype(np.float64) - low

@@ -15,12 +15,7 @@ from gsgen.formats.ply.layout import (
     splat_groups,
 )
 from gsgen.formats.ply.packed import is_packed, read_packed
-from gsgen.formats.ply.values import (
-    only_drawable,
-    only_finite,
-    require_cloud,
-    require_splats,
-)
+from gsgen.formats.ply.values import only_drawable, only_finite, require_cloud, require_splats
 from gsgen.formats.ply.write import write_ply
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.files import FilePath, mapped

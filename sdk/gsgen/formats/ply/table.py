@@ -57,9 +57,7 @@ def read_ply_columns(
         return tables
 
 
-def _require_properties(
-    types: Mapping[str, str], groups: Mapping[str, Sequence[str]]
-) -> None:
+def _require_properties(types: Mapping[str, str], groups: Mapping[str, Sequence[str]]) -> None:
     needed = [name for names in groups.values() for name in names]
     missing = [name for name in needed if name not in types]
     if missing:

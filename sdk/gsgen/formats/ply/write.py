@@ -20,10 +20,7 @@ Columns = dict[str, tuple[str, Float32[np.ndarray, " n"]]]
 
 
 def write_ply(
-    path: FilePath,
-    content: Splats | PointCloud,
-    *,
-    format: Encoding = "binary_little_endian",
+    path: FilePath, content: Splats | PointCloud, *, format: Encoding = "binary_little_endian"
 ) -> None:
     """Write ``content`` to ``path`` as a PLY file that ``read_ply`` reads back.
 
@@ -43,12 +40,8 @@ def write_ply(
     """
     with naming(path):
         if format not in ENCODINGS:
-            raise ValueInvalid(
-                shown(str(format)), where="format", expected=", ".join(ENCODINGS)
-            )
-        columns = (
-            _splat_columns(content) if isinstance(content, Splats) else _points(content)
-        )
+            raise ValueInvalid(shown(str(format)), where="format", expected=", ".join(ENCODINGS))
+        columns = _splat_columns(content) if isinstance(content, Splats) else _points(content)
     with replacing(path) as file:
         file.write(_header(columns, len(content), format))
         for chunk in _chunks(columns, len(content)):

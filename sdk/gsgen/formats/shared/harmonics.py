@@ -41,9 +41,7 @@ def _directions() -> Float64[np.ndarray, "d 3"]:
     return np.column_stack([ring * np.cos(around), ring * np.sin(around), z])
 
 
-def sh_basis(
-    directions: Float[np.ndarray, "d 3"], degree: int
-) -> Float64[np.ndarray, "d k"]:
+def sh_basis(directions: Float[np.ndarray, "d 3"], degree: int) -> Float64[np.ndarray, "d k"]:
     """Evaluate the real harmonics of the 3DGS sign convention along unit ``directions``.
 
     Y_lm = (−1)^m √(2 (2l+1)/4π · (l−|m|)!/(l+|m|)!) P_l^|m|(z) times cos mφ for m > 0, or

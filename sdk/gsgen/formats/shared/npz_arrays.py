@@ -11,12 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Shaped
 
-from gsgen.formats.shared.errors import (
-    ArchiveDamaged,
-    FormatError,
-    NotSupported,
-    SizeExceeded,
-)
+from gsgen.formats.shared.errors import ArchiveDamaged, FormatError, NotSupported, SizeExceeded
 
 ZIP_MAGIC: Final = b"PK\x03\x04"
 """The first bytes of a zip archive."""

@@ -40,9 +40,7 @@ def unit(rotation: Float[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
     return np.asarray(turned, np.float32)
 
 
-def rounded(
-    values: Float[np.ndarray, "..."], low: int, high: int
-) -> Integer[np.ndarray, "..."]:
+def rounded(values: Float[np.ndarray, "..."], low: int, high: int) -> Integer[np.ndarray, "..."]:
     """Round ``values`` to the nearest whole numbers from ``low`` to ``high``."""
     return np.asarray(np.clip(np.rint(values), low, high), np.int64)
 

@@ -20,9 +20,7 @@ def require_rows(count: int, where: str) -> None:
 
 
 def require_finite(
-    table: Float32[np.ndarray, "n m"],
-    labels: Sequence[str],
-    infinite: Sequence[float] = (),
+    table: Float32[np.ndarray, "n m"], labels: Sequence[str], infinite: Sequence[float] = ()
 ) -> None:
     """Raise ValueInvalid unless all values are finite or one of ``infinite``.
 

@@ -7,12 +7,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gsgen.formats.shared.bytes import DOWNLOAD_HINT
-from gsgen.formats.shared.errors import (
-    ArchiveDamaged,
-    FileTruncated,
-    HeaderMalformed,
-    NotSupported,
-)
+from gsgen.formats.shared.errors import ArchiveDamaged, FileTruncated, HeaderMalformed, NotSupported
 
 Image = UInt8[np.ndarray, "p 4"]
 
@@ -22,9 +17,7 @@ def most_pixels(needed: int) -> int:
     return 2 * needed + (1 << 16)
 
 
-def decode_image(
-    content: bytes, needed: int, where: str, width: int | None = None
-) -> Image:
+def decode_image(content: bytes, needed: int, where: str, width: int | None = None) -> Image:
     """Return the first ``needed`` pixels of a WebP image as red, green, blue and alpha.
 
     Raises:
@@ -60,15 +53,11 @@ def decode_image(
     return np.asarray(pixels.reshape(-1, 4)[:needed])
 
 
-def _require_size(
-    size: tuple[int, int], needed: int, where: str, width: int | None
-) -> None:
+def _require_size(size: tuple[int, int], needed: int, where: str, width: int | None) -> None:
     pixels = size[0] * size[1]
     message = f"an image of {size[0]} × {size[1]} pixels"
     if pixels < needed:
         raise FileTruncated(message, where=where, expected=f"{needed} pixels or more")
     if pixels > most_pixels(needed) or (width is not None and size[0] != width):
         row_note = f", {width} in a row" if width is not None else ""
-        raise HeaderMalformed(
-            message, where=where, expected=f"about {needed} pixels{row_note}"
-        )
+        raise HeaderMalformed(message, where=where, expected=f"about {needed} pixels{row_note}")

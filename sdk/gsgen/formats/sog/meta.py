@@ -51,9 +51,7 @@ class Meta:
                 hint="read one of the files that it lists",
             )
         if "means" not in data:
-            raise NotRecognised(
-                "JSON without means", where=META, expected="the meta.json of a SOG"
-            )
+            raise NotRecognised("JSON without means", where=META, expected="the meta.json of a SOG")
         version = data.get("version", 1)
         if version != 2:
             raise NotSupported(f"version {shown(str(version))}", where=META, expected="2")
@@ -121,9 +119,7 @@ def _object(content: bytes) -> dict[str, Any]:
         ) from error
     if not isinstance(data, dict):
         raise NotRecognised(
-            f"a {type(data).__name__}",
-            where=META,
-            expected="an object, the meta.json of a SOG",
+            f"a {type(data).__name__}", where=META, expected="an object, the meta.json of a SOG"
         )
     return data
 

@@ -161,9 +161,7 @@ def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
     return rotation
 
 
-def _higher(
-    meta: Meta, fetched: Callable[[str, int], bytes]
-) -> Float32[np.ndarray, "n k 3"]:
+def _higher(meta: Meta, fetched: Callable[[str, int], bytes]) -> Float32[np.ndarray, "n k 3"]:
     """Return the harmonics above degree 0, which each splat takes from a palette."""
     palette = meta.palette()
     if palette is None:
@@ -173,15 +171,11 @@ def _higher(
     centroids, labels = meta.files("shN", 2)
     height = -(-size // _PALETTE_WIDTH)
     pixels = _PALETTE_WIDTH * higher_count * height
-    image = decode_image(
-        fetched(centroids, pixels), pixels, "shN", _PALETTE_WIDTH * higher_count
-    )
+    image = decode_image(fetched(centroids, pixels), pixels, "shN", _PALETTE_WIDTH * higher_count)
     indices = decode_image(fetched(labels, meta.count), meta.count, "shN")
     label = indices[:, 0] | indices[:, 1].astype(np.int64) << 8
     if (label >= size).any():
-        raise HeaderMalformed(
-            f"label {int(label.max())}", where="shN", expected=f"0 to {size - 1}"
-        )
+        raise HeaderMalformed(f"label {int(label.max())}", where="shN", expected=f"0 to {size - 1}")
     # Row y of the image holds palette entries 64 y to 64 y + 63, one after the other.
     entries = image[:, :3].reshape(height * _PALETTE_WIDTH, higher_count, 3)
     return np.asarray(meta.codebook("shN")[entries[label]])

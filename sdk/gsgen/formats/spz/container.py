@@ -81,9 +81,7 @@ def unpack(data: Data, max_bytes: int) -> Frame:
         return _unpack_gzip(data, max_bytes)
     require_room(data, 0, _HEADER.size, "header")
     version = _HEADER.unpack_from(data)[1]
-    if (
-        data[:4] == MAGIC and version <= LAST_GZIP
-    ):  # the content of the gzip stream, not compressed
+    if data[:4] == MAGIC and version <= LAST_GZIP:  # the content of the gzip stream, not compressed
         return _unpack_plain(iter([bytes(data)]), len(data), max_bytes)
     return _unpack_zstd(data, max_bytes)
 
@@ -122,9 +120,7 @@ def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
     require_room(body, 0, _HEADER.size, "header, unpacked")
     magic, version, count, degree, fraction, flags = _HEADER.unpack_from(body)
     if version > LAST_GZIP:
-        raise HeaderMalformed(
-            f"version {version} in gzip", where="byte 4", expected="1, 2 or 3"
-        )
+        raise HeaderMalformed(f"version {version} in gzip", where="byte 4", expected="1, 2 or 3")
     _require_header(magic, version, count, degree, fraction, size)
     parts = sizes(version, count, degree)
     end = _HEADER.size + sum(parts.values())
@@ -182,9 +178,7 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
             f"table of contents at byte {toc}", where="byte 16", expected="32 or more"
         )
     require_room(data, toc, stream_count * _TOC_ENTRY.size, "table of contents")
-    signs = (
-        _extensions(bytes(data[_LONG_HEADER.size : toc])) if flags & _EXTENDED else RDF_RUB
-    )
+    signs = _extensions(bytes(data[_LONG_HEADER.size : toc])) if flags & _EXTENDED else RDF_RUB
     streams, offset = {}, toc + stream_count * _TOC_ENTRY.size
     for index, (name, size) in enumerate(parts.items()):
         entry = toc + index * _TOC_ENTRY.size
@@ -201,9 +195,7 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
         offset += packed
     if offset != len(data):
         raise HeaderMalformed(
-            f"{len(data)} bytes",
-            where="file",
-            expected=f"{offset}, the end of the last stream",
+            f"{len(data)} bytes", where="file", expected=f"{offset}, the end of the last stream"
         )
     streams = {name: streams.get(name, np.empty(0, np.uint8)) for name in NAMES}
     aliased = bool(flags & _ANTIALIASED)
@@ -223,9 +215,7 @@ def _require_header(
 ) -> None:
     if magic != MAGIC:
         raise NotRecognised(
-            magic.hex(" "),
-            where="first bytes",
-            expected="4e 47 53 50 (NGSP), the start of an SPZ",
+            magic.hex(" "), where="first bytes", expected="4e 47 53 50 (NGSP), the start of an SPZ"
         )
     if not 1 <= version <= LAST:
         raise NotSupported(f"version {version}", where="byte 4", expected="1, 2, 3 or 4")
@@ -235,9 +225,7 @@ def _require_header(
     if degree > _MOST_DEGREE:
         raise HeaderMalformed(f"SH degree {degree}", where="byte 12", expected="0 to 4")
     if fraction > _MOST_FRACTION:
-        raise HeaderMalformed(
-            f"{fraction} fractional bits", where="byte 13", expected="0 to 24"
-        )
+        raise HeaderMalformed(f"{fraction} fractional bits", where="byte 13", expected="0 to 24")
 
 
 def require_count(count: int, size: int) -> None:

@@ -79,11 +79,7 @@ def _turned(splats: Splats, signs: Signs) -> Splats:
 
 
 def write_spz(
-    path: FilePath,
-    splats: Splats,
-    *,
-    version: int = VERSION,
-    sh_bits: tuple[int, int] = SH_BITS,
+    path: FilePath, splats: Splats, *, version: int = VERSION, sh_bits: tuple[int, int] = SH_BITS
 ) -> None:
     """Write ``splats`` to ``path`` as an SPZ file.
 
@@ -112,10 +108,7 @@ def write_spz(
         require_drawable(splats)
         fraction = _fractional_bits(splats, version)
         content = streams.encode(
-            _turned(splats, RDF_RUB),
-            version=version,
-            fractional_bits=fraction,
-            sh_bits=sh_bits,
+            _turned(splats, RDF_RUB), version=version, fractional_bits=fraction, sh_bits=sh_bits
         )
         frame = container.Frame(
             version=version,

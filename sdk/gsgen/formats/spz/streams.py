@@ -110,9 +110,7 @@ def encode(
         fractional_bits: The bits after the binary point of coordinates.
         sh_bits: The kept bits of eight for harmonics of degree 1, and of higher degrees.
     """
-    log_scale = np.maximum(
-        splats.log_scale, np.float32(-10)
-    )  # -inf becomes the smallest too
+    log_scale = np.maximum(splats.log_scale, np.float32(-10))  # -inf becomes the smallest too
     encode_rotations = (
         _encode_word_rotations if version > BYTE_ROTATIONS else _encode_byte_rotations
     )

@@ -44,10 +44,7 @@ def unpack(data: bytes, size: int, where: str) -> bytearray:
     if len(content) != size:
         actual_size = f"more than {size}" if len(content) > size else f"{len(content)}"
         raise ArchiveDamaged(
-            f"unpacks to {actual_size} bytes",
-            where=where,
-            expected=f"{size}",
-            hint=DOWNLOAD_HINT,
+            f"unpacks to {actual_size} bytes", where=where, expected=f"{size}", hint=DOWNLOAD_HINT
         )
     return content
 

@@ -77,20 +77,14 @@ def wrap(
     generator.depends_on = dict(depends_on or {})  # type: ignore[misc]
     generator.space = space or Space()
     generator.color_space, generator.antialias = color_space, antialias
-    generator.family, generator.producer, generator.weighted_sum = (
-        family,
-        producer,
-        weighted_sum,
-    )
+    generator.family, generator.producer, generator.weighted_sum = (family, producer, weighted_sum)
     return generator
 
 
 class _Wrapped(GaussianGenerator):
     """A generator that runs a module and picks the fields of Gaussians from its result."""
 
-    def __init__(
-        self, module: nn.Module, outputs: Mapping[str, Take], *, by_name: bool
-    ) -> None:
+    def __init__(self, module: nn.Module, outputs: Mapping[str, Take], *, by_name: bool) -> None:
         super().__init__()
         self.module = module
         self.outputs = dict(outputs)
@@ -103,9 +97,7 @@ class _Wrapped(GaussianGenerator):
             result = self.module(**dict(zip(names, inputs, strict=True)))
         else:
             result = self.module(*inputs)
-        picked = {
-            name: self._pick(result, name, take) for name, take in self.outputs.items()
-        }
+        picked = {name: self._pick(result, name, take) for name, take in self.outputs.items()}
         return Gaussians(**picked)
 
     def _pick(self, result: Any, field: str, take: Take) -> Any:

@@ -55,12 +55,7 @@ class Gaussians:
         if (self.sh is None) == (self.rgb is None):
             raise GeneratorInvalid("give exactly one of sh and rgb", where="Gaussians")
         n = self.position.shape[0]
-        for name, width in (
-            ("position", 3),
-            ("scale", 3),
-            ("rotation", 4),
-            ("covariance", 6),
-        ):
+        for name, width in (("position", 3), ("scale", 3), ("rotation", 4), ("covariance", 6)):
             self._expect(name, (n, width))
         self._expect("rgb", (n, 3))
         self._expect("opacity", (n,), (n, 1))
@@ -86,9 +81,7 @@ class Gaussians:
             hint = "Reshape to [N, K, 3]; f_rest of a 3DGS PLY is channel-major: [N, 3, K-1] first."
         expect_shape(f"Gaussians.{name}", value, *shapes, hint=hint)
 
-    def take(
-        self, rows: Int[Tensor, " m"], count: Int[Tensor, "1"] | None = None
-    ) -> "Gaussians":
+    def take(self, rows: Int[Tensor, " m"], count: Int[Tensor, "1"] | None = None) -> "Gaussians":
         """Return the Gaussians of the given rows, in their order.
 
         Args:

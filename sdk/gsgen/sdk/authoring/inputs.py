@@ -72,12 +72,7 @@ def time(
 def frame_index(frames: int, name: str = "frame_index") -> Input:
     """Frame number, int32 [1], from 0 to ``frames`` − 1."""
     return Input(
-        name=name,
-        role="frame_index",
-        shape=(1,),
-        range=(0, frames - 1),
-        default=0,
-        frames=frames,
+        name=name, role="frame_index", shape=(1,), range=(0, frames - 1), default=0, frames=frames
     )
 
 
@@ -115,28 +110,18 @@ def shape(count: int, name: str = "shape", *, range: Range = (-3.0, 3.0)) -> Inp
     return Input(name=name, role="shape", shape=(count,), range=range, default="zeros")
 
 
-def root_translation(
-    name: str = "root_translation", *, range: Range = (-1.0, 1.0)
-) -> Input:
+def root_translation(name: str = "root_translation", *, range: Range = (-1.0, 1.0)) -> Input:
     """Translation of the root in local units, float32 [3]."""
-    return Input(
-        name=name, role="root_translation", shape=(3,), range=range, default="zeros"
-    )
+    return Input(name=name, role="root_translation", shape=(3,), range=range, default="zeros")
 
 
 def root_rotation(
-    name: str = "root_rotation",
-    *,
-    convention: Literal["axis-angle", "matrix"] = "axis-angle",
+    name: str = "root_rotation", *, convention: Literal["axis-angle", "matrix"] = "axis-angle"
 ) -> Input:
     """Rotation of the root, float32 [3] (axis-angle, radians) or [3, 3] (matrix)."""
     if convention == "matrix":
         return Input(
-            name=name,
-            role="root_rotation",
-            shape=(3, 3),
-            default="identity",
-            convention=convention,
+            name=name, role="root_rotation", shape=(3, 3), default="identity", convention=convention
         )
     return Input(
         name=name,
@@ -148,18 +133,14 @@ def root_rotation(
     )
 
 
-def expression(
-    count: int, name: str = "expression", *, range: Range = (-2.0, 2.0)
-) -> Input:
+def expression(count: int, name: str = "expression", *, range: Range = (-2.0, 2.0)) -> Input:
     """Expression coefficients, float32 [count]."""
     return Input(name=name, role="expression", shape=(count,), range=range, default="zeros")
 
 
 def appearance_id(count: int, name: str = "appearance_id") -> Input:
     """Index of one of ``count`` appearances, int32 [1]."""
-    return Input(
-        name=name, role="appearance_id", shape=(1,), range=(0, count - 1), default=0
-    )
+    return Input(name=name, role="appearance_id", shape=(1,), range=(0, count - 1), default=0)
 
 
 def control(
@@ -193,17 +174,11 @@ def image(
 def timestep(default: float, name: str = "timestep", *, range: Range = (0, 999)) -> Input:
     """Diffusion timestep of a post-process model, float32 [1]."""
     low, high = float(range[0]), float(range[1])
-    return Input(
-        name=name, role="timestep", shape=(1,), range=(low, high), default=float(default)
-    )
+    return Input(name=name, role="timestep", shape=(1,), range=(low, high), default=float(default))
 
 
 def conditioning(rows: int, width: int, name: str = "conditioning") -> Input:
     """Conditioning vectors of a post-process model, float32 [1, rows, width]."""
     return Input(
-        name=name,
-        role="conditioning",
-        shape=(1, rows, width),
-        range=(-3.0, 3.0),
-        default="zeros",
+        name=name, role="conditioning", shape=(1, rows, width), range=(-3.0, 3.0), default="zeros"
     )

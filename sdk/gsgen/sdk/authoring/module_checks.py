@@ -26,9 +26,7 @@ def validate_module(module: Any) -> None:
     """
     if isinstance(module, type):
         name = module.__name__
-        raise GeneratorInvalid(
-            "is a class, expected an instance", where=name, hint=f"{name}()"
-        )
+        raise GeneratorInvalid("is a class, expected an instance", where=name, hint=f"{name}()")
     name = type(module).__name__
     if not isinstance(module, nn.Module):
         hint = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."

@@ -80,9 +80,7 @@ class PackedGenerator(nn.Module):
         """Return ``(gaussians, appearance, num_points)``, followed by ``cells`` if there are any."""
         gaussians = self.generator(*inputs)
         if not isinstance(gaussians, Gaussians):
-            message = (
-                f"forward returned {type(gaussians).__name__}, expected gsgen.sdk.Gaussians"
-            )
+            message = f"forward returned {type(gaussians).__name__}, expected gsgen.sdk.Gaussians"
             raise GeneratorInvalid(message, where=type(self.generator).__name__)
         rows = self._padded(self._rows(gaussians))
         color = self._padded(self._color(gaussians))
@@ -133,9 +131,7 @@ class PackedGenerator(nn.Module):
     def _padded(self, rows: Tensor, size: int | None = None) -> Tensor:
         missing = (self.packed.capacity if size is None else size) - rows.shape[0]
         rows = rows.to(self.packed.dtype)
-        return (
-            torch.cat([rows, rows.new_zeros(missing, rows.shape[1])]) if missing else rows
-        )
+        return torch.cat([rows, rows.new_zeros(missing, rows.shape[1])]) if missing else rows
 
     def _count(self, gaussians: Gaussians) -> Tensor:
         n = gaussians.position.shape[0]

@@ -72,9 +72,7 @@ def time_frames(
 
 def _outcome(execution: Execution) -> tuple[State, str, dict[str, Any]]:
     for event in execution.events:
-        if (
-            event["event"] == "measured"
-        ):  # a crash at the end of the process does not matter
+        if event["event"] == "measured":  # a crash at the end of the process does not matter
             return "measured", "", dict(event["facts"])
         if event["event"] == "unavailable":
             return "unavailable", event["message"], {}

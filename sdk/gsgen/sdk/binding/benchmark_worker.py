@@ -67,9 +67,7 @@ def _measure(job: dict[str, Any]) -> dict[str, Any]:
         }
 
 
-def _time_frame(
-    session: FrameSession, inputs: dict[str, np.ndarray]
-) -> tuple[float, float, float]:
+def _time_frame(session: FrameSession, inputs: dict[str, np.ndarray]) -> tuple[float, float, float]:
     """Return the seconds of a whole frame, of its copies to the device, and of those from it."""
     start = time.perf_counter()
     session.write(inputs)
@@ -77,9 +75,9 @@ def _time_frame(
     frame = session.run()
     _read_outputs(session, frame)
     finished = time.perf_counter()
-    for buffer in (
-        session.outputs.values()
-    ):  # read again without waiting: this measures the copies alone
+    for (
+        buffer
+    ) in session.outputs.values():  # read again without waiting: this measures the copies alone
         buffer.read()
     return finished - start, written - start, time.perf_counter() - finished
 

@@ -94,9 +94,7 @@ def tensor_specs(arguments: Any) -> tuple[TensorSpec, ...]:
             message = f"is a {argument.type}, expected a numeric tensor"
             raise RunFailed(message, where=f"tensor {argument.name}")
         tensors.append(
-            TensorSpec(
-                argument.name, np.dtype(_DTYPES[argument.type]), tuple(argument.shape)
-            )
+            TensorSpec(argument.name, np.dtype(_DTYPES[argument.type]), tuple(argument.shape))
         )
     return tuple(tensors)
 
@@ -199,9 +197,7 @@ class BoundSession:
             self._binding.bind_ortvalue_output(name, buffer.value)
         return buffers
 
-    def _learn_shapes(
-        self, output_specs: tuple[TensorSpec, ...]
-    ) -> dict[str, tuple[int, ...]]:
+    def _learn_shapes(self, output_specs: tuple[TensorSpec, ...]) -> dict[str, tuple[int, ...]]:
         """Run once without output buffers, and return the shapes of the outputs."""
         for spec in output_specs:
             self._binding.bind_output(spec.name, "cpu")
@@ -229,9 +225,7 @@ def _check_output_sizes(
         size = math.prod(shapes[spec.name]) * spec.dtype.itemsize
         if size > limit:
             message = f"shape {list(shapes[spec.name])} takes {size / 1e9:.1f} GB"
-            raise RunFailed(
-                f"{message}, more than {limit_name}", where=f"output {spec.name}"
-            )
+            raise RunFailed(f"{message}, more than {limit_name}", where=f"output {spec.name}")
 
 
 def _host_bytes() -> int:

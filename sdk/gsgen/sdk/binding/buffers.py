@@ -115,9 +115,7 @@ class DeviceBuffer(Buffer):
         return self._array
 
 
-def make_buffer(
-    session: Any, shape: tuple[int, ...], dtype: np.dtype[Any], memory: str
-) -> Buffer:
+def make_buffer(session: Any, shape: tuple[int, ...], dtype: np.dtype[Any], memory: str) -> Buffer:
     """Return a buffer in ``memory``: ``cpu``, ``gpu`` (WebGPU) or ``cuda``."""
     if memory == "cpu":
         return HostBuffer(shape, dtype)

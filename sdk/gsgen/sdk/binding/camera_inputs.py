@@ -1,13 +1,6 @@
 """Cameras that a session accepts, and the values of camera inputs derived from them."""
 
-__all__ = [
-    "FAR_RATIO",
-    "Camera",
-    "CameraLike",
-    "Pinhole",
-    "camera_values",
-    "pinhole_projection",
-]
+__all__ = ["FAR_RATIO", "Camera", "CameraLike", "Pinhole", "camera_values", "pinhole_projection"]
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -111,9 +104,7 @@ def _matrices(camera: Camera) -> tuple[Matrix, Matrix]:
         view, projection = camera
     except (TypeError, ValueError) as error:
         actual = f"is a {type(camera).__name__}"
-        expected = (
-            "expected .view and .projection, .view and intrinsics, or the pair of matrices"
-        )
+        expected = "expected .view and .projection, .view and intrinsics, or the pair of matrices"
         raise InputInvalid(f"{actual}, {expected}", where="camera") from error
     return view, projection
 

@@ -137,7 +137,5 @@ class Frame:
 
 def _undeclared(output: str) -> LayoutMismatch:
     message = f"no manifest declares the output that holds the {output}"
-    hint = (
-        "Embed one (`gsgen inspect --emit-manifest`), or read outputs by name: frame[NAME]."
-    )
+    hint = "Embed one (`gsgen inspect --emit-manifest`), or read outputs by name: frame[NAME]."
     return LayoutMismatch(message, where="frame", hint=hint)

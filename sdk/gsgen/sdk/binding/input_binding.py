@@ -59,13 +59,9 @@ class InputBinding:
         limits = self.declared.range if self.declared else None
         if limits is not None and array.size:
             low, high = np.asarray(limits).astype(self.dtype)
-            if not (
-                array.min() >= low and array.max() <= high
-            ):  # so that NaN is refused, too
+            if not (array.min() >= low and array.max() <= high):  # so that NaN is refused, too
                 actual = (
-                    f"{array.min():g}"
-                    if array.size == 1
-                    else f"{array.min():g} … {array.max():g}"
+                    f"{array.min():g}" if array.size == 1 else f"{array.min():g} … {array.max():g}"
                 )
                 raise self._invalid(f"is {actual}, expected {limits[0]:g} … {limits[1]:g}")
         return array.T if self.transposed else array
@@ -87,9 +83,7 @@ class InputBinding:
             array = array.reshape(self.shape)
         if array.dtype == self.dtype:
             return array
-        if array.dtype.kind not in "biuf" or not np.can_cast(
-            array.dtype, self.dtype, "same_kind"
-        ):
+        if array.dtype.kind not in "biuf" or not np.can_cast(array.dtype, self.dtype, "same_kind"):
             raise self._invalid(f"is {array.dtype}, expected {self.dtype}")
         return self._converted(array)
 

@@ -49,6 +49,8 @@ class InputNames:
             known = {*self.tensors, *self.roles}
             raise UnknownName.among("input", word, known, where=self.where)
         if len(matches) > 1:
-            message = f"{len(matches)} inputs have role {word!r}, expected one of {', '.join(matches)}"
+            message = (
+                f"{len(matches)} inputs have role {word!r}, expected one of {', '.join(matches)}"
+            )
             raise InputInvalid(message, where=self.where)
         return matches[0]

@@ -54,9 +54,7 @@ class ModelFacts:
         Raises:
             SizeUnknown: A dimension has no size.
         """
-        space = (
-            self.manifest.space if isinstance(self.manifest, GeneratorManifest) else None
-        )
+        space = self.manifest.space if isinstance(self.manifest, GeneratorManifest) else None
         order = space.matrix_order if space else "column"
         shape = spec.shape(sizes)
         return InputBinding(

@@ -60,11 +60,7 @@ def wrong_outputs(
     for name in uncaptured[0] if uncaptured else ():
         expected = [np.asarray(outputs[name]) for outputs in uncaptured]
         actual = [np.asarray(outputs[name]) for outputs in replayed]
-        wrong = [
-            k
-            for k, pair in enumerate(zip(expected, actual, strict=True))
-            if not agree(*pair)
-        ]
+        wrong = [k for k, pair in enumerate(zip(expected, actual, strict=True)) if not agree(*pair)]
         if not wrong:
             continue
         changing = any(not _same_bits(array, expected[0]) for array in expected)
@@ -72,7 +68,9 @@ def wrong_outputs(
         if changing and repeats_first and agree(expected[0], actual[0]):
             difference = f"repeats frame 0 in all {len(actual) - 1} replays"
         else:
-            difference = f"{len(wrong)} of {len(expected)} frames differ, the first is frame {wrong[0]}"
+            difference = (
+                f"{len(wrong)} of {len(expected)} frames differ, the first is frame {wrong[0]}"
+            )
         yield WrongReplay(f"output {name}", f"{difference}; {origin(name)}")
 
 

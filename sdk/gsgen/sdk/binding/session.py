@@ -33,12 +33,7 @@ from gsgen.sdk.binding.providers.errors import (
     SessionClosed,
 )
 from gsgen.sdk.binding.providers.node_placement import CPU, Node
-from gsgen.sdk.binding.providers.selection import (
-    Choice,
-    Provider,
-    SessionOptions,
-    choose_provider,
-)
+from gsgen.sdk.binding.providers.selection import Choice, Provider, SessionOptions, choose_provider
 from gsgen.sdk.binding.warm_up import WarmSession, warm_up
 
 # All WebGPU sessions share one device, which does not support several threads.
@@ -127,9 +122,7 @@ class FrameSession:
         if cpu_nodes:
             operators = ", ".join(dict.fromkeys(node.operator for node in cpu_nodes))
             count = f"{len(cpu_nodes)} of {len(self.nodes)} nodes"
-            text = (
-                f"{self.path.name} on {self.provider}: {count} run on the CPU ({operators})"
-            )
+            text = f"{self.path.name} on {self.provider}: {count} run on the CPU ({operators})"
             warnings.warn(text, NodesOnCpu, stacklevel=3)
 
     # ---- Properties
@@ -158,10 +151,7 @@ class FrameSession:
 
     def samples(self) -> list[dict[str, np.ndarray]]:
         """Return two different sets of input tensors for :meth:`write`, to test the model."""
-        return [
-            dict(probe)
-            for probe in self._sources.probes(self._require_open().ports.values())
-        ]
+        return [dict(probe) for probe in self._sources.probes(self._require_open().ports.values())]
 
     # ---- Every frame
 
@@ -190,9 +180,7 @@ class FrameSession:
             if values or camera is not None:
                 self.update(values, camera=camera)
             ready = self._require_open()
-            self._number += (
-                1  # before the run: a failed run invalidates the last frame, too
-            )
+            self._number += 1  # before the run: a failed run invalidates the last frame, too
             try:
                 ready.bound.run()
                 copies = ready.bound.copies() if copy else None
@@ -201,10 +189,7 @@ class FrameSession:
             return Frame(self, self._number, copies)
 
     def update(
-        self,
-        values: Mapping[str, object] | None = None,
-        *,
-        camera: Camera | None = None,
+        self, values: Mapping[str, object] | None = None, *, camera: Camera | None = None
     ) -> frozenset[str]:
         """Update inputs in place for the next run; if one value does not fit, update none.
 
@@ -227,9 +212,7 @@ class FrameSession:
             updates = self._camera_updates(camera) if camera is not None else {}
             for key, value in (values or {}).items():
                 updates[self._names.find(key)] = value
-            tensors = {
-                name: ready.ports[name].tensor(value) for name, value in updates.items()
-            }
+            tensors = {name: ready.ports[name].tensor(value) for name, value in updates.items()}
             return ready.bound.write(tensors)
 
     def write(self, tensors: Mapping[str, np.ndarray]) -> None:
@@ -266,9 +249,7 @@ class FrameSession:
             self._output(name)
             try:
                 return self._require_open().bound.read(name)
-            except (
-                Exception
-            ) as error:  # ONNX Runtime's errors share no base class of their own
+            except Exception as error:  # ONNX Runtime's errors share no base class of their own
                 raise translate_error(error) from error
 
     def handle(self, name: str, number: int) -> Any:
@@ -326,9 +307,7 @@ class FrameSession:
     def _require_open(self) -> WarmSession:
         if self._ready is None:
             message = "the session was closed"
-            raise SessionClosed(
-                message, where=str(self.path), hint="Open a new FrameSession."
-            )
+            raise SessionClosed(message, where=str(self.path), hint="Open a new FrameSession.")
         return self._ready
 
 

@@ -16,12 +16,7 @@ from gsgen.sdk.binding.bound_session import BoundSession, tensor_specs, translat
 from gsgen.sdk.binding.input_binding import InputBinding
 from gsgen.sdk.binding.model_facts import ModelFacts, Tensors
 from gsgen.sdk.binding.providers.node_placement import CPU, Node, error_text, node_placement
-from gsgen.sdk.binding.providers.selection import (
-    MEMORY,
-    Choice,
-    SessionOptions,
-    open_session,
-)
+from gsgen.sdk.binding.providers.selection import MEMORY, Choice, SessionOptions, open_session
 from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
 
 
@@ -83,9 +78,7 @@ def _captured_or_uncaptured(sources: ModelFacts, opening: SessionOptions) -> War
     return _without_capture(sources, replace(opening, capture=False), cause)
 
 
-def _without_capture(
-    sources: ModelFacts, opening: SessionOptions, cause: str
-) -> WarmSession:
+def _without_capture(sources: ModelFacts, opening: SessionOptions, cause: str) -> WarmSession:
     try:
         ready = _open(sources, opening)
         ready.bound.run()
@@ -97,8 +90,7 @@ def _without_capture(
 def _open(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
     session = open_session(sources.path, opening)
     inputs = [
-        sources.input_binding(spec, opening.sizes)
-        for spec in tensor_specs(session.get_inputs())
+        sources.input_binding(spec, opening.sizes) for spec in tensor_specs(session.get_inputs())
     ]
     ports = {port.name: port for port in inputs}
     shapes = {port.name: port.shape for port in inputs}

@@ -30,9 +30,7 @@ def bench(
     models: Annotated[list[Path], typer.Argument(help="ONNX files.", show_default=False)],
     provider: Annotated[
         list[ProviderName] | None,
-        typer.Option(
-            help="Measure this provider only; repeatable. [default: all available ones]"
-        ),
+        typer.Option(help="Measure this provider only; repeatable. [default: all available ones]"),
     ] = None,
     frames: Annotated[int, typer.Option(help="Number of measured frames.", min=1)] = 100,
     size: Annotated[
@@ -40,17 +38,14 @@ def bench(
         typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension; repeatable."),
     ] = None,
     capture: Annotated[
-        bool,
-        typer.Option("--capture/--no-capture", help="Record a frame once and replay it."),
+        bool, typer.Option("--capture/--no-capture", help="Record a frame once and replay it.")
     ] = True,
     timeout: Annotated[
-        float,
-        typer.Option(help="Time limit in seconds for one model on one provider.", min=1),
+        float, typer.Option(help="Time limit in seconds for one model on one provider.", min=1)
     ] = 300,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Also write the JSON to this file."),
+        Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
     ] = None,
 ) -> None:
     """Measure the cost of a frame of each MODEL on each execution provider.
@@ -120,12 +115,7 @@ def _measure(
             progress.update(task, description=f"{model.name} on {provider}")
             results.append(
                 time_frames(
-                    model,
-                    provider,
-                    frames=frames,
-                    sizes=sizes,
-                    capture=capture,
-                    seconds=seconds,
+                    model, provider, frames=frames, sizes=sizes, capture=capture, seconds=seconds
                 )
             )
             progress.advance(task)
@@ -153,15 +143,7 @@ def _show(results: "list[BenchmarkResult]") -> None:
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("model", min_width=8, overflow="fold")
     table.add_column("provider", no_wrap=True)
-    for name in (
-        "p50 ms",
-        "p95 ms",
-        "first ms",
-        "in",
-        "out",
-        "copies",
-        "M/s",
-    ):
+    for name in ("p50 ms", "p95 ms", "first ms", "in", "out", "copies", "M/s"):
         table.add_column(name, justify="right", no_wrap=True)
     for result in results:
         table.add_row(Path(result.model).name, result.provider, *_cells(result))

@@ -31,14 +31,11 @@ def fix(
         Path | None, typer.Option(help="JSON file with the manifest to embed.")
     ] = None,
     rename: Annotated[
-        bool,
-        typer.Option("--rename", help="Rename outputs to the names that viewers expect."),
+        bool, typer.Option("--rename", help="Rename outputs to the names that viewers expect.")
     ] = False,
     sh_order: Annotated[
         Literal["channel-major"] | None,
-        typer.Option(
-            help="Actual order of the SH, which are then reordered; never guessed."
-        ),
+        typer.Option(help="Actual order of the SH, which are then reordered; never guessed."),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Write nothing; list the changes.")
@@ -79,9 +76,7 @@ def fix(
         for applied in result.repairs:
             typer.echo(f"{applied.rule}: {applied.description}")
         show(render(result.after))
-    raise typer.Exit(
-        ExitCode.SUCCESS if result.after.verdict == "conforms" else ExitCode.FAILURE
-    )
+    raise typer.Exit(ExitCode.SUCCESS if result.after.verdict == "conforms" else ExitCode.FAILURE)
 
 
 def _document(result: "RepairResult", output: Path | None) -> dict[str, object]:
@@ -90,8 +85,7 @@ def _document(result: "RepairResult", output: Path | None) -> dict[str, object]:
     return {
         "path": str(output) if output else None,
         "repairs": [
-            {"what": applied.description, "rule": applied.rule}
-            for applied in result.repairs
+            {"what": applied.description, "rule": applied.rule} for applied in result.repairs
         ],
         "before": to_dict(result.before),
         "after": to_dict(result.after),
@@ -109,7 +103,5 @@ def _manifest(path: Path) -> "GeneratorManifest":
     except GsgenError as error:
         raise ConfigInvalid(error.message, where=str(path)) from error
     if not isinstance(manifest, GeneratorManifest):
-        raise ConfigInvalid(
-            f"is a {manifest.kind}, expected a gaussian-generator", where=str(path)
-        )
+        raise ConfigInvalid(f"is a {manifest.kind}, expected a gaussian-generator", where=str(path))
     return manifest

@@ -26,9 +26,7 @@ def float16(
     model: Annotated[
         Path, typer.Argument(help="The ONNX file, with a manifest.", show_default=False)
     ],
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="The float16 copy.")
-    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="The float16 copy.")] = None,
     keep_outputs: Annotated[
         bool, typer.Option("--keep-outputs", help="Keep outputs in float32.")
     ] = False,
@@ -67,9 +65,7 @@ def float16(
     except GsgenError as error:
         clear()
         typer.echo(f"gsgen: {error}", err=True)
-        code = (
-            ExitCode.UNREADABLE if isinstance(error, ModelUnreadable) else ExitCode.FAILURE
-        )
+        code = ExitCode.UNREADABLE if isinstance(error, ModelUnreadable) else ExitCode.FAILURE
         raise typer.Exit(code) from error
     clear()
     if as_json:

@@ -10,8 +10,7 @@ import typer
 
 def new(
     name: Annotated[
-        str,
-        typer.Argument(help="Name of the package and of the plugin, such as my-method."),
+        str, typer.Argument(help="Name of the package and of the plugin, such as my-method.")
     ],
     into: Annotated[
         Path, typer.Option(help="Folder that will contain the package's folder.")

@@ -15,9 +15,7 @@ from gsgen.sdk.plugins.plugin import Plugin, find_plugins
 def plugins(
     names: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[NAMES]…", help="List these plugins only.", show_default="all"
-        ),
+        typer.Argument(metavar="[NAMES]…", help="List these plugins only.", show_default="all"),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
@@ -29,9 +27,7 @@ def plugins(
     for name in names or ():
         if name not in commands:
             raise UnknownName.among("plugin", name, commands)
-    entries = [
-        _facts(command) for name, command in commands.items() if not names or name in names
-    ]
+    entries = [_facts(command) for name, command in commands.items() if not names or name in names]
     if as_json:
         typer.echo(json.dumps(entries, indent=2, ensure_ascii=False))
         return

@@ -21,9 +21,7 @@ _MAX_NAMES = 4
 
 
 def rewrite(
-    model: Annotated[
-        Path | None, typer.Argument(help="The ONNX file.", show_default=False)
-    ] = None,
+    model: Annotated[Path | None, typer.Argument(help="The ONNX file.", show_default=False)] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="The rewritten copy.")
     ] = None,
@@ -35,14 +33,11 @@ def rewrite(
         typer.Option("--pass", metavar="NAME", help="Run only this pass; repeatable."),
     ] = None,
     skip: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Do not run this pass; repeatable."),
+        list[str] | None, typer.Option(metavar="NAME", help="Do not run this pass; repeatable.")
     ] = None,
     opset: Annotated[
         int | None,
-        typer.Option(
-            help="Operator set of the copy; the kernels decide by default.", min=7
-        ),
+        typer.Option(help="Operator set of the copy; the kernels decide by default.", min=7),
     ] = None,
     size: Annotated[
         list[str] | None,
@@ -73,9 +68,7 @@ def rewrite(
         _list(target, as_json=as_json)
         return
     if model is None:
-        raise ConfigInvalid(
-            "MODEL is missing, expected an ONNX file", where="gsgen rewrite"
-        )
+        raise ConfigInvalid("MODEL is missing, expected an ONNX file", where="gsgen rewrite")
     output = copy_of(output, dry_run=dry_run)
     sizes = sizes_of(size, "--size") | sizes_of(freeze, "--freeze")
     try:
@@ -108,7 +101,9 @@ def _show(result: "Rewritten") -> None:
         typer.echo(line)
     if result.uncompared:
         names = ", ".join(result.uncompared)
-        message = f"no finite number at any of {result.probes} probes, so the rewrite is not verified"
+        message = (
+            f"no finite number at any of {result.probes} probes, so the rewrite is not verified"
+        )
         typer.echo(f"gsgen: {names}: {message}", err=True)
 
 
@@ -200,7 +195,6 @@ def _document(result: "Rewritten") -> dict[str, object]:
         "differences": [asdict(difference) for difference in result.differences],
         "unjudged": result.uncompared,
         "left": [
-            {"rewrite": r.rewrite, "where": r.where, "why": r.reason}
-            for r in result.refusals
+            {"rewrite": r.rewrite, "where": r.where, "why": r.reason} for r in result.refusals
         ],
     }

@@ -23,7 +23,5 @@ def sizes_of(entries: Iterable[str] | None, option: str) -> dict[str, int]:
 def _sized(entry: str, option: str) -> tuple[str, int]:
     symbol, sign, size = entry.partition("=")
     if not sign or not (size.isascii() and size.isdigit() and int(size) > 0):
-        raise ConfigInvalid(
-            f"is {entry!r}, expected SYMBOL=SIZE, such as J=24", where=option
-        )
+        raise ConfigInvalid(f"is {entry!r}, expected SYMBOL=SIZE, such as J=24", where=option)
     return symbol, int(size)

@@ -47,14 +47,7 @@ from gsgen.contract.spec.onnx_facts import INLINE_LIMIT
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
-from gsgen.sdk.exporting.pipeline import (
-    OPSET,
-    Dtype,
-    ExportResult,
-    Progress,
-    silent,
-    write_export,
-)
+from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
 from gsgen.sdk.rewriting.atomic_model_files import refuse_folder
 
 _IR_VERSION = 8
@@ -174,9 +167,7 @@ def export_constant(
     refuse_folder(path)
     progress("packing the rows")
     packed = source.pack(dtype, target)
-    manifest = constant_manifest(
-        packed, name or path.stem, family=source.family, capacity=capacity
-    )
+    manifest = constant_manifest(packed, name or path.stem, family=source.family, capacity=capacity)
     assert manifest.outputs.gaussians is not None
     outputs = _outputs(packed.rows, packed.appearance, manifest, len(packed.rows))
     _, report = write_export(
@@ -261,17 +252,13 @@ def _outputs(
 ) -> dict[str, np.ndarray]:
     declared = manifest.outputs
     if declared.gaussians is None or declared.appearance is None or declared.count is None:
-        raise GeneratorInvalid(
-            "names no gaussians, appearance or count", where="manifest.outputs"
-        )
+        raise GeneratorInvalid("names no gaussians, appearance or count", where="manifest.outputs")
     if declared.cells is not None:
         message = "declares cells, but constant rows are written without cells"
         raise GeneratorInvalid(message, where="manifest.outputs")
     if rows.ndim != 2 or rows.shape[1] != layout.ROW or len(rows) != len(appearance):
         shapes = f"shapes are {list(rows.shape)} and {list(appearance.shape)}"
-        raise GeneratorInvalid(
-            f"{shapes}, expected [N, {layout.ROW}] and [N, C]", where="rows"
-        )
+        raise GeneratorInvalid(f"{shapes}, expected [N, {layout.ROW}] and [N, C]", where="rows")
     if not 0 <= count <= len(rows):
         raise GeneratorInvalid(f"{count} is not within 0 to {len(rows)}", where="count")
     return {
@@ -288,9 +275,7 @@ def _padded(rows: np.ndarray, total: int) -> np.ndarray:
     return np.concatenate([rows, padding])
 
 
-def _model(
-    outputs: dict[str, np.ndarray], manifest: GeneratorManifest, opset: int
-) -> ModelProto:
+def _model(outputs: dict[str, np.ndarray], manifest: GeneratorManifest, opset: int) -> ModelProto:
     model = ModelProto(ir_version=_IR_VERSION, producer_name="gsgen")
     model.opset_import.add(domain="", version=opset)
     model.metadata_props.add(key=MANIFEST_KEY, value=dumps(manifest, indent=None))
@@ -298,14 +283,10 @@ def _model(
     graph.name = "static"
     for name, value in outputs.items():
         weight, unit = f"{name}_weight", f"{name}_one"
-        graph.initializer.append(
-            numpy_helper.from_array(np.ascontiguousarray(value), weight)
-        )
+        graph.initializer.append(numpy_helper.from_array(np.ascontiguousarray(value), weight))
         graph.initializer.append(numpy_helper.from_array(np.ones((), value.dtype), unit))
         graph.node.append(
-            NodeProto(
-                op_type="Mul", name=f"{name}_end", input=[weight, unit], output=[name]
-            )
+            NodeProto(op_type="Mul", name=f"{name}_end", input=[weight, unit], output=[name])
         )
         declared = graph.output.add(name=name).type.tensor_type
         declared.elem_type = graph.initializer[-1].data_type
@@ -327,9 +308,7 @@ def _save(model: ModelProto, path: Path) -> None:
 def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
     """Run the model once and compare the bits of its outputs."""
     limits = Limits().for_model(sum(value.nbytes for value in outputs.values()))
-    with execute(
-        path, list(outputs), [Probe(label="no inputs", inputs={})], limits
-    ) as execution:
+    with execute(path, list(outputs), [Probe(label="no inputs", inputs={})], limits) as execution:
         if execution.fault is not None:
             message = f"ONNX Runtime cannot run the model: {execution.fault.message}"
             raise ParityFailed(message, where=path.name)
@@ -338,9 +317,7 @@ def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
             where = f"{path.name}, {name}"
             if actual.shape != expected.shape or actual.dtype != expected.dtype:
                 shapes = f"{actual.dtype} {list(actual.shape)}"
-                message = (
-                    f"output is {shapes}, expected {expected.dtype} {list(expected.shape)}"
-                )
+                message = f"output is {shapes}, expected {expected.dtype} {list(expected.shape)}"
                 raise ParityFailed(message, where=where)
             # NaN equals NaN: its payload does not change what is drawn.
             if not np.array_equal(actual, expected, equal_nan=actual.dtype.kind == "f"):

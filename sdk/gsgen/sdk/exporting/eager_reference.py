@@ -72,9 +72,7 @@ def _reference(generator: GaussianGenerator, probe: Probe, output: Any) -> Refer
         message = f"forward returned {type(output).__name__}, expected gsgen.sdk.Gaussians"
         raise GeneratorInvalid(message, where=type(generator).__name__)
     n = output.position.shape[0]
-    count = (
-        n if output.count is None else int(np.clip(int(output.count.reshape(-1)[0]), 0, n))
-    )
+    count = n if output.count is None else int(np.clip(int(output.count.reshape(-1)[0]), 0, n))
     if output.scale is not None and not probe.zeros:
         _refuse_negative(_wide(output.scale[:count]))
     cells = None if output.cells is None else _unpacked_cells(output.cells)
@@ -131,9 +129,7 @@ def measure_bounds(references: list[Reference]) -> Bounds:
         GeneratorInvalid: No centre is finite and visible.
     """
     centres = [
-        r.gaussians.position[: r.count][_visible(r)]
-        for r in references
-        if not r.probe.zeros
+        r.gaussians.position[: r.count][_visible(r)] for r in references if not r.probe.zeros
     ]
     points = np.concatenate(centres) if centres else np.zeros((0, 3))
     bounds = Bounds.around(points, _MARGIN)

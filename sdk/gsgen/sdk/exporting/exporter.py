@@ -40,22 +40,10 @@ from gsgen.sdk.authoring.packed_module import (
     check_whole_cells,
 )
 from gsgen.sdk.errors import GeneratorInvalid
-from gsgen.sdk.exporting.eager_reference import (
-    Reference,
-    measure_bounds,
-    run_eager,
-    run_watched,
-)
+from gsgen.sdk.exporting.eager_reference import Reference, measure_bounds, run_eager, run_watched
 from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
-from gsgen.sdk.exporting.pipeline import (
-    OPSET,
-    Dtype,
-    ExportResult,
-    Progress,
-    silent,
-    write_export,
-)
+from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
 from gsgen.sdk.exporting.trace_hazards import Watch
 from gsgen.sdk.exporting.tracing import trace_generator
@@ -306,9 +294,7 @@ def _check_inputs(generator: GaussianGenerator) -> None:
     for entry in generator.inputs:
         if names.count(entry.name) > 1:
             hint = "Give each input a name of its own."
-            raise GeneratorInvalid(
-                f"two inputs are named {entry.name!r}", where=where, hint=hint
-            )
+            raise GeneratorInvalid(f"two inputs are named {entry.name!r}", where=where, hint=hint)
         if entry.shape is None:
             hint = "Make inputs with the functions of gsgen.sdk.inputs."
             raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, hint=hint)
@@ -357,9 +343,7 @@ def _manifest(
     )
 
 
-def _probes(
-    manifest: GeneratorManifest, *, seed: int = 0, count: int = 8
-) -> tuple[Probe, ...]:
+def _probes(manifest: GeneratorManifest, *, seed: int = 0, count: int = 8) -> tuple[Probe, ...]:
     shapes = {entry.name: entry.shape or () for entry in manifest.inputs}
     dtypes = {entry.name: ROLES[entry.role].dtype[0] for entry in manifest.inputs}
     return default_probes(manifest, shapes, dtypes, seed, count)

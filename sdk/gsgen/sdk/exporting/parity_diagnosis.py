@@ -60,9 +60,7 @@ def diagnose(
         run: Runs the exported model.
     """
     lost_roles = _lost_inputs(suspects, manifest, references, run)
-    reason = (
-        f"; {' and '.join(lost_roles)} has no effect in the model" if lost_roles else ""
-    )
+    reason = f"; {' and '.join(lost_roles)} has no effect in the model" if lost_roles else ""
     return reason, _hint(suspects, references)
 
 
@@ -95,8 +93,7 @@ def _lost_inputs(
         for (role, _), outputs, reference in zip(
             varied, outputs_of_runs[1:], expected[1:], strict=True
         )
-        if _equal(outputs_of_runs[0], outputs)
-        and not references_equal(expected[0], reference)
+        if _equal(outputs_of_runs[0], outputs) and not references_equal(expected[0], reference)
     ]
 
 

@@ -1,14 +1,6 @@
 """The last steps of every export: save a draft, verify it, validate it, and move it into place."""
 
-__all__ = [
-    "OPSET",
-    "Dtype",
-    "ExportResult",
-    "Progress",
-    "check_contract",
-    "silent",
-    "write_export",
-]
+__all__ = ["OPSET", "Dtype", "ExportResult", "Progress", "check_contract", "silent", "write_export"]
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -97,9 +89,7 @@ def write_export(
     with atomic_write(path) as draft:
         save(draft)
         verified = verify(draft)
-        report = check_contract(
-            draft, path, target, settings, progress, must_conform=must_conform
-        )
+        report = check_contract(draft, path, target, settings, progress, must_conform=must_conform)
     return verified, report
 
 

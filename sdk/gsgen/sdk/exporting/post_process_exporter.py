@@ -32,14 +32,7 @@ from gsgen.sdk.authoring.post_process import PostProcess
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.eager_reference import call_module
 from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
-from gsgen.sdk.exporting.pipeline import (
-    OPSET,
-    Dtype,
-    ExportResult,
-    Progress,
-    silent,
-    write_export,
-)
+from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
 from gsgen.sdk.exporting.tracing import TensorNames, trace_module
 from gsgen.sdk.exporting.verification import run_exported
 from gsgen.sdk.float16.convert_image_model import Float16ImageResult, image_to_float16
@@ -142,9 +135,7 @@ def export_post_process(
         pairs = zip(probes, expected, strict=True)
         finite = [probe for probe, image in pairs if np.isfinite(image).all()]
         image_name = _image(model.inputs).name
-        halved = image_to_float16(
-            graph, image_name, finite[:_HALF_PROBES], allowed, progress
-        )
+        halved = image_to_float16(graph, image_name, finite[:_HALF_PROBES], allowed, progress)
     # Steps 6 to 8: verification, validation and atomic write.
     parity, report = write_export(
         path,
@@ -204,22 +195,22 @@ def _check_inputs(model: PostProcess) -> None:
     images = [entry.name for entry in model.inputs if entry.role == "image"]
     if len(images) != 1:
         hint = "Give one gsgen.sdk.inputs.image()."
-        raise GeneratorInvalid(
-            f"{len(images)} images, expected one", where=where, hint=hint
-        )
+        raise GeneratorInvalid(f"{len(images)} images, expected one", where=where, hint=hint)
     image = _image(model.inputs)
     if image.range is not None and image.range != model.image_range:
-        message = f"{image.name!r} has the range {image.range}, but image_range is {model.image_range}"
+        message = (
+            f"{image.name!r} has the range {image.range}, but image_range is {model.image_range}"
+        )
         hint = "Give inputs.image() the same range."
         raise GeneratorInvalid(message, where=where, hint=hint)
     for entry in model.inputs:
         if names.count(entry.name) > 1 or entry.name == OUTPUT:
             message = f"{entry.name!r} is the name of two inputs, or of the result"
-            raise GeneratorInvalid(
-                message, where=where, hint="Give each input a name of its own."
-            )
+            raise GeneratorInvalid(message, where=where, hint="Give each input a name of its own.")
         if POST_PROCESS not in ROLES[entry.role].kinds:
-            message = f"{entry.name!r} has the role {entry.role}, which post-process models do not have"
+            message = (
+                f"{entry.name!r} has the role {entry.role}, which post-process models do not have"
+            )
             raise GeneratorInvalid(message, where=where)
         if entry.shape is None and entry.role != "image":
             hint = "Make inputs with the functions of gsgen.sdk.inputs."
@@ -252,8 +243,7 @@ def _probes(
 ) -> tuple[Probe, ...]:
     shapes = {entry.name: entry.shape or open_shape for entry in manifest.inputs}
     dtypes = {
-        entry.name: dtype if entry.role == "image" else "float32"
-        for entry in manifest.inputs
+        entry.name: dtype if entry.role == "image" else "float32" for entry in manifest.inputs
     }
     return default_probes(manifest, shapes, dtypes, count=_RUNS_PER_SIZE)
 
@@ -272,11 +262,7 @@ def _run_eager(model: PostProcess, probe: Probe) -> Float[np.ndarray, "1 c h w"]
     image = call_module(model, tensors)
     height, width = probe.inputs[_image(model.inputs).name].shape[2:]
     fits = isinstance(image, torch.Tensor) and image.ndim == 4
-    if (
-        not fits
-        or image.shape[1] not in IMAGE_CHANNELS
-        or image.shape[2:] != (height, width)
-    ):
+    if not fits or image.shape[1] not in IMAGE_CHANNELS or image.shape[2:] != (height, width):
         is_tensor = isinstance(image, torch.Tensor)
         actual = list(image.shape) if is_tensor else type(image).__name__
         message = f"forward returned {actual}, expected [1, 3 or 4, {height}, {width}]"

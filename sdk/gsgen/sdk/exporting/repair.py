@@ -20,12 +20,7 @@ from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
-from gsgen.sdk.authoring.packed_module import (
-    APPEARANCE_RGB,
-    APPEARANCE_SH,
-    COUNT,
-    GAUSSIANS,
-)
+from gsgen.sdk.authoring.packed_module import APPEARANCE_RGB, APPEARANCE_SH, COUNT, GAUSSIANS
 from gsgen.sdk.passes import (
     CastCount,
     PadColor,
@@ -35,11 +30,7 @@ from gsgen.sdk.passes import (
     SilencePadding,
 )
 from gsgen.sdk.rewriting.atomic_model_files import atomic_write
-from gsgen.sdk.rewriting.model_io import (
-    has_external_weights,
-    refuse_overwriting,
-    save_model,
-)
+from gsgen.sdk.rewriting.model_io import has_external_weights, refuse_overwriting, save_model
 from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
 
@@ -168,17 +159,12 @@ def _own_manifest(subject: InspectedModel) -> GeneratorManifest:
         )
     if not isinstance(subject.manifest, GeneratorManifest):
         hint = "See `gsgen validate --level static`."
-        raise GsgenError(
-            "is not a Gaussian Generator", where=str(subject.file.path), hint=hint
-        )
+        raise GsgenError("is not a Gaussian Generator", where=str(subject.file.path), hint=hint)
     return subject.manifest
 
 
 def _steps(
-    subject: InspectedModel,
-    manifest: GeneratorManifest,
-    broken: set[str],
-    request: RepairRequest,
+    subject: InspectedModel, manifest: GeneratorManifest, broken: set[str], request: RepairRequest
 ) -> tuple[Steps, GeneratorManifest]:
     """Return the changes to make, in order, and the manifest of the result."""
     steps: Steps = []
@@ -186,15 +172,10 @@ def _steps(
     rows, color, count = outputs.gaussians, outputs.appearance, outputs.count
     for symbol, size in request.sizes.items():
         steps.append(
-            (
-                Repair(f"dimension {symbol} is {size}", "GO004"),
-                PinDimensions({symbol: size}),
-            )
+            (Repair(f"dimension {symbol} is {size}", "GO004"), PinDimensions({symbol: size}))
         )
     if count is not None and "GO011" in broken:
-        steps.append(
-            (Repair(f"{count.name} is cast to int32 [1]", "GO011"), CastCount(count.name))
-        )
+        steps.append((Repair(f"{count.name} is cast to int32 [1]", "GO011"), CastCount(count.name)))
     if color is not None and color.space == "rgb" and "GO015" in broken:
         description = f"{color.name} is padded to four channels"
         steps.append((Repair(description, "GO015"), PadColor(color.name)))
@@ -209,9 +190,7 @@ def _steps(
         names = {rows.name: GAUSSIANS, color.name: color_name, count.name: COUNT}
         changed = ", ".join(f"{old} → {new}" for old, new in names.items() if old != new)
         if changed:
-            steps.append(
-                (Repair(f"outputs are renamed: {changed}", "TV101"), RenameOutputs(names))
-            )
+            steps.append((Repair(f"outputs are renamed: {changed}", "TV101"), RenameOutputs(names)))
             outputs = replace(
                 outputs,
                 gaussians=replace(rows, name=GAUSSIANS),

@@ -28,18 +28,12 @@ _DESCRIPTIONS_AND_HINTS: dict[Kind, tuple[str, str]] = {
         "Python branches on a tensor",
         "torch.where(condition, a, b) chooses in every frame.",
     ),
-    "data": (
-        "`.data` hides a tensor from tracing",
-        "Use the tensor itself, or .detach().",
-    ),
+    "data": ("`.data` hides a tensor from tracing", "Use the tensor itself, or .detach()."),
     "number": (
         "an input's value becomes a Python number",
         "Keep it a tensor: torch has the arithmetic, torch.where chooses, tensor indices gather.",
     ),
-    "numpy": (
-        "an input's value goes through numpy",
-        "Use the torch function of the same name.",
-    ),
+    "numpy": ("an input's value goes through numpy", "Use the torch function of the same name."),
     "random": (
         "random numbers are drawn in forward",
         "Draw them once, in __init__, and keep them with register_buffer.",
@@ -59,9 +53,7 @@ _DESCRIPTIONS_AND_HINTS: dict[Kind, tuple[str, str]] = {
 }
 
 _NAMES: dict[str, Kind] = {
-    **dict.fromkeys(
-        ("__bool__", "is_nonzero", "__contains__", "equal", "allclose"), "branch"
-    ),
+    **dict.fromkeys(("__bool__", "is_nonzero", "__contains__", "equal", "allclose"), "branch"),
     **dict.fromkeys(("item", "tolist", "__float__", "__int__", "__index__"), "number"),
     **dict.fromkeys(("numpy", "__array__"), "numpy"),
     **dict.fromkeys(("tensor", "as_tensor", "asarray"), "rebuilt"),
@@ -119,9 +111,7 @@ class Watch(TorchFunctionMode):
         super().__init__()
         self.hazards: list[Hazard] = []
         self._module = module
-        self._owned = {
-            id(tensor): tensor for tensor in (*module.parameters(), *module.buffers())
-        }
+        self._owned = {id(tensor): tensor for tensor in (*module.parameters(), *module.buffers())}
         self._undo: list[Callable[[], None]] = []
         self._saved: set[tuple[int, str]] = set()
         for tensor in inputs:
@@ -152,9 +142,7 @@ class Watch(TorchFunctionMode):
         for step in reversed(self._undo):
             step()
 
-    def __torch_function__(
-        self, func: Any, types: Any, args: Any = (), kwargs: Any = None
-    ) -> Any:
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """Call ``func``, record its hazards, and mark results that depend on inputs."""
         kwargs = kwargs or {}
         name = getattr(func, "__name__", "")
@@ -181,28 +169,18 @@ class Watch(TorchFunctionMode):
             self._note(_NAMES[name])
         elif getattr(func, "__self__", None) is torch.Tensor.data:
             self._note("data")
-        elif (name == "__getitem__" and _is_mask(args[1])) or (
-            name == "where" and len(args) == 1
-        ):
+        elif (name == "__getitem__" and _is_mask(args[1])) or (name == "where" and len(args) == 1):
             self._note("shape")
 
     @staticmethod
     def _is_in_place(name: str) -> bool:
         ends_in_underscore = name.endswith("_") and not name.endswith("__")
-        is_operator = name.startswith("__i") and name not in (
-            "__index__",
-            "__int__",
-            "__invert__",
-        )
+        is_operator = name.startswith("__i") and name not in ("__index__", "__int__", "__invert__")
         return ends_in_underscore or is_operator or name == "__setitem__"
 
     def _note(self, kind: Kind, prefix: str = "") -> None:
         line = current_user_line()
-        known = [
-            hazard
-            for hazard in self.hazards
-            if hazard.kind == kind and line in hazard.where
-        ]
+        known = [hazard for hazard in self.hazards if hazard.kind == kind and line in hazard.where]
         if line and not known:
             self.hazards.append(Hazard(kind, f"{prefix}{line}"))
 

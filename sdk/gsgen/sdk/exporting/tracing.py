@@ -90,9 +90,7 @@ def trace_module(
     Raises:
         ExportFailed: The exporter refused the module; the message names the line of its code.
     """
-    arguments = tuple(
-        torch.from_numpy(np.array(value)) for value in example.inputs.values()
-    )
+    arguments = tuple(torch.from_numpy(np.array(value)) for value in example.inputs.values())
     try:
         with _quiet():
             program = torch.onnx.export(
@@ -113,9 +111,7 @@ def trace_module(
     exported_opset = program.model.opset_imports.get("", opset)
     if exported_opset != opset:  # torch only logs that it could not convert the graph
         message = f"torch cannot convert the graph to operator set {opset}; it has {exported_opset}"
-        raise ExportFailed(
-            message, where="opset", hint=f"Export at operator set {exported_opset}."
-        )
+        raise ExportFailed(message, where="opset", hint=f"Export at operator set {exported_opset}.")
     return program.model
 
 
@@ -138,14 +134,10 @@ def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> Ex
     root: BaseException = error
     while root.__cause__ is not None:
         root = root.__cause__
-    reason = next(
-        (line for line in str(root).splitlines() if line.strip()), type(root).__name__
-    )
+    reason = next((line for line in str(root).splitlines() if line.strip()), type(root).__name__)
     message = f"{type(root).__name__}: {reason.strip()[:300]}"
     line = user_line_of(root)
-    likely = [hazard for hazard in hazards if line and line in hazard.where] or list(
-        hazards
-    )
+    likely = [hazard for hazard in hazards if line and line in hazard.where] or list(hazards)
     if not likely:
         return ExportFailed(message, where=line or name, hint=_HINT)
     first = likely[0]

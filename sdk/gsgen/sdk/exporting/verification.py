@@ -58,9 +58,7 @@ def check_parity(
     parity = compare(references, outputs, tolerances, roundings=roundings)
     if not parity.holds:
         near = _neighbours(suspects.generator, references, outputs, tolerances)
-        parity = compare(
-            references, outputs, tolerances, roundings=roundings, neighbours=near
-        )
+        parity = compare(references, outputs, tolerances, roundings=roundings, neighbours=near)
     if parity.holds:
         return parity
 
@@ -102,9 +100,7 @@ def _nudged(probe: Probe) -> Iterator[Probe]:
     """Yield pairs of probes on opposite sides of ``probe``, their floats moved a little."""
     rng = np.random.default_rng(0)
     for _ in range(_PAIRS):
-        signs = {
-            name: rng.choice([-1, 1], array.shape) for name, array in probe.inputs.items()
-        }
+        signs = {name: rng.choice([-1, 1], array.shape) for name, array in probe.inputs.items()}
         for side in (_NUDGE, -_NUDGE):
             moved = {
                 name: (array * (1 + side * signs[name])).astype(array.dtype)
@@ -139,9 +135,7 @@ def run_exported(
     limits = Limits().for_model(open_model(path).weight_bytes)
     with execute(path, names, probes, limits) as execution:
         if execution.fault is not None:
-            message = (
-                f"ONNX Runtime cannot run the exported model: {execution.fault.message}"
-            )
+            message = f"ONNX Runtime cannot run the exported model: {execution.fault.message}"
             raise ParityFailed(message, where=path.name)
         # Samples lie in files that the execution deletes when it ends.
         return [
@@ -150,9 +144,7 @@ def run_exported(
         ]
 
 
-def check_memory(
-    generator: GaussianGenerator, watch: Watch, references: list[Reference]
-) -> None:
+def check_memory(generator: GaussianGenerator, watch: Watch, references: list[Reference]) -> None:
     """Raise if a module that changes its own state gives another result from its initial state.
 
     A value that forward keeps from its first frame stays the same in the model, too, so comparing

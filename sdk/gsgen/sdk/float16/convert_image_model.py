@@ -17,13 +17,7 @@ import onnx_ir as ir
 from gsgen.contract.probing.probes import Probe
 from gsgen.sdk.float16.instrumented_model import InstrumentedModel
 from gsgen.sdk.float16.sensitivity_search import max_quantizable
-from gsgen.sdk.float16.to_float16 import (
-    FLOAT,
-    HALF,
-    ToFloat16,
-    can_compute_in_float16,
-    node_key,
-)
+from gsgen.sdk.float16.to_float16 import FLOAT, HALF, ToFloat16, can_compute_in_float16, node_key
 from gsgen.sdk.passes.framework.base import is_op, opset_of
 from gsgen.sdk.passes.framework.graph_builder import free_name
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
@@ -112,9 +106,7 @@ class _Measure:
 
     def rebase(self) -> None:
         """Take the outputs with the weights stored so far as the new reference."""
-        self._expected = [
-            self._output_image(probe, (), self.stored) for probe in self._probes
-        ]
+        self._expected = [self._output_image(probe, (), self.stored) for probe in self._probes]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
         """Return the largest error of storing these weights, as a share of the largest value of all images."""

@@ -31,12 +31,7 @@ from gsgen.sdk.float16.precision_policy import (
     retained_nodes,
 )
 from gsgen.sdk.float16.sensitivity_search import max_quantizable
-from gsgen.sdk.float16.to_float16 import (
-    Boundary,
-    ToFloat16,
-    can_compute_in_float16,
-    node_key,
-)
+from gsgen.sdk.float16.to_float16 import Boundary, ToFloat16, can_compute_in_float16, node_key
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.passes.framework.base import opset_of
 from gsgen.sdk.passes.repairs import PadColor
@@ -295,8 +290,7 @@ class _Search:
             retained = retained_nodes(nodes, self._guards, node_search.retained)
         else:
             retained = [
-                RetainedFloat32(node_key(node), "weights alone are halved")
-                for node in nodes
+                RetainedFloat32(node_key(node), "weights alone are halved") for node in nodes
             ]
         retained += merge_islands(self.boundary, nodes, retained)
         return _Choice(
@@ -307,9 +301,7 @@ class _Search:
                 for index in group.units
             ),
             stored=frozenset(measure.weights[index] for index in tables.quantized),
-            unstepped=frozenset(
-                measure.weights[index] for index in measure.model.unstepped
-            ),
+            unstepped=frozenset(measure.weights[index] for index in measure.model.unstepped),
         )
 
 
@@ -336,10 +328,7 @@ def _convert(
 ) -> None:
     """Convert ``model`` in place, and embed the manifest of the result."""
     ToFloat16(
-        choice.retained_names,
-        outputs=outputs,
-        stored=choice.stored,
-        unstepped=choice.unstepped,
+        choice.retained_names, outputs=outputs, stored=choice.stored, unstepped=choice.unstepped
     )(model)
     declared = manifest.outputs
     assert declared.gaussians is not None

@@ -79,12 +79,8 @@ class ErrorProbe:
     @property
     def frame_bytes(self) -> int:
         """Bytes of float32 rows that a frame gives."""
-        outputs = self.model.run(
-            self.probes[0].inputs, np.zeros(len(self.model.units), np.bool_)
-        )
-        return sum(
-            outputs[name].nbytes for name in self.names if outputs[name].dtype.kind == "f"
-        )
+        outputs = self.model.run(self.probes[0].inputs, np.zeros(len(self.model.units), np.bool_))
+        return sum(outputs[name].nbytes for name in self.names if outputs[name].dtype.kind == "f")
 
     def _reference(self, probe: Probe) -> Reference:
         nothing = np.zeros(len(self.model.units), np.bool_)
@@ -104,10 +100,7 @@ class ErrorProbe:
         """Return the output in the dtype in which it will be stored."""
         with np.errstate(over="ignore"):
             cells = None if output.cells is None else output.cells.astype(self.storage)
-            rows, color = (
-                output.rows.astype(self.storage),
-                output.color.astype(self.storage),
-            )
+            rows, color = (output.rows.astype(self.storage), output.color.astype(self.storage))
             return ModelOutput(rows, color, output.count, cells)
 
     def parity(self, selected: Collection[int]) -> Parity:
@@ -120,9 +113,7 @@ class ErrorProbe:
         outputs = [self._stored_as(self._read(run)) for run in runs]
         return self._compared(self._references, outputs)
 
-    def _compared(
-        self, references: Sequence[Reference], outputs: Sequence[ModelOutput]
-    ) -> Parity:
+    def _compared(self, references: Sequence[Reference], outputs: Sequence[ModelOutput]) -> Parity:
         return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
@@ -156,8 +147,7 @@ class ErrorProbe:
                         where="float16",
                     )
                 outputs = [
-                    self._read(execution.samples[run.sample].outputs)
-                    for run in execution.runs
+                    self._read(execution.samples[run.sample].outputs) for run in execution.runs
                 ]
                 return self._compared(references, outputs)
 

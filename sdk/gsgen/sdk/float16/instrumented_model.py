@@ -31,17 +31,7 @@ FLAGS = "computed_in_float16"
 GUARD_ELEMENTS = 16
 # Operators that only move numbers: a GPU flushes subnormal numbers where it computes with them.
 _MOVES = (
-    *(
-        "Cast",
-        "Concat",
-        "Expand",
-        "Flatten",
-        "Gather",
-        "Identity",
-        "Reshape",
-        "Slice",
-        "Split",
-    ),
+    *("Cast", "Concat", "Expand", "Flatten", "Gather", "Identity", "Reshape", "Slice", "Split"),
     *("Squeeze", "Transpose", "Unsqueeze", "Where"),
 )
 
@@ -154,9 +144,7 @@ def _array(value: ir.Value) -> np.ndarray:
     return np.asarray(value.const_value.numpy())
 
 
-def _run(
-    session: Any, names: list[str], arrays: Mapping[str, np.ndarray]
-) -> dict[str, np.ndarray]:
+def _run(session: Any, names: list[str], arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     input_names = {tensor.name for tensor in session.get_inputs()}
     inputs = {name: value for name, value in arrays.items() if name in input_names}
     outputs: Sequence[np.ndarray] = session.run(names, inputs)
@@ -183,18 +171,14 @@ def _session(model: ir.Model) -> Any:
     with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
         file = Path(folder) / "measured.onnx"
         save_model(model, file)
-        return onnxruntime.InferenceSession(
-            file, options, providers=["CPUExecutionProvider"]
-        )
+        return onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
 
 
 def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
     graph = model.graph
     if not nodes:
         return
-    flags = ir.Value(
-        name=FLAGS, type=ir.TensorType(ir.DataType.BOOL), shape=ir.Shape([len(nodes)])
-    )
+    flags = ir.Value(name=FLAGS, type=ir.TensorType(ir.DataType.BOOL), shape=ir.Shape([len(nodes)]))
     graph.inputs.append(flags)
     zero = weight(graph, "float16_zero", np.zeros((), np.float32))
     tiny = weight(graph, "float16_tiny", np.asarray(FLOAT16_SMALLEST_NORMAL, np.float32))
@@ -202,11 +186,7 @@ def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
         inputs, outputs = convertible_indices(node, opset)
         unit = weight(graph, f"float16_unit_{number}", np.asarray(number))
         flag = new_node(
-            "Gather",
-            [flags, unit],
-            f"float16_flag_{number}",
-            dtype=ir.DataType.BOOL,
-            axis=0,
+            "Gather", [flags, unit], f"float16_flag_{number}", dtype=ir.DataType.BOOL, axis=0
         )
         graph.insert_before(node, flag)
         for index in inputs:
@@ -222,9 +202,7 @@ def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
             _round_output(graph, node, index, flag, number)
 
 
-def _round_output(
-    graph: ir.Graph, node: ir.Node, index: int, flag: ir.Node, number: int
-) -> None:
+def _round_output(graph: ir.Graph, node: ir.Node, index: int, flag: ir.Node, number: int) -> None:
     value = node.outputs[index]
     name, readers = value.name, list(value.uses())
     value.name = f"float16_raw_{number}_{index}"
@@ -248,9 +226,7 @@ def _rounded(value: ir.Value, name: str) -> list[ir.Node]:
 
 def _flushed(value: ir.Value, tiny: ir.Value, zero: ir.Value) -> list[ir.Node]:
     size = new_node("Abs", [value], f"{value.name}_size", dtype=FLOAT)
-    small = new_node(
-        "Less", [size.outputs[0], tiny], f"{value.name}_small", dtype=ir.DataType.BOOL
-    )
+    small = new_node("Less", [size.outputs[0], tiny], f"{value.name}_small", dtype=ir.DataType.BOOL)
     result = new_node(
         "Where", [small.outputs[0], zero, value], f"{value.name}_flushed", dtype=FLOAT
     )

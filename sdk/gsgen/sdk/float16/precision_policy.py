@@ -1,12 +1,6 @@
 """Decides which tables and nodes stay float32: costly ones, guards, and islands between them."""
 
-__all__ = [
-    "RetainedFloat32",
-    "choose_tables",
-    "epsilon_guards",
-    "merge_islands",
-    "retained_nodes",
-]
+__all__ = ["RetainedFloat32", "choose_tables", "epsilon_guards", "merge_islands", "retained_nodes"]
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -60,9 +54,7 @@ def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
     measure.model.store_unstepped(())
     large = [k for k, size in enumerate(measure.sizes) if size >= LEAST_ELEMENTS]
     first = max_quantizable(large, measure.of_weights, budget=budget, allowed=allowed)
-    stepped = [
-        k for group in first.retained for k in group.units if measure.model.is_in_steps(k)
-    ]
+    stepped = [k for group in first.retained for k in group.units if measure.model.is_in_steps(k)]
     # Step 2: large tables that were too coarse in even steps, as float16.
     measure.model.store_unstepped(stepped)
     unstepped = max_quantizable(
@@ -107,11 +99,7 @@ def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
         if not convertible_indices(node, opset)[1]:
             reasons[node] = "it decides"  # Case 1
         for value in node.inputs:
-            array = (
-                constant_array(value)
-                if value is not None and value.dtype == FLOAT
-                else None
-            )
+            array = constant_array(value) if value is not None and value.dtype == FLOAT else None
             if array is None:
                 continue
             size = np.abs(array[np.isfinite(array)])
@@ -140,14 +128,11 @@ def retained_nodes(
     """Return the nodes that stay float32: guards, and groups whose measured error is too large."""
     able = set(nodes)
     retained = [
-        RetainedFloat32(node_key(node), reason)
-        for node, reason in guarded.items()
-        if node in able
+        RetainedFloat32(node_key(node), reason) for node, reason in guarded.items() if node in able
     ]
     for group in costly:
         retained += [
-            RetainedFloat32(node_key(nodes[k]), group.field, group.excess)
-            for k in group.units
+            RetainedFloat32(node_key(nodes[k]), group.field, group.excess) for k in group.units
         ]
     return retained
 

@@ -74,9 +74,7 @@ def max_quantizable(
         return Search(frozenset(units), (), count)
     groups = [Sensitivity(tuple(units), excess, field)]
     while count + 2 <= budget // 2:
-        costly = [
-            g for g in groups if len(g.units) > 1 and not g.excess <= _HARMLESS * allowed
-        ]
+        costly = [g for g in groups if len(g.units) > 1 and not g.excess <= _HARMLESS * allowed]
         if not costly:
             break
         worst = max(costly, key=lambda g: g.excess)

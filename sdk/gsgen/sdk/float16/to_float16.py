@@ -19,12 +19,7 @@ import onnx_ir as ir
 
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.float16.weight_tables import HalfTable, half_table
-from gsgen.sdk.passes.framework.base import (
-    ErrorBudget,
-    RewriteTarget,
-    is_op,
-    opset_of,
-)
+from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op, opset_of
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
@@ -85,9 +80,7 @@ class ToFloat16(CautiousRewrite):
             and can_compute_in_float16(node, opset)
         ]
         half_inputs = {
-            (node, index)
-            for node in selected
-            for index in convertible_indices(node, opset)[0]
+            (node, index) for node in selected for index in convertible_indices(node, opset)[0]
         }
         native = {
             node.outputs[index]
@@ -105,10 +98,7 @@ class ToFloat16(CautiousRewrite):
             if value in native:
                 value.type = ir.TensorType(HALF)
             if value.is_initializer() and not value.is_graph_input():
-                stored, in_steps = (
-                    value.name in self.stored,
-                    value.name not in self.unstepped,
-                )
+                stored, in_steps = (value.name in self.stored, value.name not in self.unstepped)
                 _convert_weight(graph, value, half_inputs, stored=stored, in_steps=in_steps)
             else:
                 _convert_value(graph, value, half_inputs, is_half=value in native)
@@ -175,8 +165,7 @@ def _schema(node: ir.Node, opset: int) -> onnx.defs.OpSchema | None:
 
 
 def _floats(
-    values: Collection[ir.Value | None],
-    formals: Collection["onnx.defs.OpSchema.FormalParameter"],
+    values: Collection[ir.Value | None], formals: Collection["onnx.defs.OpSchema.FormalParameter"]
 ) -> list[tuple[int, "onnx.defs.OpSchema.FormalParameter"]]:
     listed = list(formals)  # the last one may be variadic
     return [
@@ -188,9 +177,7 @@ def _floats(
 
 def _values(graph: ir.Graph) -> Iterator[ir.Value]:
     yield from graph.inputs
-    yield from (
-        value for value in graph.initializers.values() if not value.is_graph_input()
-    )
+    yield from (value for value in graph.initializers.values() if not value.is_graph_input())
     yield from (value for node in graph for value in node.outputs)
 
 
@@ -202,12 +189,7 @@ def _readers(value: ir.Value) -> list[tuple[ir.Node, int]]:
 
 
 def _convert_weight(
-    graph: ir.Graph,
-    value: ir.Value,
-    half_inputs: HalfInputs,
-    *,
-    stored: bool,
-    in_steps: bool,
+    graph: ir.Graph, value: ir.Value, half_inputs: HalfInputs, *, stored: bool, in_steps: bool
 ) -> None:
     readers = _readers(value)
     half = [use for use in readers if use in half_inputs]
@@ -229,9 +211,7 @@ def _convert_weight(
     value.type = ir.TensorType(HALF)
 
 
-def _store(
-    graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: HalfInputs
-) -> None:
+def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: HalfInputs) -> None:
     """Store a weight as ``table``, for readers of either dtype."""
     value.const_value = ir.tensor(table.numbers, name=value.name)
     value.type = ir.TensorType(value.const_value.dtype)
@@ -243,13 +223,9 @@ def _store(
     name = f"{value.name}_scaled"
     step = weight(graph, f"{value.name}_step", table.step)
     start = weight(graph, f"{value.name}_start", table.start)
-    scaled = new_node(
-        "Mul", [numbers.outputs[0], step], name, dtype=FLOAT, shape=value.shape
-    )
+    scaled = new_node("Mul", [numbers.outputs[0], step], name, dtype=FLOAT, shape=value.shape)
     name = f"{value.name}_moved"
-    moved = new_node(
-        "Add", [scaled.outputs[0], start], name, dtype=FLOAT, shape=value.shape
-    )
+    moved = new_node("Add", [scaled.outputs[0], start], name, dtype=FLOAT, shape=value.shape)
     for node in (moved, scaled, numbers):
         _insert_after(graph, value, node)
     for node, index in readers:
@@ -335,9 +311,7 @@ class Boundary:
             return False
         maker, output = value.producer(), value.index()
         native = maker is not None and output in self._halved(maker, keep)[1]
-        reader_halves = {
-            index in self._halved(node, keep)[0] for node, index in _readers(value)
-        }
+        reader_halves = {index in self._halved(node, keep)[0] for node, index in _readers(value)}
         return (not native) in reader_halves
 
     def _halved(self, node: ir.Node, keep: Collection[str]) -> tuple[list[int], list[int]]:

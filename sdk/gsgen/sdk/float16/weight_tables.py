@@ -91,9 +91,7 @@ def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
     if gained <= 0:
         return None
     shape = () if axis is None else (start.size, *[1] * (array.ndim - 1 - axis))
-    return HalfTable(
-        numbers.reshape(array.shape), step.reshape(shape), start.reshape(shape)
-    )
+    return HalfTable(numbers.reshape(array.shape), step.reshape(shape), start.reshape(shape))
 
 
 def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
@@ -123,9 +121,7 @@ def _blocks(shape: tuple[int, int, int]) -> Iterator[Block]:
     """Cut ``shape`` into blocks of about :data:`_BLOCK` numbers."""
     _, middle, inner = shape
     sizes = (max(1, _BLOCK // (middle * inner)), max(1, _BLOCK // inner), _BLOCK)
-    for position in np.ndindex(
-        *(-(-n // size) for n, size in zip(shape, sizes, strict=True))
-    ):
+    for position in np.ndindex(*(-(-n // size) for n, size in zip(shape, sizes, strict=True))):
         first, second, third = (
             slice(k * size, (k + 1) * size) for k, size in zip(position, sizes, strict=True)
         )

@@ -32,10 +32,7 @@ def wrong_replays(live: Live) -> Iterator[WrongReplay]:
     """Yield every output whose replays are wrong, including undeclared outputs."""
     graph = live.subject.graph
     pairs = [(f.uncaptured, f.replayed) for f in live.frames if f.uncaptured and f.replayed]
-    uncaptured, replayed = (
-        [expected for expected, _ in pairs],
-        [actual for _, actual in pairs],
-    )
+    uncaptured, replayed = ([expected for expected, _ in pairs], [actual for _, actual in pairs])
     yield from wrong_outputs(uncaptured, replayed, lambda name: output_origin(graph, name))
 
 
@@ -47,9 +44,7 @@ def disagreements(live: Live) -> Iterator[tuple[str, str, str]]:
         for field in packed.fields:
             if not field.excess <= 1:
                 times = f"{field.excess:.3g} times the tolerance"
-                actual = (
-                    f"off by {field.error:.3g} at row {field.row}, {times} ({field.probe})"
-                )
+                actual = f"off by {field.error:.3g} at row {field.row}, {times} ({field.probe})"
                 yield f"field {field.field}", actual, _EXPECTED
     compared = _declared_names(live) if packed is not None else set()
     for name in frames[0].cpu if frames else ():
@@ -65,8 +60,7 @@ def _compare_rows(live: Live, frames: list[Frame]) -> Parity | None:
     references, gpu_outputs = [], []
     for frame in frames:
         cpu, gpu = (
-            _model_outputs(live, frame, outputs)
-            for outputs in (frame.cpu, frame.uncaptured)
+            _model_outputs(live, frame, outputs) for outputs in (frame.cpu, frame.uncaptured)
         )
         space = cpu.declared.space if cpu.declared else None
         if cpu.gaussians is None or cpu.appearance is None or space is None:

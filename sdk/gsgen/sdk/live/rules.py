@@ -146,8 +146,6 @@ def runs_on_webgpu(live: Live) -> Iterator[Violation]:
     """
     stop = live.stop
     if stop is not None and not live.refusal:
-        when = (
-            "at the creation of the session" if stop.frame < 0 else f"in frame {stop.frame}"
-        )
+        when = "at the creation of the session" if stop.frame < 0 else f"in frame {stop.frame}"
         actual = f"stopped {when} ({stop.phase} session): {stop.message}"
         yield Violation.at("graph", actual, _MOST_FRAMES)

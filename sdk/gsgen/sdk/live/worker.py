@@ -23,12 +23,7 @@ from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.sdk.binding.bound_session import BoundSession
 from gsgen.sdk.binding.providers.errors import FellBack, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import error_text, node_placement
-from gsgen.sdk.binding.providers.selection import (
-    MEMORY,
-    Choice,
-    SessionOptions,
-    open_session,
-)
+from gsgen.sdk.binding.providers.selection import MEMORY, Choice, SessionOptions, open_session
 from gsgen.sdk.binding.providers.webgpu import DRIVER, AdapterMissing, find_adapter
 
 # Memory for drivers and shader compilers, in addition to the model's.
@@ -99,12 +94,8 @@ def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> Non
     except FellBack:
         raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
-        reason = (
-            error.message if isinstance(error, ProviderUnavailable) else error_text(error)
-        )
-        raise AdapterMissing(
-            f"there is no usable WebGPU adapter ({reason})", DRIVER
-        ) from error
+        reason = error.message if isinstance(error, ProviderUnavailable) else error_text(error)
+        raise AdapterMissing(f"there is no usable WebGPU adapter ({reason})", DRIVER) from error
     log = (folder / "log").read_text(errors="replace")
     opened = _OPENED.findall(log)
     name = opened[-1] if opened else ""
@@ -113,9 +104,7 @@ def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> Non
     except Exception as error:
         emit("adapter", name=name, software=bool(_SOFTWARE.search(name)), half=False)
         if half:
-            message = (
-                f"the model has float16 tensors, and adapter {name or '?'} no shader-f16"
-            )
+            message = f"the model has float16 tensors, and adapter {name or '?'} no shader-f16"
             raise AdapterMissing(message, "use a newer driver") from error
     else:
         emit("adapter", name=name, software=bool(_SOFTWARE.search(name)), half=True)
@@ -142,9 +131,7 @@ def _run_smallest(opener: Opener, dtype: str) -> None:
 class _Frames:
     """Computes the frames of one model, without capture and by replay."""
 
-    def __init__(
-        self, folder: Path, job: dict[str, Any], emit: Emit, opener: Opener
-    ) -> None:
+    def __init__(self, folder: Path, job: dict[str, Any], emit: Emit, opener: Opener) -> None:
         self.folder, self.job, self.emit, self.opener = folder, job, emit, opener
         self.known: dict[str, int] = {}
 

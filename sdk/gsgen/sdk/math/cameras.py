@@ -13,9 +13,7 @@ Order = Literal["column", "row"]
 _SMALLEST_SCALE = 1e-12
 
 
-def camera_centre(
-    view: Float[Tensor, "4 4"], order: Order = "column"
-) -> Float[Tensor, "3"]:
+def camera_centre(view: Float[Tensor, "4 4"], order: Order = "column") -> Float[Tensor, "3"]:
     """Return the camera's centre, −Rᵀ t / s², in local space.
 
     Args:
@@ -63,9 +61,7 @@ def frustum_mask(
     normal = planes[:, :3]
     length = torch.sqrt((normal * normal).sum(dim=1))
     distance = position @ normal.transpose(0, 1) + planes[:, 3]
-    reach = (
-        radius.reshape(-1, 1) * length if isinstance(radius, Tensor) else radius * length
-    )
+    reach = radius.reshape(-1, 1) * length if isinstance(radius, Tensor) else radius * length
     inside = (distance + reach >= 0).to(position.dtype)
     return _product(inside)
 

@@ -67,9 +67,7 @@ def sh_from_ply(
         raise _misshapen("sh_from_ply, rest", f_rest, "[N, 0], [N, 9], [N, 24] or [N, 45]")
     if not columns:
         return constant[:, None, :]
-    return torch.cat(
-        [constant[:, None, :], f_rest.reshape(n, 3, -1).transpose(1, 2)], dim=1
-    )
+    return torch.cat([constant[:, None, :], f_rest.reshape(n, 3, -1).transpose(1, 2)], dim=1)
 
 
 def sh_from_rgb(rgb: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1 3"]:

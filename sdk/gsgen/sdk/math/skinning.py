@@ -76,15 +76,11 @@ def _local(turns: Tensor, joints: Tensor, parents: Sequence[int]) -> Float[Tenso
     """Return each joint's transform in its parent's frame."""
     origin = torch.cat([joints, torch.zeros_like(joints[:1])], dim=0)
     offset = joints - origin.index_select(0, _indices(parents, joints))
-    last = torch.eye(4, dtype=turns.dtype, device=turns.device)[3].expand(
-        len(parents), 1, 4
-    )
+    last = torch.eye(4, dtype=turns.dtype, device=turns.device)[3].expand(len(parents), 1, 4)
     return torch.cat([torch.cat([turns, offset[:, :, None]], dim=2), last], dim=1)
 
 
-def _chained(
-    local: Float[Tensor, "j 4 4"], parents: Sequence[int]
-) -> Float[Tensor, "j 4 4"]:
+def _chained(local: Float[Tensor, "j 4 4"], parents: Sequence[int]) -> Float[Tensor, "j 4 4"]:
     """Multiply every transform by those of all its ancestors."""
     root = torch.eye(4, dtype=local.dtype, device=local.device)[None]
     transforms = torch.cat([local, root], dim=0)
@@ -106,9 +102,7 @@ def _indices(values: Sequence[int], like: Tensor) -> Tensor:
     return torch.tensor(list(values), dtype=torch.int32, device=like.device)
 
 
-def _parent_indices(
-    parents: Sequence[int], count: int, shape: tuple[int, ...]
-) -> list[int]:
+def _parent_indices(parents: Sequence[int], count: int, shape: tuple[int, ...]) -> list[int]:
     """Validate the parents, and return them with ``count`` for roots."""
     where = "skinning_transforms, parents"
     if len(parents) != count or shape != (count, 3):
@@ -119,8 +113,7 @@ def _parent_indices(
             message = f"joint {joint} has parent {parent}, expected -1 to {count - 1}"
             raise GeneratorInvalid(message, where=where)
     indices = [
-        count if parent_index in (-1, NO_PARENT) else int(parent_index)
-        for parent_index in parents
+        count if parent_index in (-1, NO_PARENT) else int(parent_index) for parent_index in parents
     ]
     for joint in range(count):
         steps, ancestor = 0, joint

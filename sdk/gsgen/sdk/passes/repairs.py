@@ -16,12 +16,7 @@ import onnx_ir as ir
 from onnx_ir import passes
 
 from gsgen.contract.errors import GsgenError
-from gsgen.sdk.passes.framework.graph_builder import (
-    append_output,
-    free_name,
-    new_node,
-    weight,
-)
+from gsgen.sdk.passes.framework.graph_builder import append_output, free_name, new_node, weight
 
 _RGB = 3
 
@@ -45,9 +40,7 @@ class CastCount(passes.InPlacePass):
         if flat and count.dtype == ir.DataType.INT32:
             return passes.PassResult(model, modified=False)
         vector_shape = weight(graph, f"{self.name}_one", np.array([1]))
-        shaped = new_node(
-            "Reshape", [count, vector_shape], f"{self.name}_flat", dtype=count.dtype
-        )
+        shaped = new_node("Reshape", [count, vector_shape], f"{self.name}_flat", dtype=count.dtype)
         cast = new_node(
             "Cast",
             [shaped.outputs[0]],
@@ -84,11 +77,7 @@ class PadColor(passes.InPlacePass):
         unit = weight(graph, f"{self.name}_one", np.ones((1, 1), np.float16))
         size = weight(graph, f"{self.name}_rows", np.array([rows, 1], np.int64))
         column = new_node(
-            "Expand",
-            [unit, size],
-            f"{self.name}_ones",
-            dtype=ir.DataType.FLOAT16,
-            shape=[rows, 1],
+            "Expand", [unit, size], f"{self.name}_ones", dtype=ir.DataType.FLOAT16, shape=[rows, 1]
         )
         joined = new_node(
             "Concat",
@@ -124,11 +113,7 @@ class SilencePadding(passes.InPlacePass):
             return passes.PassResult(model, modified=False)
         row_numbers = weight(graph, "row_numbers", np.arange(rows, dtype=np.int32)[:, None])
         live = new_node(
-            "Less",
-            [row_numbers, count],
-            "live_rows",
-            dtype=ir.DataType.BOOL,
-            shape=[rows, 1],
+            "Less", [row_numbers, count], "live_rows", dtype=ir.DataType.BOOL, shape=[rows, 1]
         )
         graph.append(live)
         for value in outputs:

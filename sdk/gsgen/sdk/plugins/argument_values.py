@@ -83,8 +83,7 @@ def _sequence(text: str, kind: Any, members: Sequence[Any]) -> Any:
         raise ValueError
     types_of = members if fixed else [members[0] if members else str] * len(words)
     values = [
-        _converted(word, element_type)
-        for word, element_type in zip(words, types_of, strict=True)
+        _converted(word, element_type) for word, element_type in zip(words, types_of, strict=True)
     ]
     return tuple(values) if kind is tuple else values
 

@@ -88,11 +88,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
     # Case 1: a scene that does not change; torch may be absent.
     if isinstance(module, ConstantSource):
         return export_constant(
-            module,
-            request.output,
-            dtype=request.dtype,
-            capacity=request.capacity,
-            **options,
+            module, request.output, dtype=request.dtype, capacity=request.capacity, **options
         )
     from gsgen.sdk.authoring.post_process import PostProcess
     from gsgen.sdk.exporting.exporter import export
@@ -141,9 +137,7 @@ def _show(result: "ExportResult") -> None:
     size = format_bytes(result.path.stat().st_size)
     typer.echo(f"{result.path}: {result.contents}, {size}; {_verdict(result)}")
     if result.changes:
-        rewrites = ", ".join(
-            f"{change.rewrite} ({len(change.nodes)})" for change in result.changes
-        )
+        rewrites = ", ".join(f"{change.rewrite} ({len(change.nodes)})" for change in result.changes)
         typer.echo(f"rewritten: {rewrites}")
     if result.parity is not None:
         probes = "probe" if result.parity.probes == 1 else "probes"

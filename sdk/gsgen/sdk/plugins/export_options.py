@@ -64,8 +64,7 @@ class ExportRequest:
 
 def _request(
     output: Annotated[
-        Path,
-        typer.Option("-o", "--output", help="The ONNX file to write.", show_default=False),
+        Path, typer.Option("-o", "--output", help="The ONNX file to write.", show_default=False)
     ],
     name: Annotated[
         str | None, typer.Option(help="Name in the manifest.", show_default="the file's")
@@ -92,22 +91,16 @@ def _request(
     ] = OPSET,
     target: Annotated[
         str,
-        typer.Option(
-            help="Consumer to rewrite and validate for: core, webgpu, visionary, gsgen."
-        ),
+        typer.Option(help="Consumer to rewrite and validate for: core, webgpu, visionary, gsgen."),
     ] = "core",
     level: Annotated[
-        str,
-        typer.Option(
-            help="Last level to validate: static, values, behaviour, live or render."
-        ),
+        str, typer.Option(help="Last level to validate: static, values, behaviour, live or render.")
     ] = "behaviour",
     no_rewrite: Annotated[
         bool, typer.Option("--no-rewrite", help="Leave the graph as torch exports it.")
     ] = False,
     report: Annotated[
-        Path | None,
-        typer.Option(help="Write a report on the export to this file, as JSON."),
+        Path | None, typer.Option(help="Write a report on the export to this file, as JSON.")
     ] = None,
 ) -> ExportRequest:
     return ExportRequest(
@@ -141,9 +134,7 @@ def with_common_options(
     parameters = inspect.signature(build).parameters
     conflicts = sorted(set(parameters) & set(_COMMON))
     if conflicts:
-        raise TypeError(
-            f"every export has the option {conflicts[0]!r}; give it another name"
-        )
+        raise TypeError(f"every export has the option {conflicts[0]!r}; give it another name")
 
     def command(**values: Any) -> None:
         request = _request(**{key: values.pop(key) for key in _COMMON})

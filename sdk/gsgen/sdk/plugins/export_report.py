@@ -61,8 +61,7 @@ def write_report(path: Path, request: ExportRequest, source: str, outcome: Outco
         "written": outcome.written,
         "error": _error(outcome.error) if outcome.error else None,
         "rewrites": [
-            {"name": change.rewrite, "nodes": list(change.nodes)}
-            for change in outcome.changes
+            {"name": change.rewrite, "nodes": list(change.nodes)} for change in outcome.changes
         ],
         "parity": _parity(outcome.parity) if outcome.parity else None,
         "validation": to_dict(outcome.report) if outcome.report else None,

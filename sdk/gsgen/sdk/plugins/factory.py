@@ -87,13 +87,9 @@ class Factory:
     def _type_of(self, key: str) -> Any:
         known = self.parameters
         variadic = [
-            parameter
-            for parameter in known.values()
-            if parameter.kind == parameter.VAR_KEYWORD
+            parameter for parameter in known.values() if parameter.kind == parameter.VAR_KEYWORD
         ]
-        names = {
-            name for name, parameter in known.items() if parameter.kind not in _VARIADIC
-        }
+        names = {name for name, parameter in known.items() if parameter.kind not in _VARIADIC}
         if key not in names:
             if variadic and key.isidentifier():
                 return str
@@ -116,11 +112,7 @@ def _hints(make: Any) -> dict[str, Any]:
     function = make.__init__ if inspect.isclass(make) else make
     try:
         return typing.get_type_hints(function)
-    except (
-        NameError,
-        TypeError,
-        AttributeError,
-    ):  # annotations that only a checker can read
+    except (NameError, TypeError, AttributeError):  # annotations that only a checker can read
         return {}
 
 
@@ -184,9 +176,7 @@ def _import(name: str, search_folder: Path) -> Any:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        if error.name is not None and (
-            name == error.name or name.startswith(f"{error.name}.")
-        ):
+        if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
             raise _no_module(name, error.name, search_folder) from error
         raise _raised(error, name) from error
     except Exception as error:  # the user's code may raise anything

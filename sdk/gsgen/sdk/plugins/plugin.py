@@ -105,11 +105,7 @@ class Plugin:
     @property
     def headline(self) -> str:
         """The summary, with the method's name in parentheses."""
-        return (
-            f"{self.summary.removesuffix('.')} ({self.title})."
-            if self.title
-            else self.summary
-        )
+        return f"{self.summary.removesuffix('.')} ({self.title})." if self.title else self.summary
 
     @property
     def function(self) -> Callable[..., Any]:

@@ -76,9 +76,7 @@ def write_plugin_package(name: str, into: Path) -> PluginPackage:
     try:
         _write(folder, texts)
     except OSError as error:
-        raise ConfigInvalid(
-            f"cannot be written: {error.strerror}", where=str(folder)
-        ) from error
+        raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(folder)) from error
     return PluginPackage(folder, package, tuple(Path(where) for where in sorted(texts)))
 
 
@@ -88,7 +86,9 @@ def _check_name(name: str) -> None:
         suggestion = re.sub("[^a-z0-9]+", "-", ascii_name.lower()).strip("-0123456789")
         example = suggestion if _NAME.fullmatch(suggestion) else "my-method"
         hint = f"For example {example!r}."
-        message = f"{name!r} has other characters than lower-case letters, digits and single hyphens"
+        message = (
+            f"{name!r} has other characters than lower-case letters, digits and single hyphens"
+        )
         raise ConfigInvalid(message, where="NAME", hint=hint)
     package = name.replace("-", "_")
     conflict = ""

@@ -23,9 +23,7 @@ def weight_bytes(model: ir.Model) -> int:
 
 def has_external_weights(model: ir.Model) -> bool:
     """Return whether a weight is stored in another file than the model."""
-    return any(
-        isinstance(value.const_value, ir.ExternalTensor) for value in _weights(model)
-    )
+    return any(isinstance(value.const_value, ir.ExternalTensor) for value in _weights(model))
 
 
 def _weights(model: ir.Model) -> Iterator[ir.Value]:
@@ -66,9 +64,7 @@ def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -
             ``.data``, even if they fit the model file.
     """
     sizes = _sizes(model)
-    if (external_weights and max(sizes, default=0) > _SMALL_BYTES) or sum(
-        sizes
-    ) > INLINE_LIMIT:
+    if (external_weights and max(sizes, default=0) > _SMALL_BYTES) or sum(sizes) > INLINE_LIMIT:
         name = f"{path.name}.data"
         ir.save(model, path, external_data=name, size_threshold_bytes=_SMALL_BYTES)
         return

@@ -72,9 +72,7 @@ def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe,
             for tensor in subject.graph.inputs
         }
         probes = default_probes(manifest, shapes, dtypes)
-        if any(
-            array.shape != shapes[name] for p in probes for name, array in p.inputs.items()
-        ):
+        if any(array.shape != shapes[name] for p in probes for name, array in p.inputs.items()):
             probes = ()  # the manifest declares other shapes than the graph
     else:
         probes = ()
@@ -167,20 +165,15 @@ def compare_files(
         compared_names: set[str] = set()
         for index, probe in enumerate(probes):
             a, b = (
-                execution.samples[execution.runs[index].sample].outputs
-                for execution in (old, new)
+                execution.samples[execution.runs[index].sample].outputs for execution in (old, new)
             )
-            compared_names |= {
-                name for name, value in a.items() if _has_finite_values(value)
-            }
+            compared_names |= {name for name, value in a.items() if _has_finite_values(value)}
             for difference in _differences(a, b, probe, allowed):
                 known = worst.get(difference.output)
                 if known is None or _excess(difference) > _excess(known):
                     worst[difference.output] = difference
     violations = [
-        difference
-        for difference in worst.values()
-        if not difference.largest <= difference.allowed
+        difference for difference in worst.values() if not difference.largest <= difference.allowed
     ]
     if violations:
         _must_repeat(before, outputs, probes, limits)
@@ -236,11 +229,7 @@ def _must_repeat(
 def _excess(difference: Difference) -> float:
     """Return a difference as a multiple of the allowed one; NaN counts as infinite."""
     within = difference.largest <= difference.allowed
-    return (
-        difference.largest / difference.allowed
-        if within and difference.allowed > 0
-        else np.inf
-    )
+    return difference.largest / difference.allowed if within and difference.allowed > 0 else np.inf
 
 
 def _differences(
@@ -258,9 +247,7 @@ def _differences(
             over = np.where(error <= room, 0.0, error)  # so that NaN is over
             worst = int(np.argmax(np.where(np.isnan(over), np.inf, over)))
             worst = worst if over[worst] != 0 else int(np.argmax(error))
-            if (
-                error[worst] != 0
-            ):  # zeros of either sign, and NaNs of other bits, are the same
+            if error[worst] != 0:  # zeros of either sign, and NaNs of other bits, are the same
                 yield Difference(name, float(error[worst]), float(room[worst]), probe.label)
 
 

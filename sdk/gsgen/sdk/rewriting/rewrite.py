@@ -48,21 +48,11 @@ from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.passes.framework.base import (
-    BITS,
-    ErrorBudget,
-    Rewrite,
-    RewriteTarget,
-    opset_of,
-)
+from gsgen.sdk.passes.framework.base import BITS, ErrorBudget, Rewrite, RewriteTarget, opset_of
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite, Refusal
 from gsgen.sdk.passes.registry import find_rewrites
 from gsgen.sdk.rewriting.atomic_model_files import atomic_write
-from gsgen.sdk.rewriting.model_io import (
-    has_external_weights,
-    refuse_overwriting,
-    save_model,
-)
+from gsgen.sdk.rewriting.model_io import has_external_weights, refuse_overwriting, save_model
 from gsgen.sdk.rewriting.output_equivalence import Difference, compare_files, probes_of
 from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
@@ -276,13 +266,7 @@ class _ComparedRun:
         self.progress(f"comparing outputs at {len(self.probes)} probes")
         allowed = reduce(or_, (change.exactness for change in changes), BITS)
         comparison = compare_files(
-            self.latest,
-            draft,
-            self.outputs,
-            self.probes,
-            self.limits,
-            allowed,
-            _names(changes),
+            self.latest, draft, self.outputs, self.probes, self.limits, allowed, _names(changes)
         )
         self.differences += comparison.differences
         self.uncompared = comparison.uncompared
@@ -347,10 +331,7 @@ def _infer(model: ir.Model) -> None:
 def _refusals(rewrites: Sequence[Rewrite]) -> list[Refusal]:
     """Return the nodes that passes left unchanged in their last run, with reasons."""
     return [
-        r
-        for rewrite in rewrites
-        if isinstance(rewrite, CautiousRewrite)
-        for r in rewrite.refusals
+        r for rewrite in rewrites if isinstance(rewrite, CautiousRewrite) for r in rewrite.refusals
     ]
 
 
@@ -398,9 +379,7 @@ def _load(source: Path, opset: int | None) -> ir.Model:
     try:
         model = ir.load(source)
     except Exception as error:  # onnx-ir's errors share no base class
-        raise ModelUnreadable(
-            f"is not a readable graph: {error}", where=str(source)
-        ) from error
+        raise ModelUnreadable(f"is not a readable graph: {error}", where=str(source)) from error
     _refuse_higher(model, opset)
     return model
 
@@ -431,9 +410,7 @@ def graph_stats(file: Path, goal: RewriteTarget) -> GraphStats:
             for placement in placed
             if placement.cause not in ("", "unknown")
         ),
-        tuple(
-            _capture_text(placement) for placement in placed if placement.cause == "unknown"
-        ),
+        tuple(_capture_text(placement) for placement in placed if placement.cause == "unknown"),
     )
 
 

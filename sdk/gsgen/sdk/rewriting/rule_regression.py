@@ -28,6 +28,5 @@ def refuse_new_violations(before: Report, after: Report, operation: str) -> None
     if fresh:
         listed = ", ".join(sorted(fresh))
         raise GsgenError(
-            f"the {operation} model would break {listed}, which the source keeps",
-            where=before.path,
+            f"the {operation} model would break {listed}, which the source keeps", where=before.path
         )

@@ -36,9 +36,7 @@ def _logit(values: Array) -> Array:
     return np.log(values / (1 - values))
 
 
-def _build(
-    kind: str, edit: Callable[[Array, Scene], None], statistics: str = "trained"
-) -> Draft:
+def _build(kind: str, edit: Callable[[Array, Scene], None], statistics: str = "trained") -> Draft:
     """A static model whose rows were edited in place."""
     source = scene(kind, statistics, seed=1)
     packed = rows(source)
@@ -237,9 +235,7 @@ TURNS: list[tuple[str, str, Callable[[Array], Array], str]] = [
     ),
 ]
 for name, mistake, change, cause_words in TURNS:
-    for kind in (
-        ("surface", "room", "avatar") if name == "quaternion_xyzw" else ("surface", "room")
-    ):
+    for kind in ("surface", "room", "avatar") if name == "quaternion_xyzw" else ("surface", "room"):
         fault(
             f"{name}_{kind}",
             FAMILY,

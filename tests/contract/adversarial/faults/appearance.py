@@ -11,9 +11,7 @@ from contract.adversarial.scenes import C0, Array, Scene, scene
 
 FAMILY = "appearance"
 
-RGB_RANGE = Sentence(
-    "layout.md", "**`rgb`.** Red, green, blue in [0, 1], ready to be shown."
-)
+RGB_RANGE = Sentence("layout.md", "**`rgb`.** Red, green, blue in [0, 1], ready to be shown.")
 CHANNEL_ORDER = (
     r"channel.?major|coefficient.?major|planar|ply|f_rest|order of the (coefficients|harmonics)|interleav",
 )
@@ -27,9 +25,7 @@ def _harmonics(kind: str, degree: int, order: Callable[[Array], Array]) -> Draft
     return static(source, color=color.reshape(source.count, -1), degree=degree)
 
 
-def _colored(
-    kind: str, space: str, recolor: Callable[[Scene], Array], degree: int = 0
-) -> Draft:
+def _colored(kind: str, space: str, recolor: Callable[[Scene], Array], degree: int = 0) -> Draft:
     source = scene(kind, seed=2)
     return static(source, color=recolor(source), space=space, degree=degree)
 
@@ -73,12 +69,7 @@ fault(
 )
 
 DECIDABLE = [
-    (
-        "rgb_bytes",
-        "Left colours in 0…255.",
-        lambda s: np.round(s.rgb * 255),
-        r"255|byte|8.?bit",
-    ),
+    ("rgb_bytes", "Left colours in 0…255.", lambda s: np.round(s.rgb * 255), r"255|byte|8.?bit"),
     (
         "rgb_signed",
         "Left colours in [−1, 1], as diffusion models have them.",

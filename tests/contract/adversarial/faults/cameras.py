@@ -44,9 +44,7 @@ def _colored_by(centre: Centre, kind: str, order: str = "column") -> Draft:
     graph = GraphBuilder()
     view = graph.input("camera", [4, 4])
     where = graph.constant(source.position)
-    color = colors_by_direction(
-        graph, source, directions(graph, where, centre(graph, view))
-    )
+    color = colors_by_direction(graph, source, directions(graph, where, centre(graph, view)))
     manifest = declare(
         source.count,
         source.position.min(0),
@@ -75,9 +73,7 @@ def _negated_translation(graph: GraphBuilder, view: str) -> str:
 
 def _wrong_turn(graph: GraphBuilder, view: str) -> str:
     turn, offset = _parts(graph, view)  # c = −R t in place of −Rᵀ t
-    return graph.op(
-        "Neg", graph.op("MatMul", offset, graph.op("Transpose", turn, perm=[1, 0]))
-    )
+    return graph.op("Neg", graph.op("MatMul", offset, graph.op("Transpose", turn, perm=[1, 0])))
 
 
 def _read_row_major(graph: GraphBuilder, view: str) -> str:
@@ -108,11 +104,7 @@ CENTRES: list[tuple[str, str, Centre]] = [
         "Computed the camera's centre as −R t in place of −Rᵀ t.",
         _wrong_turn,
     ),
-    (
-        "matrix_read_row_major",
-        "Read a column-major matrix as a row-major one.",
-        _read_row_major,
-    ),
+    ("matrix_read_row_major", "Read a column-major matrix as a row-major one.", _read_row_major),
     (
         "rotation_flipped_to_opengl",
         "Negated two rows of the rotation for OpenGL and left the translation alone.",
@@ -206,10 +198,7 @@ def _in_camera_space(kind: str, *, covariance_alone: bool) -> Draft:
     upper = turned_covariance(graph, graph.reshape(turn, 1, 3, 3), source)
     packed = packed_by_parts(graph, where, graph.constant(source.opacity[:, None]), upper)
     manifest = declare(
-        source.count,
-        source.position.min(0),
-        source.position.max(0),
-        inputs=CAMERA_INPUTS[:1],
+        source.count, source.position.min(0), source.position.max(0), inputs=CAMERA_INPUTS[:1]
     )
     return generator(graph, packed, graph.constant(sh_columns(source, 3)), manifest)
 
@@ -291,9 +280,7 @@ def _backwards(graph: GraphBuilder, positions: Array, view: str, projection: str
     return graph.cast(graph.op("Less", depth, graph.constant(-0.01)), "float32")
 
 
-def _wrong_depth_row(
-    graph: GraphBuilder, positions: Array, view: str, projection: str
-) -> str:
+def _wrong_depth_row(graph: GraphBuilder, positions: Array, view: str, projection: str) -> str:
     homogeneous = graph.constant(np.c_[positions, np.ones(len(positions))])
     transposed = graph.op("Transpose", view, perm=[1, 0])
     depth = graph.gather(graph.op("MatMul", homogeneous, transposed), [2], 1)
@@ -304,9 +291,7 @@ def _narrow(graph: GraphBuilder, positions: Array, view: str, projection: str) -
     return inside_frustum(graph, positions, view, projection, 0.4)
 
 
-def _unprojected_order(
-    graph: GraphBuilder, positions: Array, view: str, projection: str
-) -> str:
+def _unprojected_order(graph: GraphBuilder, positions: Array, view: str, projection: str) -> str:
     swapped = graph.op("Transpose", projection, perm=[1, 0])
     return inside_frustum(graph, positions, view, swapped)
 
@@ -417,10 +402,4 @@ MOVES: list[tuple[str, str, Callable[[Array, Scene], None], str]] = [
 ]
 for name, mistake, change, words in MOVES:
     for kind in ("surface", "avatar") if "alone" in name else ("surface", "cloud"):
-        fault(
-            f"{name}_{kind}",
-            FAMILY,
-            mistake,
-            words,
-            build=partial(_moved_scene, change, kind),
-        )
+        fault(f"{name}_{kind}", FAMILY, mistake, words, build=partial(_moved_scene, change, kind))

@@ -63,11 +63,4 @@ STATES: list[tuple[str, str, dict[str, Any], Sentence | None, str]] = [
     ("path_quaternions_not_normalised", "Extrapolates quaternions and does not normalise them.", {"normalise": False}, None, r"quaternion|normalis|normaliz|unit|length"),
 ]  # fmt: skip
 for name, mistake, options, sentence, cause in STATES:
-    fault(
-        name,
-        FAMILY,
-        mistake,
-        cause,
-        build=partial(trajectory, **options),
-        sentence=sentence,
-    )
+    fault(name, FAMILY, mistake, cause, build=partial(trajectory, **options), sentence=sentence)

@@ -22,9 +22,7 @@ SPLIT = Sentence(
     "A Split has no more outputs, and a Concat no more inputs, than the target can bind.",
 )
 REPLAY = Sentence("targets.md", "kernels are recorded once and replayed")
-VISIONARY = Sentence(
-    "targets.md", "| `visionary` | 1.0.1 | 13 to 22 | up to 10 | `ai.onnx` |"
-)
+VISIONARY = Sentence("targets.md", "| `visionary` | 1.0.1 | 13 to 22 | up to 10 | `ai.onnx` |")
 WEBGPU = Sentence("targets.md", "| `webgpu` | 1.0 | 13 to 26 | up to 13 | `ai.onnx` |")
 
 
@@ -38,9 +36,7 @@ def _large(n: int, degree: int) -> Draft:
         graph.constant([n, 10], "int64"),
     )
     color = graph.op(
-        "Expand",
-        graph.constant(np.zeros((1, channels))),
-        graph.constant([n, channels], "int64"),
+        "Expand", graph.constant(np.zeros((1, channels))), graph.constant([n, channels], "int64")
     )
     return generator(graph, packed, color, declare(n, [-1] * 3, [1] * 3, degree=degree))
 
@@ -154,9 +150,7 @@ def _branching() -> Draft:
         node.name = f"{name}_identity"
         branch.output.append(value_info(f"{name}_color", [64, 48], "float32"))
         branches.append(branch)
-    graph.node(
-        "If", [condition], ["chosen"], then_branch=branches[0], else_branch=branches[1]
-    )
+    graph.node("If", [condition], ["chosen"], then_branch=branches[0], else_branch=branches[1])
     color = graph.op("Mul", "chosen", graph.constant(1.0))
     entry = {"name": "time", "role": "time", "range": [0, 1], "default": 0.0}
     low, high = source.position.min(0), source.position.max(0)
@@ -236,9 +230,7 @@ def _uncapturable(kind: str) -> Draft:
     entry = {"name": "time", "role": "time", "range": [0, 1], "default": 0.0}
     low, high = source.position.min(0), source.position.max(0)
     manifest = declare(64, low, high, inputs=[entry])
-    return generator(
-        graph, packed, graph.constant(sh_columns(source, 3)), manifest, count=count
-    )
+    return generator(graph, packed, graph.constant(sh_columns(source, 3)), manifest, count=count)
 
 
 CAPTURE: list[tuple[str, str, Any, str]] = [
@@ -249,15 +241,7 @@ CAPTURE: list[tuple[str, str, Any, str]] = [
     ("determinant_on_the_cpu", "Uses Det, which the provider does not have.", partial(_uncapturable, "Det"), r"\bDet\b|captur|provider"),
 ]  # fmt: skip
 for name, mistake, build, cause in CAPTURE:
-    fault(
-        f"{name}_webgpu",
-        FAMILY,
-        mistake,
-        cause,
-        build=build,
-        sentence=REPLAY,
-        target="webgpu",
-    )
+    fault(f"{name}_webgpu", FAMILY, mistake, cause, build=build, sentence=REPLAY, target="webgpu")
 
 
 def _versions(opset: int, ir_version: int) -> Draft:
@@ -302,8 +286,6 @@ def _fused() -> Draft:
     source = scene("surface", seed=64)
     graph = GraphBuilder()
     graph.import_domain("com.microsoft", 1)
-    color = graph.op(
-        "QuickGelu", graph.constant(sh_columns(source, 3)), domain="com.microsoft"
-    )
+    color = graph.op("QuickGelu", graph.constant(sh_columns(source, 3)), domain="com.microsoft")
     manifest = declare(64, source.position.min(0), source.position.max(0))
     return generator(graph, graph.constant(rows(source)), color, manifest)

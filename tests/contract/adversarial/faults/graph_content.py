@@ -39,9 +39,7 @@ def _data_dependent() -> Draft:
     pads = graph.op("Concat", zero, zero, missing, zero, axis=0)
     packed = graph.op("Pad", picked, pads)
     color = graph.op(
-        "Pad",
-        graph.op("Gather", graph.constant(sh_columns(source, 3)), index, axis=0),
-        pads,
+        "Pad", graph.op("Gather", graph.constant(sh_columns(source, 3)), index, axis=0), pads
     )
     low, high = source.position.min(0), source.position.max(0)
     manifest = declare(64, low, high, inputs=CAMERA_INPUTS)
@@ -115,9 +113,7 @@ fault(
     "Declared operator set 17 and used Gelu of operator set 20.",
     r"gelu|opset|operator",
     build=partial(_float16_builtin, "Gelu"),
-    sentence=Sentence(
-        "index.md", "A generator is one ONNX file (a serialised `ModelProto`)."
-    ),
+    sentence=Sentence("index.md", "A generator is one ONNX file (a serialised `ModelProto`)."),
     checker=False,
     loads=False,
 )
@@ -126,9 +122,7 @@ fault(
 def _extra_input(name: str, dtype: str) -> Draft:
     draft = static(scene("surface", seed=33))
     info = ValueInfoProto(name=name)
-    info.type.tensor_type.elem_type = (
-        TensorProto.BOOL if dtype == "bool" else TensorProto.FLOAT
-    )
+    info.type.tensor_type.elem_type = TensorProto.BOOL if dtype == "bool" else TensorProto.FLOAT
     info.type.tensor_type.shape.dim.add().dim_value = 1
     draft.proto.graph.input.append(info)
     return draft
@@ -136,11 +130,7 @@ def _extra_input(name: str, dtype: str) -> Draft:
 
 for name, dtype, mistake in (
     ("training", "bool", "Exported the module's `training` flag as an input."),
-    (
-        "background",
-        "float32",
-        "Exported the background colour of the rasteriser as an input.",
-    ),
+    ("background", "float32", "Exported the background colour of the rasteriser as an input."),
 ):
     fault(
         f"input_{name}_without_role",

@@ -44,9 +44,7 @@ def _lit(kind: str = "surface") -> Draft:
     direction = directions(graph, where, camera_centre(graph, view))
     color = colors_by_direction(graph, source, direction)
     low, high = source.position.min(0), source.position.max(0)
-    manifest = declare(
-        source.count, low, high, space="rgb", inputs=[dict(CAMERA_INPUTS[0])]
-    )
+    manifest = declare(source.count, low, high, space="rgb", inputs=[dict(CAMERA_INPUTS[0])])
     return generator(graph, graph.constant(rows(source)), color, manifest)
 
 
@@ -223,13 +221,7 @@ EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         Sentence("manifest.md", '| `layout` | `"packed10"` |'),
         r"layout|packed10",
     ),
-    (
-        "bounds_swapped",
-        "Swapped min and max.",
-        _swap_corners,
-        CORNERS,
-        r"bounds|min.{0,30}max",
-    ),
+    ("bounds_swapped", "Swapped min and max.", _swap_corners, CORNERS, r"bounds|min.{0,30}max"),
     (
         "bounds_in_centimetres",
         "Declares the bounds in other units than the positions.",
@@ -285,8 +277,7 @@ EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         "Added a field of the studio without `x-`.",
         _set(studio={"take": 7}),
         Sentence(
-            "manifest.md",
-            "Any object of the manifest may have fields whose names start with `x-`.",
+            "manifest.md", "Any object of the manifest may have fields whose names start with `x-`."
         ),
         FIELD + r"|studio",
     ),
@@ -343,9 +334,7 @@ EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         "depends_on_an_unknown_role",
         "Names an input in place of a role in `depends_on`.",
         _set(depends_on={"camera_matrix": False}),
-        Sentence(
-            "manifest.md", "`depends_on` has roles as keys and takes no extension fields."
-        ),
+        Sentence("manifest.md", "`depends_on` has roles as keys and takes no extension fields."),
         r"depends_on|role|camera_matrix",
     ),
     (
@@ -366,10 +355,7 @@ EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         "reference_image_outside_the_folder",
         "Declares a reference image by a path that leaves the folder.",
         _set(reference_images=[{**PICTURE, "path": "../../front.png"}]),
-        Sentence(
-            "manifest.md",
-            "The path is relative to the model's folder and does not leave it",
-        ),
+        Sentence("manifest.md", "The path is relative to the model's folder and does not leave it"),
         r"front\.png|folder|outside|leave",
     ),
 ]
@@ -432,8 +418,7 @@ INPUT_EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         "Declares the view as [3, 4].",
         _first_input(shape=[3, 4]),
         Sentence(
-            "manifest.md",
-            "If both the manifest and the graph give a shape, they must be equal.",
+            "manifest.md", "If both the manifest and the graph give a shape, they must be equal."
         ),
         r"shape",
     ),
@@ -441,9 +426,7 @@ INPUT_EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         "default_of_nine_numbers",
         "Gives nine numbers as the default of a 4×4 matrix.",
         _first_input(default=[1, 0, 0, 0, 1, 0, 0, 0, 1]),
-        Sentence(
-            "manifest.md", "its numbers, row-major; as many as the input has elements"
-        ),
+        Sentence("manifest.md", "its numbers, row-major; as many as the input has elements"),
         r"default",
     ),
     (

@@ -14,9 +14,7 @@ FAMILY = "manifest"
 Manifest = dict[str, Any]
 
 KEY = Sentence("index.md", "A file without this key is not a conforming generator.")
-MODEL_LEVEL = Sentence(
-    "index.md", "Metadata of the graph, of nodes or of values does not count"
-)
+MODEL_LEVEL = Sentence("index.md", "Metadata of the graph, of nodes or of values does not count")
 JSON_TEXT = Sentence("manifest.md", "The manifest is a JSON document (RFC 8259)")
 FINITE = Sentence("manifest.md", "Numbers are finite; an integer may be written `3.0`.")
 NO_REPEATS = Sentence("manifest.md", "Keys must not repeat within an object.")
@@ -160,13 +158,7 @@ SYNTAX: list[tuple[str, str, Callable[[Manifest], str], Sentence, str]] = [
         NO_REPEATS,
         r"repeat|twice|duplicate",
     ),
-    (
-        "manifest_is_empty",
-        "Stored an empty string.",
-        lambda m: "",
-        JSON_TEXT,
-        r"empty|json",
-    ),
+    ("manifest_is_empty", "Stored an empty string.", lambda m: "", JSON_TEXT, r"empty|json"),
 ]
 for name, mistake, write, sentence, cause_words in SYNTAX:
     fault(

@@ -8,21 +8,14 @@ import numpy as np
 
 from contract.adversarial.case import Draft, Sentence, fault
 from contract.adversarial.drafts import declare, generator
-from contract.adversarial.dynamic import (
-    packed_by_parts,
-)
+from contract.adversarial.dynamic import packed_by_parts
 from contract.adversarial.graph_builder import GraphBuilder
 from contract.adversarial.scenes import rows, scene, sh_columns
 
 FAMILY = "time and pose"
 
 TIME: dict[str, Any] = {"name": "time", "role": "time", "range": [0, 1], "default": 0.0}
-FRAME: dict[str, Any] = {
-    "name": "frame",
-    "role": "frame_index",
-    "range": [0, 23],
-    "default": 0,
-}
+FRAME: dict[str, Any] = {"name": "frame", "role": "frame_index", "range": [0, 23], "default": 0}
 AMPLITUDE = 0.15
 
 NO_EFFECT = (
@@ -168,8 +161,7 @@ fault(
     r"depends_on|depend",
     build=partial(_moving, _turns(TAU), TIME, declared={"depends_on": {"time": False}}),
     sentence=Sentence(
-        "manifest.md",
-        "A role that maps to `false` promises that no output changes with that input",
+        "manifest.md", "A role that maps to `false` promises that no output changes with that input"
     ),
 )
 fault(
@@ -179,8 +171,7 @@ fault(
     r"loop|start.{0,40}end|end.{0,40}start",
     build=partial(_moving, _turns(TAU / 4), {**TIME, "loop": True}),
     sentence=Sentence(
-        "manifest.md",
-        "With `loop`, the end of the range shows the same moment as its start.",
+        "manifest.md", "With `loop`, the end of the range shows the same moment as its start."
     ),
 )
 fault(
@@ -199,9 +190,7 @@ fault(
     "An exponential overflows near the end of the range, and inf / inf is NaN.",
     r"\bnan\b|finite|overflow",
     build=partial(_moving, _exponential, TIME),
-    sentence=Sentence(
-        "conventions.md", "A row whose values are not finite should be skipped."
-    ),
+    sentence=Sentence("conventions.md", "A row whose values are not finite should be skipped."),
 )
 fault(
     "default_time_outside_range",
@@ -298,9 +287,7 @@ fault(
     "One frame of the recording is missing and was stored as NaN.",
     r"\bnan\b|finite",
     build=partial(_moving, _hole, FRAME),
-    sentence=Sentence(
-        "conventions.md", "A row whose values are not finite should be skipped."
-    ),
+    sentence=Sentence("conventions.md", "A row whose values are not finite should be skipped."),
 )
 fault(
     "range_one_frame_too_long",
@@ -339,9 +326,7 @@ fault(
     FAMILY,
     "Declared no range of the frame index.",
     r"range",
-    build=partial(
-        _moving, _frame_phase, {"name": "frame", "role": "frame_index", "default": 0}
-    ),
+    build=partial(_moving, _frame_phase, {"name": "frame", "role": "frame_index", "default": 0}),
     sentence=Sentence("manifest.md", "Roles marked *required* in"),
 )
 fault(
@@ -383,7 +368,5 @@ fault(
     "Used seconds since 1970 as the time, whose float32 steps are 128 seconds.",
     r"float32|precision|step|resol|distinct|round",
     *IDLE_TIME,
-    build=partial(
-        _moving, _turns(TAU), {**TIME, "range": [1.7e9, 1.7e9 + 10], "default": 1.7e9}
-    ),
+    build=partial(_moving, _turns(TAU), {**TIME, "range": [1.7e9, 1.7e9 + 10], "default": 1.7e9}),
 )

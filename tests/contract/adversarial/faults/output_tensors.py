@@ -16,9 +16,7 @@ FAMILY = "graph"
 STATIC = Sentence("layout.md", "N and C are static, positive numbers in the graph.")
 COUNT = Sentence("layout.md", "| `count` | int32 | [1] | how many rows are live |")
 COUNT_RANGE = Sentence("layout.md", "`count` holds one number between 0 and N")
-INERT = Sentence(
-    "layout.md", "Rows **at and behind** the count are **inert**: opacity exactly 0"
-)
+INERT = Sentence("layout.md", "Rows **at and behind** the count are **inert**: opacity exactly 0")
 EXACT = Sentence("manifest.md", "`exact`: every row before it is drawn.")
 DTYPE = Sentence("layout.md", "| `gaussians` | float32 or float16 | [N, 10] |")
 OPSET = Sentence("targets.md", "| `core` | 1.0 | 13 to 26 | up to 13 | `ai.onnx` |")
@@ -189,14 +187,7 @@ VARIANTS: list[tuple[str, str, dict[str, Any], Sentence, str]] = [
     ),
 ]
 for name, mistake, options, sentence, cause in VARIANTS:
-    fault(
-        name,
-        FAMILY,
-        mistake,
-        cause,
-        build=partial(_outputs, **options),
-        sentence=sentence,
-    )
+    fault(name, FAMILY, mistake, cause, build=partial(_outputs, **options), sentence=sentence)
 fault(
     "rows_without_a_shape",
     FAMILY,
@@ -257,9 +248,7 @@ def _compacted(mistake: str) -> Draft:
             packed = graph.op("Mul", packed, factor)
     if mistake == "one too few":
         live = graph.op(
-            "Max",
-            graph.op("Sub", live, graph.constant([1], "int32")),
-            graph.constant([0], "int32"),
+            "Max", graph.op("Sub", live, graph.constant([1], "int32")), graph.constant([0], "int32")
         )
     elif mistake == "capacity":
         live = graph.constant([64], "int32")
@@ -292,24 +281,14 @@ COMPACTIONS = [
         INERT,
         COMPACTED,
     ),
-    (
-        "one too few",
-        "Off by one: the count is the number of the last live row.",
-        INERT,
-        COMPACTED,
-    ),
+    ("one too few", "Off by one: the count is the number of the last live row.", INERT, COMPACTED),
     (
         "capacity",
         "The count is always the capacity, although hidden rows are declared not to be there.",
         EXACT,
         COMPACTED,
     ),
-    (
-        "tripled",
-        "Counted each visible row once for every coordinate.",
-        COUNT_RANGE,
-        COMPACTED,
-    ),
+    ("tripled", "Counted each visible row once for every coordinate.", COUNT_RANGE, COMPACTED),
 ]
 for mistake_name, mistake, sentence, cause in COMPACTIONS:
     fault(

@@ -12,8 +12,7 @@ from contract.adversarial.scenes import Array, Scene, rows, scene, sh_columns
 FAMILY = "packing"
 
 COVARIANCE_ORDER = Sentence(
-    "layout.md",
-    "**xx xy xz yy yz zz**: the upper triangle of the 3×3 covariance Σ, row by row",
+    "layout.md", "**xx xy xz yy yz zz**: the upper triangle of the 3×3 covariance Σ, row by row"
 )
 SEMI_DEFINITE = Sentence("layout.md", "Σ is symmetric and positive semi-definite.")
 OPACITY = Sentence("layout.md", "**opacity**: after its activation, in [0, 1].")
@@ -21,11 +20,11 @@ GAUSSIANS_SHAPE = Sentence("layout.md", "| `gaussians` | float32 or float16 | [N
 APPEARANCE_SHAPE = Sentence("layout.md", "| `appearance` | float32 or float16 | [N, C] |")
 CHANNELS = Sentence("layout.md", "C follows from `space` and `degree`.")
 NO_BATCH = Sentence("layout.md", "There is no batch axis.")
-INERT = Sentence(
-    "layout.md", "Rows **at and behind** the count are **inert**: opacity exactly 0"
-)
+INERT = Sentence("layout.md", "Rows **at and behind** the count are **inert**: opacity exactly 0")
 
-ANOTHER_LAYOUT = r"another layout|if read as|fields? (are )?(not )?in order|column order|reorder the columns"
+ANOTHER_LAYOUT = (
+    r"another layout|if read as|fields? (are )?(not )?in order|column order|reorder the columns"
+)
 SCALE_ROTATION = (
     r"scales?\b.{0,40}(quaternion|rotation)",
     r"quaternion.{0,40}scales?\b",
@@ -133,9 +132,7 @@ LAYOUTS = [
     ),
 ]
 for name, mistake, columns, sentence, cause in LAYOUTS:
-    for kind in (
-        ("surface", "hair") if name in ("opacity_last", "opacity_first") else ("room",)
-    ):
+    for kind in ("surface", "hair") if name in ("opacity_last", "opacity_first") else ("room",):
         fault(
             f"{name}_{kind}",
             FAMILY,

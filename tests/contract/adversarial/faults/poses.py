@@ -136,27 +136,16 @@ fault(
     FAMILY,
     "Declared SMPL's convention for a skeleton of four joints of its own.",
     r"smpl|\b24\b|joints",
-    build=partial(
-        _avatar,
-        [{**POSE_INPUT, "convention": "smpl-axis-angle"}],
-        _skinned,
-        [(4, 3)],
-    ),
-    sentence=Sentence(
-        "roles.md", "joints in the order of SMPL (J = 24) or SMPL-X (J = 55)"
-    ),
+    build=partial(_avatar, [{**POSE_INPUT, "convention": "smpl-axis-angle"}], _skinned, [(4, 3)]),
+    sentence=Sentence("roles.md", "joints in the order of SMPL (J = 24) or SMPL-X (J = 55)"),
 )
 fault(
     "quaternion_convention_of_three_columns",
     FAMILY,
     "Declared quaternions for a pose of rotation vectors.",
     r"quaternion|convention|\[J, 4\]",
-    build=partial(
-        _avatar, [{**POSE_INPUT, "convention": "quaternion-wxyz"}], _skinned, [(4, 3)]
-    ),
-    sentence=Sentence(
-        "roles.md", "`quaternion-wxyz`, [J, 4]: unit quaternions (w, x, y, z)"
-    ),
+    build=partial(_avatar, [{**POSE_INPUT, "convention": "quaternion-wxyz"}], _skinned, [(4, 3)]),
+    sentence=Sentence("roles.md", "`quaternion-wxyz`, [J, 4]: unit quaternions (w, x, y, z)"),
 )
 
 TRANSLATION: dict[str, Any] = {
@@ -205,8 +194,7 @@ ROOT_ORDERS = [
         "centimetres",
         r"translat.{0,100}(unit|scale|centimet|factor|100|0\.01|by that)|unit",
         Sentence(
-            "roles.md",
-            "**root_translation**: added to the body after posing, in local units.",
+            "roles.md", "**root_translation**: added to the body after posing, in local units."
         ),
     ),
     (
@@ -223,16 +211,12 @@ for name, mistake, order, words, sentence in ROOT_ORDERS:
         FAMILY,
         mistake,
         words,
-        build=partial(
-            _avatar, [ROTATION, TRANSLATION], _rooted(order), [(3,), (3,)], room=0.9
-        ),
+        build=partial(_avatar, [ROTATION, TRANSLATION], _rooted(order), [(3,), (3,)], room=0.9),
         sentence=sentence,
     )
 
 
-def _turned_by_matrix(
-    *, transposed: bool
-) -> Callable[[GraphBuilder, Any], tuple[str, str]]:
+def _turned_by_matrix(*, transposed: bool) -> Callable[[GraphBuilder, Any], tuple[str, str]]:
     def body(graph: GraphBuilder, source: Any) -> tuple[str, str]:
         matrix = "turn"
         if transposed:
@@ -251,14 +235,7 @@ fault(
     r"transpos|backwards|invers|opposite|M p",
     build=partial(
         _avatar,
-        [
-            {
-                "name": "turn",
-                "role": "root_rotation",
-                "convention": "matrix",
-                "default": "identity",
-            }
-        ],
+        [{"name": "turn", "role": "root_rotation", "convention": "matrix", "default": "identity"}],
         _turned_by_matrix(transposed=True),
         [(3, 3)],
         room=0.4,

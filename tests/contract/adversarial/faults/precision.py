@@ -21,9 +21,7 @@ HALF = Sentence("layout.md", "no positions beyond 65504")
 SEMI_DEFINITE = Sentence("layout.md", "Σ is symmetric and positive semi-definite.")
 
 
-def _rounded(
-    change: Callable[[Array, Scene], Array], kind: str, dtype: str = "float32"
-) -> Draft:
+def _rounded(change: Callable[[Array, Scene], Array], kind: str, dtype: str = "float32") -> Draft:
     source = scene(kind, seed=40)
     packed = change(rows(source), source)
     with np.errstate(over="ignore"):
@@ -195,9 +193,7 @@ def _time_in_half() -> Draft:
     swing = graph.op("Sin", graph.op("Mul", seconds, graph.constant(2 * np.pi)))
     share = np.tile([0, 0.1, 0], (source.count, 1))
     where = graph.op(
-        "Add",
-        graph.op("Mul", swing, graph.constant(share)),
-        graph.constant(source.position),
+        "Add", graph.op("Mul", swing, graph.constant(share)), graph.constant(source.position)
     )
     parts = rows(source)
     packed = packed_by_parts(

@@ -7,9 +7,7 @@ import numpy as np
 
 from contract.adversarial.case import Draft, Sentence, fault
 from contract.adversarial.drafts import declare, generator
-from contract.adversarial.dynamic import (
-    packed_by_parts,
-)
+from contract.adversarial.dynamic import packed_by_parts
 from contract.adversarial.graph_builder import GraphBuilder
 from contract.adversarial.scenes import rows, scene, sh_columns
 
@@ -67,13 +65,9 @@ def _dropped(kind: str) -> Draft:
     color = graph.constant(sh_columns(source, 3))
     opacity = graph.constant(packed[:, 3:4])
     if kind == "Dropout":
-        color = graph.op(
-            "Dropout", color, graph.constant(0.3), graph.constant(True, "bool")
-        )
+        color = graph.op("Dropout", color, graph.constant(0.3), graph.constant(True, "bool"))
     elif kind == "Dropout of opacity":
-        dropped = graph.op(
-            "Dropout", opacity, graph.constant(0.5), graph.constant(True, "bool")
-        )
+        dropped = graph.op("Dropout", opacity, graph.constant(0.5), graph.constant(True, "bool"))
         opacity = graph.op("Mul", dropped, graph.constant(1.0))
     else:
         opacity = graph.op("Bernoulli", opacity)
@@ -107,11 +101,7 @@ def _batch_normalised() -> Draft:
     )
     color = graph.op("Mul", "normal", graph.constant(0.3))
     manifest = declare(
-        source.count,
-        source.position.min(0),
-        source.position.max(0),
-        degree=1,
-        inputs=[TIME],
+        source.count, source.position.min(0), source.position.max(0), degree=1, inputs=[TIME]
     )
     return generator(graph, graph.constant(rows(source)), color, manifest)
 

@@ -31,9 +31,7 @@ def _joined(kind: str) -> Draft:
     second.output("color", second.constant(sh_columns(source, 3)), [64, 48])
     second.output("num_points", second.constant([64], "int32"), [1], "int32")
     renamed = onnx.compose.add_prefix(first.proto, "table/")
-    joined = onnx.compose.merge_models(
-        renamed, second.proto, io_map=[("table/rest", "rows")]
-    )
+    joined = onnx.compose.merge_models(renamed, second.proto, io_map=[("table/rest", "rows")])
     entry = {"name": "time", "role": "time", "range": [0, 1], "default": 0}
     low, high = source.position.min(0), source.position.max(0) + np.array([0.25, 0, 0])
     return Draft(joined, declare(64, low, high, inputs=[entry]))

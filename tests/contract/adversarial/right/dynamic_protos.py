@@ -29,9 +29,7 @@ from contract.adversarial.scenes import Scene, rows, scene, sh_columns
 TOOL = "raw protos"
 
 
-def _lit(
-    kind: str, *, by: str = "view", order: str = "column", dtype: str = "float32"
-) -> Draft:
+def _lit(kind: str, *, by: str = "view", order: str = "column", dtype: str = "float32") -> Draft:
     """Colours follow the direction from the camera."""
     source = scene(kind, seed=70)
     graph = GraphBuilder()
@@ -86,14 +84,11 @@ def _compacted(kind: str) -> Draft:
     view, projection = graph.input("camera", [4, 4]), graph.input("proj", [4, 4])
     seen = inside_frustum(graph, source.position, view, projection)
     n = source.count
-    graph.node(
-        "TopK", [graph.reshape(seen, n), graph.constant([n], "int64")], ["best", "order"]
-    )
+    graph.node("TopK", [graph.reshape(seen, n), graph.constant([n], "int64")], ["best", "order"])
     live = graph.op("Gather", seen, "order", axis=0)
     tables = graph.constant(rows(source)), graph.constant(sh_columns(source, 1))
     packed, color = (
-        graph.op("Mul", graph.op("Gather", table, "order", axis=0), live)
-        for table in tables
+        graph.op("Mul", graph.op("Gather", table, "order", axis=0), live) for table in tables
     )
     total = graph.op("ReduceSum", seen, graph.constant([0], "int64"), keepdims=0)
     manifest = declare(
@@ -102,9 +97,7 @@ def _compacted(kind: str) -> Draft:
     return generator(graph, packed, color, manifest, count=graph.cast(total, "int32"))
 
 
-def _swinging(
-    kind: str, entry: dict[str, Any], phase: Callable[[GraphBuilder, str], str]
-) -> Draft:
+def _swinging(kind: str, entry: dict[str, Any], phase: Callable[[GraphBuilder, str], str]) -> Draft:
     """Rows swing along y by the sine of a phase."""
     source = scene(kind, seed=73)
     graph = GraphBuilder()
@@ -156,14 +149,7 @@ SWINGS: list[tuple[str, str, dict[str, Any], Callable[[GraphBuilder, str], str]]
     (
         "looping_time",
         "surface",
-        {
-            "name": "t",
-            "role": "time",
-            "range": [0, 2],
-            "default": 0,
-            "loop": True,
-            "fps": 30,
-        },
+        {"name": "t", "role": "time", "range": [0, 2], "default": 0, "loop": True, "fps": 30},
         _turns(np.pi),
     ),
     (
@@ -207,25 +193,13 @@ SWINGS: list[tuple[str, str, dict[str, Any], Callable[[GraphBuilder, str], str]]
     (
         "body_shape",
         "avatar",
-        {
-            "name": "beta",
-            "role": "shape",
-            "shape": [10],
-            "range": [-2, 2],
-            "default": "zeros",
-        },
+        {"name": "beta", "role": "shape", "shape": [10], "range": [-2, 2], "default": "zeros"},
         _basis(10),
     ),
     (
         "expressions",
         "avatar",
-        {
-            "name": "psi",
-            "role": "expression",
-            "shape": [5],
-            "range": [-1, 1],
-            "default": "zeros",
-        },
+        {"name": "psi", "role": "expression", "shape": [5], "range": [-1, 1], "default": "zeros"},
         _basis(5),
     ),
     (
@@ -323,11 +297,7 @@ def _weights_beside() -> Draft:
     content = tensor.raw_data
     tensor.ClearField("raw_data")
     tensor.data_location = TensorProto.EXTERNAL
-    for key, value in (
-        ("location", "weights.bin"),
-        ("offset", 0),
-        ("length", len(content)),
-    ):
+    for key, value in (("location", "weights.bin"), ("offset", 0), ("length", len(content))):
         tensor.external_data.add(key=key, value=str(value))
     return Draft(draft.proto, draft.manifest, {"weights.bin": content})
 
@@ -335,11 +305,7 @@ def _weights_beside() -> Draft:
 for kind in ("surface", "room", "cloud"):
     right_model(f"lit_by_view_{kind}", TOOL, kind, "trained", build=partial(_lit, kind))
 right_model(
-    "lit_by_row_major_view",
-    TOOL,
-    "surface",
-    "trained",
-    build=partial(_lit, "surface", order="row"),
+    "lit_by_row_major_view", TOOL, "surface", "trained", build=partial(_lit, "surface", order="row")
 )
 right_model(
     "lit_by_camera_position",
@@ -356,40 +322,20 @@ for kind in ("surface", "room"):
     right_model(f"compacted_{kind}", TOOL, kind, "trained", build=partial(_compacted, kind))
 for name, kind, entry, phase in SWINGS:
     right_model(
-        f"swings_by_{name}",
-        TOOL,
-        kind,
-        "trained",
-        build=partial(_swinging, kind, entry, phase),
+        f"swings_by_{name}", TOOL, kind, "trained", build=partial(_swinging, kind, entry, phase)
     )
-right_model(
-    "posed_avatar", TOOL, "avatar", "trained", build=partial(_avatar, _posed, [POSE_INPUT])
-)
-right_model(
-    "rooted_avatar", TOOL, "avatar", "trained", build=partial(_avatar, _rooted, ROOT)
-)
+right_model("posed_avatar", TOOL, "avatar", "trained", build=partial(_avatar, _posed, [POSE_INPUT]))
+right_model("rooted_avatar", TOOL, "avatar", "trained", build=partial(_avatar, _rooted, ROOT))
 right_model("linear_colors", TOOL, "surface", "trained", build=partial(_declared, _linear))
+right_model("mip_antialias", TOOL, "hair", "trained", build=partial(_declared, _mip, "hair"))
 right_model(
-    "mip_antialias", TOOL, "hair", "trained", build=partial(_declared, _mip, "hair")
+    "extension_fields", TOOL, "cloud", "trained", build=partial(_declared, _extended, "cloud")
 )
-right_model(
-    "extension_fields",
-    TOOL,
-    "cloud",
-    "trained",
-    build=partial(_declared, _extended, "cloud"),
-)
-right_model(
-    "weights_listed_as_inputs", TOOL, "cloud", "trained", build=_weights_listed_as_inputs
-)
+right_model("weights_listed_as_inputs", TOOL, "cloud", "trained", build=_weights_listed_as_inputs)
 right_model("another_output", TOOL, "hair", "trained", build=_with_another_output)
 right_model("weights_beside_the_model", TOOL, "room", "trained", build=_weights_beside)
 right_model(
-    "cells_of_a_room",
-    TOOL,
-    "room",
-    "trained",
-    build=lambda: cell_model(scene("room", seed=78)),
+    "cells_of_a_room", TOOL, "room", "trained", build=lambda: cell_model(scene("room", seed=78))
 )
 right_model(
     "cells_some_hidden",

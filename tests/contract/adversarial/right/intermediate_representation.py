@@ -27,9 +27,7 @@ def _tape(kind: str, statistics: str, dtype: str) -> Draft:
     brighter = tape.op("Cast", [sun], {"to": int(half)})
     outputs = [
         tape.op("Identity", [table], output=_value("gaussians", half, source.count, 10)),
-        tape.op(
-            "Mul", [harmonics, brighter], output=_value("color", half, source.count, 12)
-        ),
+        tape.op("Mul", [harmonics, brighter], output=_value("color", half, source.count, 12)),
         tape.op("Identity", [live], output=_value("num_points", ir.DataType.INT32, 1)),
     ]
     graph = ir.Graph(
@@ -43,13 +41,7 @@ def _tape(kind: str, statistics: str, dtype: str) -> Draft:
     model = ir.Model(graph, ir_version=10)
     common.NameFixPass()(model)
     stored = source.position.astype(dtype).astype(float)
-    slider = {
-        "name": "sun",
-        "role": "control",
-        "shape": [1],
-        "range": [0.5, 1.2],
-        "default": 1.0,
-    }
+    slider = {"name": "sun", "role": "control", "shape": [1], "range": [0.5, 1.2], "default": 1.0}
     manifest = declare(
         source.count, stored.min(0), stored.max(0), degree=1, dtype=dtype, inputs=[slider]
     )

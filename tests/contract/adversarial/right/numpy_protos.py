@@ -52,9 +52,5 @@ for number, kind in enumerate(KINDS):
         build=partial(_static, kind, "trained", space, degree, "float16"),
     )
 right_model("padded_room", TOOL, "room", "trained", build=partial(_padded, "room"))
-right_model(
-    "half_filled_surface", TOOL, "surface", "trained", build=partial(_filled, "surface", 0)
-)
-right_model(
-    "half_filled_cloud", TOOL, "cloud", "trained", build=partial(_filled, "cloud", 2)
-)
+right_model("half_filled_surface", TOOL, "surface", "trained", build=partial(_filled, "surface", 0))
+right_model("half_filled_cloud", TOOL, "cloud", "trained", build=partial(_filled, "cloud", 2))

@@ -90,11 +90,7 @@ def _text(text: str, kind: str, statistics: str) -> Draft:
 
 
 for name, text in (("static", STATIC), ("fading", FADING), ("function", FUNCTION)):
-    for kind, statistics in (
-        ("surface", "trained"),
-        ("hair", "synthetic"),
-        ("room", "trained"),
-    ):
+    for kind, statistics in (("surface", "trained"), ("hair", "synthetic"), ("room", "trained")):
         right_model(
             f"text_{name}_{kind}",
             TOOL,

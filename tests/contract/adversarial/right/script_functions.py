@@ -18,11 +18,7 @@ TOOL = "onnxscript"
 
 @script(default_opset=op)
 def breathing(
-    t: FLOAT[1],
-    table: FLOAT[64, 10],
-    harmonics: FLOAT[64, 27],
-    live: INT32[1],
-    lift: FLOAT[10],
+    t: FLOAT[1], table: FLOAT[64, 10], harmonics: FLOAT[64, 27], live: INT32[1], lift: FLOAT[10]
 ):
     phase = op.Sin(t * 3.14159274)
     gaussians = table + phase * lift
@@ -33,11 +29,7 @@ def breathing(
 
 @script(default_opset=op)
 def dimmed(
-    t: FLOAT[1],
-    table: FLOAT[64, 10],
-    harmonics: FLOAT[64, 27],
-    live: INT32[1],
-    lift: FLOAT[10],
+    t: FLOAT[1], table: FLOAT[64, 10], harmonics: FLOAT[64, 27], live: INT32[1], lift: FLOAT[10]
 ):
     kept = op.Clip(1.0 - 0.5 * t, 0.2, 1.0)
     gaussians = table + 0.0 * lift
@@ -76,11 +68,7 @@ def _scripted(function: object, kind: str, statistics: str) -> Draft:
 
 
 for function in (breathing, dimmed):
-    for kind, statistics in (
-        ("surface", "trained"),
-        ("cloud", "trained"),
-        ("avatar", "synthetic"),
-    ):
+    for kind, statistics in (("surface", "trained"), ("cloud", "trained"), ("avatar", "synthetic")):
         right_model(
             f"script_{function.name}_{kind}",
             TOOL,

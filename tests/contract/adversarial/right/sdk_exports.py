@@ -47,9 +47,7 @@ class Rising(Static):
     def forward(self, time: torch.Tensor, *_: Any) -> Gaussians:
         """One frame at a time."""
         lift = torch.tensor([0.0, -0.3, 0.0]) * time
-        return Gaussians(
-            self.position + lift, self.opacity, self.scale, self.rotation, sh=self.sh
-        )
+        return Gaussians(self.position + lift, self.opacity, self.scale, self.rotation, sh=self.sh)
 
 
 @cache

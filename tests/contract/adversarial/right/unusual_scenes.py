@@ -7,24 +7,14 @@ import numpy as np
 
 from contract.adversarial.case import Draft, right_model
 from contract.adversarial.drafts import static
-from contract.adversarial.scenes import (
-    C0,
-    Array,
-    Scene,
-    rows,
-    scene,
-    sh_columns,
-    upper_triangle,
-)
+from contract.adversarial.scenes import C0, Array, Scene, rows, scene, sh_columns, upper_triangle
 
 TOOL = "raw protos"
 
 Parts = tuple[Array, Array]
 
 
-def _unusual(
-    kind: str, change: Callable[[Array, Array, Scene], Parts], degree: int
-) -> Draft:
+def _unusual(kind: str, change: Callable[[Array, Array, Scene], Parts], degree: int) -> Draft:
     """A static model of changed rows and harmonics."""
     source = scene(kind, seed=110)
     packed, color = change(rows(source), sh_columns(source, degree), source)

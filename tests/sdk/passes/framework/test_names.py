@@ -25,9 +25,7 @@ def require_new(model: ir.Model) -> None:
 
 
 def test_a_value_that_makes_way_for_another_gets_a_new_name() -> None:
-    model = parsed(
-        "g (float[2] x) => (float[2] y) { y_replaced = Neg (x) y = Abs (y_replaced) }"
-    )
+    model = parsed("g (float[2] x) => (float[2] y) { y_replaced = Neg (x) y = Abs (y_replaced) }")
     write = InsertionPoint(model.graph[1])
     write.replace(write.op("Relu", model.graph[0].outputs[0]))
     require_new(model)
@@ -82,7 +80,4 @@ def test_a_name_of_an_input_or_output_is_not_given_again(taken: str) -> None:
     model = parsed("g (float[2] x) => (float[2] y, float[2] z) { y = Abs (x) z = Neg (x) }")
     with pytest.raises(GsgenError) as caught:
         RenameOutputs({"y": taken})(model)
-    assert (
-        str(caught.value)
-        == f"{taken}: already exists, so output 'y' cannot be renamed to it"
-    )
+    assert str(caught.value) == f"{taken}: already exists, so output 'y' cannot be renamed to it"

@@ -176,8 +176,7 @@ def test_bounds_that_floats_do_not_hold_stay_behind_the_cast(text: str) -> None:
 def test_a_double_does_not_hold_every_integer_of_64_bits(kind: str) -> None:
     code = {"int64": 7, "uint64": 13}[kind]
     text = (
-        f"g ({kind}[3] x) => ({kind}[3] y) "
-        f"{{ d = Cast <to = 11> (x) y = Cast <to = {code}> (d) }}"
+        f"g ({kind}[3] x) => ({kind}[3] y) {{ d = Cast <to = 11> (x) y = Cast <to = {code}> (d) }}"
     )
     assert not MergeCasts()(parsed(text)).modified
 
@@ -219,9 +218,7 @@ def test_masks_are_numbers_between_comparison_and_use(name: str) -> None:
         assert seen.dtype == wanted.dtype
         np.testing.assert_array_equal(seen, wanted)
     computed = [n for n in model.graph if n.op_type not in ("Cast", "Not", "Reshape")]
-    kinds = {
-        v.dtype.name for n in computed for v in n.inputs if v is not None and v.name != "c"
-    }
+    kinds = {v.dtype.name for n in computed for v in n.inputs if v is not None and v.name != "c"}
     assert "BOOL" not in kinds
 
 
@@ -251,9 +248,7 @@ def test_numbers_are_kept_between_two_operators_of_a_chain() -> None:
     model = parsed(text)
     (before,) = run(model, x=X)
     ArithmeticMasks()(model)
-    casts = [
-        node for node in model.graph if node.op_type == "Cast" and node.outputs[0].uses()
-    ]
+    casts = [node for node in model.graph if node.op_type == "Cast" and node.outputs[0].uses()]
     assert len(casts) <= 2 + 1
     assert "And" not in operators(model)
     np.testing.assert_array_equal(run(model, x=X)[0], before)

@@ -31,14 +31,10 @@ def test_rounding_by_floor_is_rounding(text: str, dtype: str) -> None:
     assert made.graph.output[0].name == "y"
     rng = np.random.default_rng(1)
     with np.errstate(over="ignore"):
-        x = np.concatenate([EDGES, np.negative(EDGES), rng.normal(0, 20, 500)]).astype(
-            dtype
-        )
+        x = np.concatenate([EDGES, np.negative(EDGES), rng.normal(0, 20, 500)]).astype(dtype)
     np.testing.assert_array_equal(run(made, x), run(proto, x))
 
 
 def test_a_model_that_rounds_nothing_is_left_alone() -> None:
-    proto = onnx.parser.parse_model(
-        TEXT.replace("DTYPE", "float").replace("Round", "Floor")
-    )
+    proto = onnx.parser.parse_model(TEXT.replace("DTYPE", "float").replace("Round", "Floor"))
     assert not RoundByFloor()(ir.serde.deserialize_model(proto)).modified

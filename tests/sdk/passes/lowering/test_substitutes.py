@@ -78,8 +78,7 @@ def test_extremes_are_selected(name: str, dtype: str) -> None:
 def test_only_releases_without_a_kernel_want_the_selection() -> None:
     text = "g (float[2] a, float[2] b) => (float[2] y) { y = Max (a, b) }"
     old, new = (
-        SelectExtremes.for_target(RewriteTarget.of(load_target(t)))
-        for t in ("visionary", "webgpu")
+        SelectExtremes.for_target(RewriteTarget.of(load_target(t))) for t in ("visionary", "webgpu")
     )
     assert not new(parsed(text)).modified
     assert old(parsed(text)).modified
@@ -127,9 +126,7 @@ def test_swish_of_operator_set_24_is_x_times_a_gate() -> None:
     model, x = parsed(text, HEAD.replace("18", "24")), floats("float", odd=False)
     assert WriteOutActivations()(model).modified
     wide = x.astype(np.float64)
-    np.testing.assert_allclose(
-        run(model, x=x)[0], wide / (1 + np.exp(-1.5 * wide)), atol=2e-6
-    )
+    np.testing.assert_allclose(run(model, x=x)[0], wide / (1 + np.exp(-1.5 * wide)), atol=2e-6)
 
 
 def test_activations_of_a_softmax_that_flattens_are_left_alone() -> None:
@@ -185,7 +182,9 @@ def test_signs_of_floats_have_kernels_and_stay(kind: str) -> None:
 @pytest.mark.parametrize("fmod", [0, 1])
 @pytest.mark.parametrize("dtype", ["int32", "int64"])
 def test_a_remainder_of_integers_is_exact(dtype: str, fmod: int) -> None:
-    text = f"g ({dtype}[60] a, {dtype}[60] b) => ({dtype}[60] y) {{ y = Mod <fmod = {fmod}> (a, b) }}"
+    text = (
+        f"g ({dtype}[60] a, {dtype}[60] b) => ({dtype}[60] y) {{ y = Mod <fmod = {fmod}> (a, b) }}"
+    )
     model, rng = parsed(text), np.random.default_rng(3)
     a, b = rng.integers(-50, 50, 60), rng.integers(1, 9, 60) * rng.choice([-1, 1], 60)
     a[:3], b[:3] = 2**31 - 1, [1, 2, -7]
@@ -197,7 +196,9 @@ def test_a_remainder_of_integers_is_exact(dtype: str, fmod: int) -> None:
 
 @pytest.mark.parametrize("dtype", ["float", "double"])
 def test_a_remainder_of_floats_has_the_sign_of_the_dividend(dtype: str) -> None:
-    text = f"g ({dtype}[40,4] a, {dtype}[40,4] b) => ({dtype}[40,4] y) {{ y = Mod <fmod = 1> (a, b) }}"
+    text = (
+        f"g ({dtype}[40,4] a, {dtype}[40,4] b) => ({dtype}[40,4] y) {{ y = Mod <fmod = 1> (a, b) }}"
+    )
     model = parsed(text)
     a, b = floats(dtype, 0, odd=False), floats(dtype, 1, odd=False)
     a[0], b[0] = [6, -6, 5.999999, 0], [3, 3, 3, 2]

@@ -36,9 +36,7 @@ def inputs(seed: int = 0) -> dict[str, np.ndarray]:
     ("trips", "start", "on", "turns"),
     [(3, "go", "c", 3), (1, "go", "c", 1), (5, "", "go", 5), (4, "go", "stop", 1)],
 )
-def test_a_loop_of_known_length_is_a_chain(
-    trips: int, start: str, on: str, turns: int
-) -> None:
+def test_a_loop_of_known_length_is_a_chain(trips: int, start: str, on: str, turns: int) -> None:
     model = parsed(loop(trips, start, on))
     given = inputs()
     before = run(model, **given)

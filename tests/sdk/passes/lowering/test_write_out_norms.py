@@ -41,9 +41,7 @@ UNKNOWN = {
     ("instances", "double"),
     ("instances 18", "double"),
 }
-CASES = [
-    (name, dtype) for name in NORMS for dtype in DTYPES if (name, dtype) not in UNKNOWN
-]
+CASES = [(name, dtype) for name in NORMS for dtype in DTYPES if (name, dtype) not in UNKNOWN]
 
 
 @pytest.mark.parametrize(("name", "dtype"), CASES)
@@ -72,9 +70,7 @@ def test_groups_of_operator_set_18_are_scaled_as_the_formula_says() -> None:
     """ONNX Runtime's CPU computes it by the function of the standard; here is the formula."""
     text = "g (float[2,6,4] x, float[3] s, float[3] b) => (float[2,6,4] y) {y = GroupNormalization <num_groups = 3> (x, s, b) }"
     model = parsed(text)
-    x, s, b = (
-        numbers(shape, "float", k) for k, shape in enumerate([(2, 6, 4), (3,), (3,)])
-    )
+    x, s, b = (numbers(shape, "float", k) for k, shape in enumerate([(2, 6, 4), (3,), (3,)]))
     assert WriteOutNorms()(model).modified
     (seen,) = run(model, x=x, s=s, b=b)
     grouped = x.astype(np.float64).reshape(2, 3, -1)
@@ -135,9 +131,7 @@ AXES = {
 @pytest.mark.parametrize("kind", REDUCTIONS)
 def test_a_reduction_keeps_its_value(kind: str, where: str, dtype: str) -> None:
     opset, attributes, argument, axes = AXES[where]
-    weight = (
-        "" if axes is None else f"<int64[{len(axes)}] a = {{{', '.join(map(str, axes))}}}>"
-    )
+    weight = "" if axes is None else f"<int64[{len(axes)}] a = {{{', '.join(map(str, axes))}}}>"
     arguments = f"x, {argument}" if argument else "x"
     open_dims = "I,K" if where in ("one", "attribute") else "I,J,K"
     text = f"g ({dtype}[3,4,5] x) => ({dtype}[{open_dims}] y) {weight} {{ y = {kind} {attributes} ({arguments}) }}"
@@ -153,9 +147,7 @@ def test_sums_of_large_powers_neither_overflow_nor_lose_infinity() -> None:
     text = "g (float[4,2] x) => (float[4] y) <int64[1] a = {1}> { y = ReduceLogSumExp <keepdims = 0> (x, a) }"
     model = parsed(text)
     WriteOutReductions()(model)
-    x = np.array(
-        [[1000, 1000], [-1000, -1001], [np.inf, 1], [-np.inf, -np.inf]], np.float32
-    )
+    x = np.array([[1000, 1000], [-1000, -1001], [np.inf, 1], [-np.inf, -np.inf]], np.float32)
     wanted = [1000 + np.log(2), -1000 + np.log(1 + np.exp(-1)), np.inf, -np.inf]
     np.testing.assert_allclose(run(model, x=x)[0], wanted, rtol=1e-6)
 

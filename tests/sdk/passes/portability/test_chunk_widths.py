@@ -47,8 +47,7 @@ def wide_concat(width: int, dtype: str, rank: int, axis: int) -> ir.Model:
     dims = ",".join("2" for _ in range(rank))
     names = [f"x{index % 3}" for index in range(width)]
     sized = [
-        ",".join(str(size) if k == axis % rank else "2" for k in range(rank))
-        for size in (1, 2, 0)
+        ",".join(str(size) if k == axis % rank else "2" for k in range(rank)) for size in (1, 2, 0)
     ]
     inputs = ", ".join(f"{dtype}[{size}] x{k}" for k, size in enumerate(sized))
     # Every part passes through a node of its own, as in a graph that a machine wrote.
@@ -161,13 +160,7 @@ def test_a_wide_split_keeps_its_values(width: int) -> None:
     opset=st.sampled_from([11, 13, 18]),
 )
 def test_any_split_keeps_its_values(
-    sizes: list[int],
-    dtype: str,
-    rank: int,
-    place: int,
-    limit: int,
-    given: bool,
-    opset: int,
+    sizes: list[int], dtype: str, rank: int, place: int, limit: int, given: bool, opset: int
 ) -> None:
     axis = max(-rank, min(place, rank - 1))
     head = HEAD.replace("18", str(opset))

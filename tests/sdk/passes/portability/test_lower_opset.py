@@ -21,10 +21,7 @@ MODELS = {
     "groups": (21, "y = GroupNormalization <num_groups = 2> (x, channels, channels)"),
     "instances": (22, "y = InstanceNormalization (x, channels, channels)"),
     "maximum": (20, "m = ReduceMax <keepdims = 1> (x, last) y = Add (x, m)"),
-    "pool": (
-        22,
-        "p = AveragePool <kernel_shape = [1, 1], dilations = [1, 1]> (x) y = Neg (p)",
-    ),
+    "pool": (22, "p = AveragePool <kernel_shape = [1, 1], dilations = [1, 1]> (x) y = Neg (p)"),
     "pad": (21, "p = Pad (x, pads) y = Slice (p, begin, end, last)"),
 }
 
@@ -134,10 +131,7 @@ def test_the_goal_chooses_the_set() -> None:
     assert LowerOpset.for_target(RewriteTarget(target=load_target("core"))) is None
     assert LowerOpset.for_target(RewriteTarget.of(load_target("webgpu"))).target_opset == 18
     assert (
-        LowerOpset.for_target(
-            RewriteTarget.of(load_target("webgpu"), opset=20)
-        ).target_opset
-        == 20
+        LowerOpset.for_target(RewriteTarget.of(load_target("webgpu"), opset=20)).target_opset == 20
     )
 
 

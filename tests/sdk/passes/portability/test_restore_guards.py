@@ -109,9 +109,7 @@ def test_what_the_exporter_folds_away_is_put_back() -> None:
     v = torch.tensor([[0.0, 0, 0], [1, -2, 0.5]])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        program = torch.onnx.export(
-            Unit(), (v,), dynamo=True, opset_version=18, verbose=False
-        )
+        program = torch.onnx.export(Unit(), (v,), dynamo=True, opset_version=18, verbose=False)
     model = program.model
     assert "Add" not in operators(model)  # or else the exporter has learnt to keep it
     assert np.isnan(run(model, v=v.numpy())[0][0]).all()

@@ -46,8 +46,7 @@ def test_a_table_is_looked_up_part_by_part(kind: str, rows: int) -> None:
 def test_a_table_is_split_along_the_axis_that_is_looked_up() -> None:
     table = RNG.normal(size=(2, 10)).astype(np.float32)
     model = with_weight(
-        "g (float[2,10] w, int64[3] i) => (float[2,3] y) { y = Gather <axis = 1> (w, i) }",
-        table,
+        "g (float[2,10] w, int64[3] i) => (float[2,3] y) { y = Gather <axis = 1> (w, i) }", table
     )
     SplitLargeWeights(30)(model)
     (seen,) = run(model, i=np.array([9, 0, 4]))
@@ -102,9 +101,7 @@ def test_a_weight_that_one_operator_reads_twice_is_left_alone() -> None:
 
 
 def test_a_large_output_is_named_with_the_rows_that_fit() -> None:
-    model = parsed(
-        "g (float[100,10] x) => (float[100,10] gaussians) { gaussians = Neg (x) }"
-    )
+    model = parsed("g (float[100,10] x) => (float[100,10] gaussians) { gaussians = Neg (x) }")
     rewrite = SplitLargeWeights(2000)
     assert not rewrite(model).modified
     assert rewrite.refusals[0].where == "gaussians"

@@ -69,9 +69,7 @@ def assert_same_rows(before: list[np.ndarray], after: list[np.ndarray]) -> None:
 @pytest.mark.parametrize("taken", TAKEN)
 @settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 10**6), t=st.sampled_from([-9.0, -0.5, 0.0, 1.0, 9.0]))
-def test_every_form_of_taking_rows_gives_them_in_order(
-    taken: str, seed: int, t: float
-) -> None:
+def test_every_form_of_taking_rows_gives_them_in_order(taken: str, seed: int, t: float) -> None:
     model = masked(TAKEN[taken], THEN["elementwise"])
     given_ = inputs(seed, t)
     before = run(model, **given_)
@@ -130,8 +128,7 @@ def test_rows_that_are_not_kept_take_no_part_in_sums(
 ) -> None:
     text = f"g (float[{N},4] x, float[1] t) => (float z) <int64[1] zero = {{0}}, int64[2] both = {{0, 1}}, int64 first = {{0}}> {{ {MASK} r = Compress <axis = 0> (x, m)\n z = {op} <keepdims = {keep}> (r, {axes}) }}"
     text = text.replace(
-        "(float z)",
-        "(float[A,B] z)" if keep else "(float[A] z)" if axes == "zero" else "(float z)",
+        "(float z)", "(float[A,B] z)" if keep else "(float[A] z)" if axes == "zero" else "(float z)"
     )
     model = parsed(text)
     given_ = inputs(4, t)
@@ -150,9 +147,7 @@ NESTED = {
 @pytest.mark.parametrize("taken", NESTED)
 def test_a_mask_among_kept_rows_is_a_mask_of_both(taken: str) -> None:
     nested = f"r1 = Compress <axis = 0> (x, m)\n b = Gather <axis = 1> (r1, second)\n m2 = Greater (b, t)\n {NESTED[taken]}"
-    model = masked(
-        nested, "y = Neg (r)", "s = Shape <end = 1> (r)\n count = Cast <to = 6> (s)"
-    )
+    model = masked(nested, "y = Neg (r)", "s = Shape <end = 1> (r)\n count = Cast <to = 6> (s)")
     given_ = inputs(5, -0.3)
     before = run(model, **given_)
     assert 0 < before[1] < N
@@ -200,16 +195,10 @@ def test_products_of_each_row_s_own_matrices(name: str) -> None:
 
 
 REFUSED = {
-    "a product over the rows": (
-        "s = ReduceProd <keepdims = 1> (r, zero)\n y = Add (r, s)",
-        COUNT,
-    ),
+    "a product over the rows": ("s = ReduceProd <keepdims = 1> (r, zero)\n y = Add (r, s)", COUNT),
     "rows in another order": ("y = CumSum (r, first)", COUNT),
     "a count that is no count": ("y = Neg (r)", "count = Identity (eleven)"),
-    "rows that index": (
-        "q = Cast <to = 6> (r)\n y = GatherElements <axis = 0> (x, q)",
-        COUNT,
-    ),
+    "rows that index": ("q = Cast <to = 6> (r)\n y = GatherElements <axis = 0> (x, q)", COUNT),
 }
 
 

@@ -21,10 +21,7 @@ def with_weight(model: ir.Model, name: str, array: np.ndarray) -> ir.Model:
     ]
     tensor = ir.tensor(array, name=name)
     value = ir.Value(
-        name=name,
-        const_value=tensor,
-        type=ir.TensorType(tensor.dtype),
-        shape=ir.Shape(array.shape),
+        name=name, const_value=tensor, type=ir.TensorType(tensor.dtype), shape=ir.Shape(array.shape)
     )
     model.graph.register_initializer(value)
     for node, place in uses:
@@ -141,11 +138,7 @@ def test_parts_of_what_is_not_known_stay(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("first", "second", "left"),
-    [
-        ("[1, 0, 2]", "[1, 0, 2]", 0),
-        ("[1, 2, 0]", "[0, 2, 1]", 1),
-        ("[1, 2, 0]", "[1, 2, 0]", 1),
-    ],
+    [("[1, 0, 2]", "[1, 0, 2]", 0), ("[1, 2, 0]", "[0, 2, 1]", 1), ("[1, 2, 0]", "[1, 2, 0]", 1)],
 )
 def test_transposes_are_merged(first: str, second: str, left: int) -> None:
     text = (

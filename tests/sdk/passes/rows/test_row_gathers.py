@@ -73,9 +73,7 @@ def test_parts_that_only_a_frame_knows_are_left_alone(text: str) -> None:
 
 
 @pytest.mark.parametrize("opset", [11, 13, 18])
-def test_a_split_becomes_slices_and_those_are_gathered_in_the_next_round(
-    opset: int,
-) -> None:
+def test_a_split_becomes_slices_and_those_are_gathered_in_the_next_round(opset: int) -> None:
     given = ", split = [1, 0, 4]" if opset < 13 else ""
     weight, argument = ("", "") if opset < 13 else ("<int64[3] s = {1, 0, 4}>", ", s")
     text = (
@@ -143,10 +141,7 @@ def test_a_scatter_of_known_rows_is_gathered(
         "y = ScatterND (x, places, u)",
         indices,
     )
-    x, u = (
-        rng.normal(size=shape).astype(np.float32),
-        rng.normal(size=new).astype(np.float32),
-    )
+    x, u = (rng.normal(size=shape).astype(np.float32), rng.normal(size=new).astype(np.float32))
     wanted = x.copy()
     for place in np.ndindex(*rows):
         wanted[tuple(indices[place])] = u[place]

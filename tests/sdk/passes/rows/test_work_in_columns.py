@@ -45,10 +45,7 @@ ROWS = {
     ),
     "split": ("a, b = Split <axis = -1> (x, sizes) d = Mul (b, a) y = Mul (d, c)", "N,A"),
     "selected": ("b = Less (x, z) n = Not (b) w = Where (n, x, c) y = Mul (w, c)", "N,A"),
-    "bounded": (
-        "k = Clip (x, low, high) m = Max (k, z, c) o = Min (m, two) y = Mul (o, c)",
-        "N,A",
-    ),
+    "bounded": ("k = Clip (x, low, high) m = Max (k, z, c) o = Min (m, two) y = Mul (o, c)", "N,A"),
     "each": (
         "e = Exp (x) s = Sigmoid (e) q = Sqrt (s) r = Reciprocal (q) n = Neg (r) y = Mul (n, c)",
         "N,A",

@@ -22,10 +22,7 @@ def with_weights(text: str, **arrays: np.ndarray) -> ir.Model:
     for name, array in arrays.items():
         tensor = ir.tensor(array, name=name)
         value = next(
-            v
-            for n in model.graph.all_nodes()
-            for v in n.inputs
-            if v is not None and v.name == name
+            v for n in model.graph.all_nodes() for v in n.inputs if v is not None and v.name == name
         )
         value.const_value = tensor
         value.type, value.shape = ir.TensorType(tensor.dtype), ir.Shape(array.shape)
@@ -68,9 +65,7 @@ def test_nan_of_other_bits_is_another_weight() -> None:
     assert not DeduplicateWeights()(model).modified
 
 
-def test_weights_of_a_body_are_shared_with_those_around_it_but_not_between_branches() -> (
-    None
-):
+def test_weights_of_a_body_are_shared_with_those_around_it_but_not_between_branches() -> None:
     text = """
     g (bool c, float[3] x) => (float[3] y) <float[3] out = {1, 2, 3}> {
         a = Add (x, out)

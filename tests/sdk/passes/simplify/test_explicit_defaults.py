@@ -64,6 +64,4 @@ def test_branches_are_reached_and_targets_without_tables_want_none() -> None:
     assert MakeDefaultsExplicit()(model).modified
     x = np.arange(4, dtype=np.float32)
     assert run(model, c=np.array(True), x=x)[0].tolist() == [1, 2]
-    assert (
-        MakeDefaultsExplicit.for_target(RewriteTarget(target=load_target("core"))) is None
-    )
+    assert MakeDefaultsExplicit.for_target(RewriteTarget(target=load_target("core"))) is None

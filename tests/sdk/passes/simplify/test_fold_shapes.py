@@ -88,9 +88,7 @@ GUARDS = {
 
 @pytest.mark.parametrize("name", GUARDS)
 def test_guards_on_data_stay(name: str) -> None:
-    model = parsed(
-        f"g (float[3] x) => (float[3] y) <float tiny = {{1e-12}}> {{ {GUARDS[name]} }}"
-    )
+    model = parsed(f"g (float[3] x) => (float[3] y) <float tiny = {{1e-12}}> {{ {GUARDS[name]} }}")
     before = [node.op_type for node in model.graph if node.op_type != "Equal"]
     FoldShapes()(model)
     assert [node.op_type for node in model.graph] == before
@@ -145,9 +143,7 @@ def test_folding_computes_what_onnx_runtime_does(name: str, seed: int) -> None:
         f"{{{', '.join(str(int(n)) for n in np.ravel(v))}}}"
         for k, v in weights.items()
     )
-    text = (
-        f"g () => (float made) <{declared}> {{ z = {CASES[name][0]}\n made = Identity(z) }}"
-    )
+    text = f"g () => (float made) <{declared}> {{ z = {CASES[name][0]}\n made = Identity(z) }}"
     proto = onnx.parser.parse_model('<ir_version: 8, opset_import: ["" : 18]> ' + text)
     del proto.graph.output[:]
     proto.graph.output.add(name="z")

@@ -104,15 +104,7 @@ def test_an_idle_operator_in_a_branch_goes_but_not_the_only_node_of_it() -> None
     assert run(model, c=np.array(False), x=x)[0].tolist() == [1, -2]
 
 
-CODES = {
-    "float": 1,
-    "float16": 10,
-    "double": 11,
-    "int32": 6,
-    "int64": 7,
-    "int8": 3,
-    "bool": 9,
-}
+CODES = {"float": 1, "float16": 10, "double": 11, "int32": 6, "int64": 7, "int8": 3, "bool": 9}
 
 
 @pytest.mark.parametrize(
@@ -159,11 +151,7 @@ def test_shapes_given_one_after_the_other_become_the_last() -> None:
     x = np.arange(12, dtype=np.float32).reshape(2, 6)
     (before,) = run(model, x=x)
     assert MergeReshapes()(model).modified
-    chain = (
-        next(node for node in model.graph if node.outputs[0].name == "y")
-        .inputs[0]
-        .producer()
-    )
+    chain = next(node for node in model.graph if node.outputs[0].name == "y").inputs[0].producer()
     assert chain.op_type == "Reshape"
     assert chain.inputs[0].name == "x"
     np.testing.assert_array_equal(run(model, x=x)[0], before)

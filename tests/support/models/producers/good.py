@@ -58,9 +58,7 @@ class Scene:
     def manifest(self, *inputs: Input, room: float = 1.0, **changes: Any) -> Manifest:
         """Return a manifest; the bounds are ``room`` times as wide as the cloud may be."""
         dtype = "float16" if self.half else "float32"
-        appearance = AppearanceOutput(
-            "color", "rgb" if self.degree is None else "sh", self.degree
-        )
+        appearance = AppearanceOutput("color", "rgb" if self.degree is None else "sh", self.degree)
         outputs = GeneratorOutputs(
             GaussiansOutput("gaussians", len(self.rows), dtype),
             appearance,

@@ -43,9 +43,7 @@ def _moved(
     made = scene(_COUNT, 1, seed=len(steps))
     graph = _Graph()
     dtype = "int32" if steps == "Gather" else "float32"
-    given = ir.Value(
-        name=entry.name, type=ir.TensorType(_CODES[dtype]), shape=ir.Shape(shape)
-    )
+    given = ir.Value(name=entry.name, type=ir.TensorType(_CODES[dtype]), shape=ir.Shape(shape))
     weights = graph.weigh("table", table)
     if steps == "Gather":
         shift = graph.do("Gather", weights, given, axis=0)
@@ -88,12 +86,7 @@ def models() -> Iterator[Good]:
     frames = rng.uniform(-1, 1, (9, 3)).astype(np.float32)
 
     def one(
-        name: str,
-        entry: Input,
-        shape: tuple[int, ...],
-        table: np.ndarray,
-        steps: str,
-        **how: Any,
+        name: str, entry: Input, shape: tuple[int, ...], table: np.ndarray, steps: str, **how: Any
     ) -> Good:
         draw = partial(_moved, entry, shape, table, steps, **how)
         return Good(name, "onnx_ir", draw, "webgpu")
@@ -108,22 +101,14 @@ def models() -> Iterator[Good]:
         yield one(role, which, (1,), frames, "Gather")
     eye = Input(name="eye", role="camera_position", default="zeros")
     yield one("camera position", eye, (3,), np.eye(3, dtype=np.float32), "MatMul Tanh")
-    root = Input(
-        name="root", role="root_translation", range=(-1.0, 1.0), default=(0.0, 0.0, 0.5)
-    )
+    root = Input(name="root", role="root_translation", range=(-1.0, 1.0), default=(0.0, 0.0, 0.5))
     yield one("root translation", root, (3,), np.ones(3, np.float32), "Mul")
-    betas = Input(
-        name="betas", role="shape", shape=(10,), range=(-2.0, 2.0), default="zeros"
-    )
+    betas = Input(name="betas", role="shape", shape=(10,), range=(-2.0, 2.0), default="zeros")
     basis = rng.uniform(-0.05, 0.05, (10, 3)).astype(np.float32)
     yield one("body shape", betas, (10,), basis, "MatMul")
-    face = Input(
-        name="face", role="expression", shape=(10,), range=(0.0, 1.0), default=(0.5,) * 10
-    )
+    face = Input(name="face", role="expression", shape=(10,), range=(0.0, 1.0), default=(0.5,) * 10)
     yield one("expression", face, (10,), basis, "MatMul")
-    slider = Input(
-        name="explode", role="control", range=(0.0, 2.0), default=1.0, label="Explode"
-    )
+    slider = Input(name="explode", role="control", range=(0.0, 2.0), default=1.0, label="Explode")
     yield one("slider", slider, (1,), speed, "Mul", antialias="mip")
     loose = Tolerances(position=0.01)
     yield one("own tolerances", slider, (1,), speed, "Mul", tolerances=loose)

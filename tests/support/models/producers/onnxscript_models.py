@@ -26,15 +26,9 @@ _COUNT = 32
 def turned(pose, center, scale, rest, colors, alive, one):
     """Turn anisotropic Gaussians by one unit quaternion, covariances too: Σ = R S S Rᵀ."""
     w, x, y, z = op.Split(pose, axis=1, num_outputs=4)
-    first = op.Concat(
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), axis=1
-    )
-    second = op.Concat(
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), axis=1
-    )
-    third = op.Concat(
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), axis=1
-    )
+    first = op.Concat(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), axis=1)
+    second = op.Concat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), axis=1)
+    third = op.Concat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), axis=1)
     length = op.ReduceSum(pose * pose, keepdims=1)
     kept = op.Where(op.Greater(length, one * 0.5), one, one * 0.0)
     rotation = op.Concat(first, second, third, axis=0) * kept
@@ -62,11 +56,7 @@ def pulsing(time, rows, colors, alive, one):
     """Swing along x; float16 rows are cast at the very end."""
     swing = 0.2 * op.Sin(6.2831853 * time)
     ahead = op.Pad(op.Reshape(swing, [1, 1]), [0, 0, 0, 9])
-    return (
-        op.CastLike(rows + ahead, one),
-        op.CastLike(colors * 1.0, one),
-        op.Identity(alive),
-    )
+    return (op.CastLike(rows + ahead, one), op.CastLike(colors * 1.0, one), op.Identity(alive))
 
 
 @script(default_opset=op)
@@ -200,12 +190,7 @@ def models() -> Iterator[Good]:
         draw = partial(_shown, up, degree, 5)
         target = "visionary" if degree == 3 else "webgpu"
         yield Good(f"hidden behind the camera, up {up}", "onnxscript", draw, target)
-    for degree, dtype in (
-        (3, np.float16),
-        (None, np.float16),
-        (3, np.float32),
-        (2, np.float32),
-    ):
+    for degree, dtype in ((3, np.float16), (None, np.float16), (3, np.float32), (2, np.float32)):
         name = f"pulsing, degree {degree}, {np.dtype(dtype).name}"
         target = "webgpu" if degree == 2 else "visionary"
         yield Good(name, "onnxscript", partial(_pulsing, degree, dtype, 9), target)

@@ -5,13 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from onnx import (
-    AttributeProto,
-    GraphProto,
-    ModelProto,
-    NodeProto,
-    numpy_helper,
-)
+from onnx import AttributeProto, GraphProto, ModelProto, NodeProto, numpy_helper
 
 from gsgen.contract.spec.manifest import (
     AppearanceOutput,
@@ -161,12 +155,9 @@ def _straight_on(steps: int, past: int) -> ModelProto:
     doubt = 0.1 * np.arange(1, steps + 1, dtype=np.float32)[:, None]
     manifest = TrajectoryManifest(
         name="straight-on",
-        inputs=(
-            Input(name="past", role="camera_history", shape=(past, 7), range=(-1.0, 1.0)),
-        ),
+        inputs=(Input(name="past", role="camera_history", shape=(past, 7), range=(-1.0, 1.0)),),
         outputs=TrajectoryOutputs(
-            FutureOutput("future", steps, "position+quaternion-wxyz"),
-            UncertaintyOutput("sigma"),
+            FutureOutput("future", steps, "position+quaternion-wxyz"), UncertaintyOutput("sigma")
         ),
         step_seconds=1 / 30,
     )

@@ -109,9 +109,7 @@ def _by_sdk(kind: str) -> tuple[bytes, GeneratorManifest]:
     dtype = "float16" if kind == "drift" else "float32"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "m.onnx"
-        exported = export(
-            made, path, dtype=dtype, capacity=255 if made.weighted_sum else 256
-        )
+        exported = export(made, path, dtype=dtype, capacity=255 if made.weighted_sum else 256)
         return path.read_bytes(), exported.manifest
 
 
@@ -173,9 +171,7 @@ def models() -> Iterator[Good]:
         for change in (_as_it_is, _with_all_shapes, _nameless):
             name = f"{kind} {change.__name__.strip('_')}"
             yield Good(name, _SDK, partial(_own, kind, change), target)
-    yield Good(
-        "cells of a weighted sum", _SDK, partial(_own, "bunches", _as_it_is), "webgpu"
-    )
+    yield Good("cells of a weighted sum", _SDK, partial(_own, "bunches", _as_it_is), "webgpu")
     yield Good("drift in opset 20", _SDK, partial(_own, "drift", _of_opset_20))
     loose = partial(_own, "drift", _as_it_is, tolerances=Tolerances(position=0.01))
     yield Good("drift with its own tolerances", _SDK, loose)

@@ -45,9 +45,7 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     space = behaviour.subject.generator.space if behaviour.subject.generator else None
     order = space.matrix_order if space else "column"
     if moved == unmoved and transposed != unmoved:
-        actual = (
-            f"a moved camera changes nothing, read in {order} order; transposed it does"
-        )
+        actual = f"a moved camera changes nothing, read in {order} order; transposed it does"
         name = next(iter(behaviour.subject.inputs_of("view")))[0].name
         yield Violation.at(f"input {name}", actual, f"the {order} order, as declared")
 
@@ -78,9 +76,7 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
         for name, value in unflipped.outputs.items():
             largest = difference(value, flipped.outputs[name])
             if largest > 0:
-                actual = (
-                    f"differs by up to {largest:.3g} with row 1 of the projection negated"
-                )
+                actual = f"differs by up to {largest:.3g} with row 1 of the projection negated"
                 yield Violation.at(f"output {name}", actual, "the same for both signs")
 
 
@@ -123,13 +119,9 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
                 elsewhere |= same & drawn[other_index]
         culled = int(np.count_nonzero(middle & elsewhere))
         if culled > _CULLED_SHARE * max(int(np.count_nonzero(drawn[index])), 1):
-            actual = (
-                f"{culled} rows in the middle of the view have opacity 0 at {probe.label!r}"
-            )
+            actual = f"{culled} rows in the middle of the view have opacity 0 at {probe.label!r}"
             expected = "an opacity above 0, as other cameras get"
-            yield Violation.at(
-                f"output {declared.name}", actual, expected, certainty="possible"
-            )
+            yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
 
 
 def _in_cone(
@@ -170,6 +162,4 @@ def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
     if empty and len(empty) < len(counts):
         actual = f"0 at {len(empty)} of {len(counts)} probes, first {empty[0]!r}"
         expected = "rows for every camera that sees the bounds"
-        yield Violation.at(
-            f"output {declared.name}", actual, expected, certainty="possible"
-        )
+        yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")

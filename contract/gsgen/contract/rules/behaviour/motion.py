@@ -48,9 +48,7 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
     start, after, before, end = (_floats(run) for run in runs[:4])
     for name in start.keys() & after.keys() & before.keys() & end.keys():
         jump = difference(start[name], end[name])
-        step = max(
-            difference(start[name], after[name]), difference(before[name], end[name])
-        )
+        step = max(difference(start[name], after[name]), difference(before[name], end[name]))
         peak = float(np.abs(start[name].astype(np.float64)).max(initial=0))
         if jump > _JUMP * step + _ROUNDING * peak:
             actual = f"jumps by up to {jump:.3g} from the end to the start"
@@ -91,9 +89,7 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
         if far > _POP * diagonal:
             actual = f"moves by {far:.3g} within 1/60 s, {early.probe.label!r}"
             expected = f"{_POP * diagonal:.3g} at most, a tenth of the bounds' diagonal"
-            yield Violation.at(
-                f"output {declared.name}", actual, expected, certainty="possible"
-            )
+            yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
 
 
 @rule(
@@ -117,12 +113,8 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     """
     runs = [run for run in behaviour.visits("frames") if run.digest]
     twice = [
-        later.probe.label
-        for earlier, later in pairwise(runs)
-        if earlier.digest == later.digest
+        later.probe.label for earlier, later in pairwise(runs) if earlier.digest == later.digest
     ]
     if twice:
-        actual = (
-            f"{len(twice)} of {len(runs)} frames show what the frame before did, {twice[0]}"
-        )
+        actual = f"{len(twice)} of {len(runs)} frames show what the frame before did, {twice[0]}"
         yield Violation.at("role time", actual, "a picture a frame", certainty="possible")

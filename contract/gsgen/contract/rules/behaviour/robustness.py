@@ -27,9 +27,7 @@ _INERT_SHARE = 0.5
 def _broken(runs: list[ProbeRun]) -> Iterator[Violation]:
     for run in runs:
         if run.error:
-            yield Violation.at(
-                "ONNX Runtime", f"{run.error} ({run.probe.label})", "no error"
-            )
+            yield Violation.at("ONNX Runtime", f"{run.error} ({run.probe.label})", "no error")
         for name in run.not_finite:
             yield Violation.at(
                 f"output {name}", f"not finite at {run.probe.label!r}", "finite values"
@@ -111,15 +109,9 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
         )
         for error in field_errors(first, second, tolerances):
             yield _too_far(error, first)
-        parts = (
-            subject.declared_gaussians,
-            subject.declared_appearance,
-            subject.declared_cells,
-        )
+        parts = (subject.declared_gaussians, subject.declared_appearance, subject.declared_cells)
         both = zip(parts, comparable_parts(first, second), strict=True)
-        compared = {
-            part.name for part, is_comparable in both if part is not None and is_comparable
-        }
+        compared = {part.name for part, is_comparable in both if part is not None and is_comparable}
         for name, value in base.outputs.items():
             if name not in compared and name in unoptimised.outputs:
                 yield from _loosely(name, value, unoptimised.outputs[name])
@@ -174,9 +166,7 @@ def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
     for later_run in behaviour.visits("again"):
         label = later_run.probe.label.removesuffix(f" {REPEATED}")
         if later_run.digest and later_run.digest != first[label]:
-            yield Violation.at(
-                f"probe {label!r}", "other bits than at first", "the same bits"
-            )
+            yield Violation.at(f"probe {label!r}", "other bits than at first", "the same bits")
 
 
 @rule(
@@ -207,9 +197,7 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
         inert = int(np.count_nonzero(opacity == 0))
         # If nearly all are inert, GV004 reports it.
         if _INERT_SHARE * len(opacity) < inert <= MOSTLY_INVISIBLE * len(opacity):
-            actual = (
-                f"{inert} of {len(opacity)} counted rows have opacity 0 at {probe.label!r}"
-            )
+            actual = f"{inert} of {len(opacity)} counted rows have opacity 0 at {probe.label!r}"
             yield Violation.at(f"output {count.name}", actual, "live rows first")
             return
 

@@ -32,15 +32,11 @@ def _outcomes_text(placement: Placement) -> str:
     """Return the fate of a node in each runtime release, as text."""
     runtimes_by_text = {
         FAILURES[outcome]: [
-            r
-            for r, runtime_outcome in placement.outcomes.items()
-            if runtime_outcome == outcome
+            r for r, runtime_outcome in placement.outcomes.items() if runtime_outcome == outcome
         ]
         for outcome in placement.outcomes.values()
     }
-    texts = [
-        f"{text} in {' and '.join(runtimes)}" for text, runtimes in runtimes_by_text.items()
-    ]
+    texts = [f"{text} in {' and '.join(runtimes)}" for text, runtimes in runtimes_by_text.items()]
     return f"{placement.dtype} {'; '.join(texts)}"
 
 
@@ -155,9 +151,7 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
         node = placement.node
         if node.op_type == "Split" and len(node.output) > limits["split_outputs"]:
             expected = f"{limits['split_outputs']} at most"
-            yield Violation.at(
-                _node_location(node), f"{len(node.output)} outputs", expected
-            )
+            yield Violation.at(_node_location(node), f"{len(node.output)} outputs", expected)
         widest = limits.get("concat_inputs")
         if node.op_type == "Concat" and widest is not None and len(node.input) > widest:
             yield Violation.at(
@@ -188,9 +182,7 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     """
     for placement in _of_cause(subject, "norm"):
         yield Violation.at(
-            _node_location(placement.node),
-            _outcomes_text(placement),
-            "Mul, ReduceSum and Sqrt",
+            _node_location(placement.node), _outcomes_text(placement), "Mul, ReduceSum and Sqrt"
         )
 
 
@@ -246,8 +238,5 @@ def capture_foreseen(subject: InspectedModel) -> Iterator[Violation]:
         runtimes = " and ".join(placement.outcomes)
         actual = f"{placement.dtype or 'unknown dtype'} was not measured in {runtimes}"
         yield Violation.at(
-            _node_location(placement.node),
-            actual,
-            "a measured operator",
-            certainty="possible",
+            _node_location(placement.node), actual, "a measured operator", certainty="possible"
         )

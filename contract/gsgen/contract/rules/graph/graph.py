@@ -17,12 +17,7 @@ def _node_location(node: NodeProto) -> str:
 
 
 @rule(
-    "GG001",
-    "opset-supported",
-    Severity.ERROR,
-    over="model",
-    fixture="ancient_opset",
-    kinds=KINDS,
+    "GG001", "opset-supported", Severity.ERROR, over="model", fixture="ancient_opset", kinds=KINDS
 )
 def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
     """Operator set and IR version are ones that the target runs.
@@ -45,9 +40,7 @@ def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
     elif not low <= opset <= high:
         yield Violation.at("opset_import", f"operator set {opset}", f"{low} to {high}")
     if proto.ir_version > subject.target.ir:
-        yield Violation.at(
-            "ir_version", str(proto.ir_version), f"{subject.target.ir} at most"
-        )
+        yield Violation.at("ir_version", str(proto.ir_version), f"{subject.target.ir} at most")
 
 
 @rule(
@@ -77,14 +70,7 @@ def standard_operators(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-@rule(
-    "GG003",
-    "no-control-flow",
-    Severity.WARNING,
-    over="model",
-    fixture="if_node",
-    kinds=KINDS,
-)
+@rule("GG003", "no-control-flow", Severity.WARNING, over="model", fixture="if_node", kinds=KINDS)
 def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
     """The graph has no If, Loop or Scan.
 
@@ -96,9 +82,7 @@ def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
     """
     for node in subject.graph.all_nodes():
         if node.op_type in CONTROL_FLOW and node.domain in MAIN_DOMAIN:
-            yield Violation.at(
-                _node_location(node), node.op_type, "straight-line operators"
-            )
+            yield Violation.at(_node_location(node), node.op_type, "straight-line operators")
 
 
 @rule(
@@ -169,13 +153,9 @@ def shapes_agree(subject: InspectedModel) -> Iterator[Violation]:
     """
     for conflict in subject.graph.conflicts:
         actual = f"declared {conflict.declared}"
-        yield Violation.at(
-            f"tensor {conflict.name}", actual, f"{conflict.inferred}, as inferred"
-        )
+        yield Violation.at(f"tensor {conflict.name}", actual, f"{conflict.inferred}, as inferred")
     if subject.graph.inference_fault and not subject.graph.conflicts:
-        yield Violation.at(
-            "graph", subject.graph.inference_fault, "operators whose shapes fit"
-        )
+        yield Violation.at("graph", subject.graph.inference_fault, "operators whose shapes fit")
 
 
 @rule(
@@ -201,11 +181,7 @@ def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]
     """
     graph = subject.graph
     for node in graph.nodes:
-        if (
-            node.op_type != "MatMul"
-            or node.domain not in MAIN_DOMAIN
-            or len(node.input) != 2
-        ):
+        if node.op_type != "MatMul" or node.domain not in MAIN_DOMAIN or len(node.input) != 2:
             continue
         maker, right = graph.producers.get(node.input[0]), graph.tensors.get(node.input[1])
         turned = maker is not None and maker.op_type == "Transpose"

@@ -57,9 +57,7 @@ def _makes_int64(subject: InspectedModel, placement: Placement) -> bool:
 
 
 def _out_of_range(placement: Placement, span: Interval | None) -> Violation:
-    location = (
-        f"node {placement.node.name or placement.node.output[0]} ({placement.node.op_type})"
-    )
+    location = f"node {placement.node.name or placement.node.output[0]} ({placement.node.op_type})"
     expected = f"values from {_LOWEST:.0f} to {_HIGHEST:.0f}"
     if span is None:
         actual = "int64 whose range is not known"

@@ -20,12 +20,7 @@ _NOTHING = Tensor("", None, None)
 
 
 @rule(
-    "GG012",
-    "names-are-clean",
-    Severity.ERROR,
-    over="model",
-    fixture="node_name_twice",
-    kinds=KINDS,
+    "GG012", "names-are-clean", Severity.ERROR, over="model", fixture="node_name_twice", kinds=KINDS
 )
 def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
     """Node names are unique where there are any, and names of inputs and outputs are plain words.
@@ -42,18 +37,11 @@ def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
     names = Counter(node.name for node in subject.graph.nodes if node.name)
     for name, count in names.items():
         if count > 1:
-            yield Violation.at(
-                f"node {name}", f"{count} nodes of that name", "one node a name"
-            )
-    for kind, tensors in (
-        ("input", subject.graph.inputs),
-        ("output", subject.graph.outputs),
-    ):
+            yield Violation.at(f"node {name}", f"{count} nodes of that name", "one node a name")
+    for kind, tensors in (("input", subject.graph.inputs), ("output", subject.graph.outputs)):
         for tensor in tensors:
             if not tensor.name.isprintable() or " " in tensor.name:
-                yield Violation.at(
-                    f"{kind} {tensor.name!r}", "a blank in it", "a plain word"
-                )
+                yield Violation.at(f"{kind} {tensor.name!r}", "a blank in it", "a plain word")
 
 
 @rule(
@@ -84,6 +72,4 @@ def weights_are_loadable(subject: InspectedModel) -> Iterator[Violation]:
         size = tensor_bytes(subject.graph.tensors.get(node.output[0], _NOTHING))
         if size > _LARGEST_CONSTANT:
             actual = f"a constant of {format_mebibytes(size)}"
-            yield Violation.at(
-                f"node {node.name or node.output[0]}", actual, "an initialiser"
-            )
+            yield Violation.at(f"node {node.name or node.output[0]}", actual, "an initialiser")

@@ -46,23 +46,17 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
     for tensor in graph.outputs:
         location = f"output {tensor.name}"
         if graph.input(tensor.name):
-            yield Violation.at(
-                location, "an input passed through", "the result of an operator"
-            )
+            yield Violation.at(location, "an input passed through", "the result of an operator")
             continue
         if not graph.varies(tensor.name):
             continue
         producer = graph.producers.get(tensor.name)
         if producer is not None and _copies(graph, producer):
-            yield Violation.at(
-                location, f"made by {producer.op_type}", "an operator that computes"
-            )
+            yield Violation.at(location, f"made by {producer.op_type}", "an operator that computes")
         for node in graph.ancestors(tensor.name)[1]:
             if node.op_type in _SCATTERS and _shares_base(graph, node):
                 yield Violation.at(
-                    _node_location(node),
-                    "updates a tensor that others read",
-                    "Where or Concat",
+                    _node_location(node), "updates a tensor that others read", "Where or Concat"
                 )
 
 
@@ -70,20 +64,13 @@ def _copies(graph: Graph, node: NodeProto) -> bool:
     if node.domain not in MAIN_DOMAIN:
         return False
     idle = any(
-        attribute.name == "noop_with_empty_axes" and attribute.i
-        for attribute in node.attribute
+        attribute.name == "noop_with_empty_axes" and attribute.i for attribute in node.attribute
     )
-    has_axes = any(
-        attribute.name == "axes" and attribute.ints for attribute in node.attribute
-    )
+    has_axes = any(attribute.name == "axes" and attribute.ints for attribute in node.attribute)
     axes_inputs = [name for name in node.input[1:2] if name]
     axes = graph.tensors.get(axes_inputs[0]) if axes_inputs else None
-    empty = not axes_inputs or (
-        axes is not None and axes.dims is not None and 0 in axes.dims
-    )
-    return is_copy(
-        node.op_type, len(node.input), keeps_all_axes=idle and empty and not has_axes
-    )
+    empty = not axes_inputs or (axes is not None and axes.dims is not None and 0 in axes.dims)
+    return is_copy(node.op_type, len(node.input), keeps_all_axes=idle and empty and not has_axes)
 
 
 def _shares_base(graph: Graph, node: NodeProto) -> bool:

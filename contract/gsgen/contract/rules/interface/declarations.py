@@ -64,9 +64,7 @@ def color_space_declared(subject: InspectedModel) -> Iterator[Violation]:
         return
     written = json.loads(subject.file.manifest_text)["outputs"]["appearance"]
     if "color_space" not in written:
-        yield Violation.at(
-            "manifest outputs.appearance", "no color_space", "srgb or linear"
-        )
+        yield Violation.at("manifest outputs.appearance", "no color_space", "srgb or linear")
 
 
 @rule(
@@ -123,9 +121,7 @@ def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
             "manifest producer.license", repr(producer.license), "an SPDX expression"
         )
     if not any(letter.isdigit() for letter in producer.tool):
-        yield Violation.at(
-            "manifest producer.tool", repr(producer.tool), "name and version"
-        )
+        yield Violation.at("manifest producer.tool", repr(producer.tool), "name and version")
 
 
 @rule(
@@ -158,9 +154,7 @@ def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
     for name, keys in metadata_keys:
         contract_keys = [key for key in keys if key.startswith(_PREFIX)]
         if contract_keys:
-            yield Violation.at(
-                f"tensor {name}", f"key {contract_keys[0]!r}", "the manifest"
-            )
+            yield Violation.at(f"tensor {name}", f"key {contract_keys[0]!r}", "the manifest")
 
 
 @rule(

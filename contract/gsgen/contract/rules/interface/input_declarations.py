@@ -155,9 +155,7 @@ def input_convention_known(subject: InspectedModel) -> Iterator[Violation]:
         known, shape = ROLES[entry.role].conventions, _shape(subject, entry)
         actual = f"convention {entry.convention!r}"
         if entry.convention not in known:
-            expected = (
-                f"one of {', '.join(known)}" if known else f"none, as {entry.role} has"
-            )
+            expected = f"one of {', '.join(known)}" if known else f"none, as {entry.role} has"
             yield Violation.at(_place(entry), actual, expected)
         elif shape is not None and not _holds(entry.convention, shape):
             expected = "a shape that can hold it"
@@ -200,10 +198,7 @@ def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_place(entry), actual, "role time or frame_index")
         elif entry.fps == 0:
             yield Violation.at(_place(entry), "fps 0", "frames per second above 0")
-    if (
-        isinstance(subject.manifest, TrajectoryManifest)
-        and not subject.manifest.step_seconds
-    ):
+    if isinstance(subject.manifest, TrajectoryManifest) and not subject.manifest.step_seconds:
         yield Violation.at("manifest step_seconds", "0 seconds", "a time above 0")
 
 

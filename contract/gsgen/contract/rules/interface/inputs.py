@@ -33,12 +33,7 @@ def _shape_text(tensor: Tensor) -> str:
 
 
 @rule(
-    "GI001",
-    "view-is-4x4",
-    Severity.ERROR,
-    over="model",
-    fixture="view_flattened",
-    needs=("GM004",),
+    "GI001", "view-is-4x4", Severity.ERROR, over="model", fixture="view_flattened", needs=("GM004",)
 )
 def view_is_4x4(subject: InspectedModel) -> Iterator[Violation]:
     """An input with the role `view` has the static shape [4, 4].
@@ -73,14 +68,7 @@ def projection_is_4x4(subject: InspectedModel) -> Iterator[Violation]:
     yield from _wrong_shape(subject, "projection", (4, 4))
 
 
-@rule(
-    "GI003",
-    "time-is-1",
-    Severity.ERROR,
-    over="model",
-    fixture="time_is_1x1",
-    needs=("GM004",),
-)
+@rule("GI003", "time-is-1", Severity.ERROR, over="model", fixture="time_is_1x1", needs=("GM004",))
 def time_is_1(subject: InspectedModel) -> Iterator[Violation]:
     """An input with the role `time` has the static shape [1].
 
@@ -117,9 +105,7 @@ def input_dtype(subject: InspectedModel) -> Iterator[Violation]:
         tensor = subject.graph.input(entry.name)
         dtypes = ROLES[entry.role].dtype
         if tensor is not None and tensor.dtype not in dtypes:
-            yield Violation.at(
-                f"input {entry.name}", str(tensor.dtype), " or ".join(dtypes)
-            )
+            yield Violation.at(f"input {entry.name}", str(tensor.dtype), " or ".join(dtypes))
 
 
 @rule(
@@ -174,9 +160,7 @@ def _feedable(tensor: Tensor, role: str, kind: str) -> Iterator[Violation]:
             yield Violation.at(location, f"shape {_shape_text(tensor)}", "a static shape")
         return
     if matching_shape(ROLES[role], dims) is None:
-        shapes = " or ".join(
-            f"[{', '.join(map(str, shape))}]" for shape in ROLES[role].shapes
-        )
+        shapes = " or ".join(f"[{', '.join(map(str, shape))}]" for shape in ROLES[role].shapes)
         yield Violation.at(
             location, f"shape {_shape_text(tensor)}", f"{shapes}, as the role {role} has"
         )
@@ -206,9 +190,7 @@ def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             nonfinite_count = int(np.count_nonzero(~np.isfinite(value)))
             yield Violation.at(
-                f"output {name}",
-                f"{nonfinite_count} of {value.size} values not finite",
-                "finite",
+                f"output {name}", f"{nonfinite_count} of {value.size} values not finite", "finite"
             )
 
 
@@ -262,6 +244,4 @@ def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """
     for value in subject.file.proto.graph.input:
         if value.name in subject.graph.initializers:
-            yield Violation.at(
-                f"input {value.name}", "a weight of that name", "a weight alone"
-            )
+            yield Violation.at(f"input {value.name}", "a weight of that name", "a weight alone")

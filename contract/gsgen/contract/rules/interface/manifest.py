@@ -18,14 +18,7 @@ from gsgen.contract.validation.rule import rule
 _MANIFEST_OPENING = 1 << 16
 
 
-@rule(
-    "GM001",
-    "manifest-present",
-    Severity.ERROR,
-    over="model",
-    fixture="no_manifest",
-    kinds=KINDS,
-)
+@rule("GM001", "manifest-present", Severity.ERROR, over="model", fixture="no_manifest", kinds=KINDS)
 def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
     """The model carries a manifest.
 
@@ -86,9 +79,7 @@ def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
     """
     keys = [entry.key for entry in subject.file.proto.metadata_props]
     if keys.count(MANIFEST_KEY) > 1:
-        actual = (
-            f"the key {MANIFEST_KEY!r} is repeated: {keys.count(MANIFEST_KEY)} manifests"
-        )
+        actual = f"the key {MANIFEST_KEY!r} is repeated: {keys.count(MANIFEST_KEY)} manifests"
         yield Violation.at("metadata_props", actual, "one manifest")
     for complaint in subject.parsed.complaints if subject.parsed else ():
         if complaint.cause in ("schema", "syntax"):
@@ -115,9 +106,7 @@ def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
     """
     for complaint in subject.parsed.complaints if subject.parsed else ():
         if complaint.cause == "version":
-            yield Violation.at(
-                f"manifest {complaint.where}", complaint.actual, complaint.expected
-            )
+            yield Violation.at(f"manifest {complaint.where}", complaint.actual, complaint.expected)
 
 
 @rule(
@@ -146,9 +135,7 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     declared = [i.name for i in manifest.inputs]
     for name in declared:
         if name not in inputs:
-            yield Violation.at(
-                f"manifest input {name!r}", "no such graph input", _one_of(inputs)
-            )
+            yield Violation.at(f"manifest input {name!r}", "no such graph input", _one_of(inputs))
     for name in subject.output_names:
         if name not in outputs:
             yield Violation.at(
@@ -206,10 +193,7 @@ def _dtypes_agree(
     if declared is None or tensor is None:
         return
     if tensor.dtype in ITEMSIZE and tensor.dtype != declared.dtype:
-        actual, expected = (
-            f"graph has {tensor.dtype}",
-            f"the declared dtype {declared.dtype}",
-        )
+        actual, expected = (f"graph has {tensor.dtype}", f"the declared dtype {declared.dtype}")
         yield Violation.at(f"output {tensor.name}", actual, expected)
 
 
@@ -241,17 +225,13 @@ def _appearance_agrees(subject: InspectedModel) -> Iterator[Violation]:
         return
     if declared.degree is None:
         actual = "no degree is declared"
-        yield Violation.at(
-            f"output {tensor.name}", actual, f"the degree of {channels} SH channels"
-        )
+        yield Violation.at(f"output {tensor.name}", actual, f"the degree of {channels} SH channels")
         return
     expected_channels = appearance_channels("sh", declared.degree, 4)
     legal = {appearance_channels("sh", degree, 4) for degree in range(4)}
     if channels in legal and channels != expected_channels:
         expected = f"{expected_channels} channels, as SH degree {declared.degree} has"
-        yield Violation.at(
-            f"output {tensor.name}", f"graph has {channels} channels", expected
-        )
+        yield Violation.at(f"output {tensor.name}", f"graph has {channels} channels", expected)
 
 
 @rule(

@@ -49,9 +49,7 @@ def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]
     padding = len(rows) - emission.count
     if padding >= _ROUNDING and not _wasteful(emission.count, len(rows)):
         actual = f"always {emission.count}, with {padding} rows behind it"
-        yield Violation.at(
-            f"output {declared.name}", actual, f"a capacity of {emission.count}"
-        )
+        yield Violation.at(f"output {declared.name}", actual, f"a capacity of {emission.count}")
 
 
 @rule(
@@ -139,10 +137,6 @@ def keeps_frame_rate(behaviour: Behaviour) -> Iterator[Violation]:
             continue
         median, late = times[len(times) // 2], times[int(0.95 * (len(times) - 1))]
         if median > 1 / entry.fps:
-            actual = (
-                f"median {1e3 * median:.3g} ms, 95 % within {1e3 * late:.3g} ms on this CPU"
-            )
+            actual = f"median {1e3 * median:.3g} ms, 95 % within {1e3 * late:.3g} ms on this CPU"
             expected = f"{1e3 / entry.fps:.3g} ms, as {entry.fps:g} frames a second need"
-            yield Violation.at(
-                f"input {tensor.name}", actual, expected, certainty="possible"
-            )
+            yield Violation.at(f"input {tensor.name}", actual, expected, certainty="possible")

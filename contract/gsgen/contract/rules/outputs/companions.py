@@ -4,11 +4,7 @@ from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.manifest import (
-    ImageOutput,
-    PostProcessManifest,
-    TrajectoryManifest,
-)
+from gsgen.contract.spec.manifest import ImageOutput, PostProcessManifest, TrajectoryManifest
 from gsgen.contract.spec.roles import POST_PROCESS, TRAJECTORY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -99,9 +95,7 @@ def states_as_declared(subject: InspectedModel) -> Iterator[Violation]:
     state, graph = _STATE[future.representation], subject.graph
     doubt_size = {"covariance-upper": state * (state + 1) // 2}.get(doubt.semantics, state)
     for name, expected in ((future.name, state), (doubt.name, doubt_size)):
-        yield from _check_size(
-            graph.output(name), f"output {name}", (future.steps, expected)
-        )
+        yield from _check_size(graph.output(name), f"output {name}", (future.steps, expected))
     for entry, tensor in subject.inputs_of("camera_history"):
         yield from _check_size(tensor, f"input {entry.name}", (None, state))
 
@@ -117,8 +111,6 @@ def _check_size(
         for dim, size in zip(tensor.dims, expected, strict=True)
     )
     if not fits:
-        yield Violation.at(
-            location, f"shape {tensor}", f"{expected_shape}, as the manifest fixes"
-        )
+        yield Violation.at(location, f"shape {tensor}", f"{expected_shape}, as the manifest fixes")
     elif tensor.dtype not in (None, "float32"):
         yield Violation.at(location, str(tensor.dtype), "float32")

@@ -9,14 +9,7 @@ from gsgen.contract.validation.gates import DECLARED
 from gsgen.contract.validation.rule import rule
 
 
-@rule(
-    "GO010",
-    "count-declared",
-    Severity.ERROR,
-    over="model",
-    fixture="no_count",
-    needs=DECLARED,
-)
+@rule("GO010", "count-declared", Severity.ERROR, over="model", fixture="no_count", needs=DECLARED)
 def count_declared(subject: InspectedModel) -> Iterator[Violation]:
     """An output holds the number of live rows.
 
@@ -27,9 +20,7 @@ def count_declared(subject: InspectedModel) -> Iterator[Violation]:
         Return an int32 [1] tensor, a constant where nothing varies, and declare it as outputs.count.
     """
     if subject.count is None:
-        yield Violation.at(
-            "outputs", "no row count", "one int32 [1] output, usually num_points"
-        )
+        yield Violation.at("outputs", "no row count", "one int32 [1] output, usually num_points")
 
 
 @rule(

@@ -31,9 +31,7 @@ def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
     """
     for tensor in subject.graph.outputs:
         if tensor.name in subject.graph.initializers:
-            yield Violation.at(
-                f"output {tensor.name}", "a weight", "the result of an operator"
-            )
+            yield Violation.at(f"output {tensor.name}", "a weight", "the result of an operator")
 
 
 @rule(
@@ -82,6 +80,4 @@ def outputs_declared(subject: InspectedModel) -> Iterator[Violation]:
     for name in dict.fromkeys(subject.graph.output_names):
         passed_on = subject.graph.input(name) is not None  # another rule reports it
         if declared and name not in declared and not passed_on:
-            yield Violation.at(
-                f"output {name}", "not declared", f"only {', '.join(declared)}"
-            )
+            yield Violation.at(f"output {name}", "not declared", f"only {', '.join(declared)}")

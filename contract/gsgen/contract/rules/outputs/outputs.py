@@ -46,9 +46,7 @@ def gaussians_declared(subject: InspectedModel) -> Iterator[Violation]:
     if subject.gaussians is not None:
         return
     outputs = ", ".join(str(tensor) for tensor in subject.graph.outputs) or "nothing"
-    yield Violation.at(
-        "outputs", f"no packed Gaussians among {outputs}", f"one [N, {ROW}] output"
-    )
+    yield Violation.at("outputs", f"no packed Gaussians among {outputs}", f"one [N, {ROW}] output")
 
 
 @rule(
@@ -233,9 +231,7 @@ def output_dtype(subject: InspectedModel) -> Iterator[Violation]:
     """
     for tensor in (subject.gaussians, subject.appearance, subject.cells):
         if tensor is not None and tensor.dtype not in ITEMSIZE:
-            yield Violation.at(
-                f"output {tensor.name}", str(tensor.dtype), "float32 or float16"
-            )
+            yield Violation.at(f"output {tensor.name}", str(tensor.dtype), "float32 or float16")
 
 
 @rule(
@@ -288,6 +284,4 @@ def rows_fill_words(subject: InspectedModel) -> Iterator[Violation]:
         size = channels * ITEMSIZE.get(tensor.dtype or "", WORD_BYTES)
         if size % WORD_BYTES:
             actual = f"{channels} channels of {tensor.dtype}, {size} bytes a row"
-            yield Violation.at(
-                f"output {tensor.name}", actual, f"a multiple of {WORD_BYTES} bytes"
-            )
+            yield Violation.at(f"output {tensor.name}", actual, f"a multiple of {WORD_BYTES} bytes")

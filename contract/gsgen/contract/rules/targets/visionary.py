@@ -48,13 +48,9 @@ def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
         Call it gaussians, and list it first.
     """
     tensor = subject.gaussians
-    first_match = next(
-        (t.name for t in subject.graph.outputs if t.name.startswith("gauss")), None
-    )
+    first_match = next((t.name for t in subject.graph.outputs if t.name.startswith("gauss")), None)
     if tensor is not None and first_match != tensor.name:
-        actual = (
-            f"the viewer takes {first_match!r}" if first_match else "the viewer finds none"
-        )
+        actual = f"the viewer takes {first_match!r}" if first_match else "the viewer finds none"
         yield Violation.at(
             f"output {tensor.name}", actual, "a name that starts with 'gauss', first"
         )
@@ -82,15 +78,11 @@ def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
     candidates = [
         t.name
         for t in subject.graph.outputs
-        if any(word in t.name for word in _COLOR_WORDS)
-        and t.dims
-        and t.dims[-1] in _COLOR_CHANNELS
+        if any(word in t.name for word in _COLOR_WORDS) and t.dims and t.dims[-1] in _COLOR_CHANNELS
     ]
     first_match = candidates[0] if candidates else None
     if tensor is not None and first_match != tensor.name:
-        actual = (
-            f"the viewer takes {first_match!r}" if first_match else "the viewer finds none"
-        )
+        actual = f"the viewer takes {first_match!r}" if first_match else "the viewer finds none"
         yield Violation.at(
             f"output {tensor.name}", actual, "a name with 'color', 'sh' or 'rgb', first"
         )
@@ -119,9 +111,7 @@ def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
     for entry in subject.manifest.inputs if subject.manifest else ():
         viewer_role = bound_role(entry.name)
         if viewer_role != entry.role:
-            actual = (
-                f"will receive the {viewer_role}" if viewer_role else "will never be fed"
-            )
+            actual = f"will receive the {viewer_role}" if viewer_role else "will never be fed"
             yield Violation.at(f"input {entry.name}", actual, f"the {entry.role}")
 
 
@@ -149,9 +139,7 @@ def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
         return
     channels = tensor.dims[-1]
     if declared.space == "sh" and channels != _SH_CHANNELS:
-        yield Violation.at(
-            f"output {tensor.name}", f"SH with {channels} channels", "48 channels"
-        )
+        yield Violation.at(f"output {tensor.name}", f"SH with {channels} channels", "48 channels")
     if declared.space == "rgb" and (channels, tensor.dtype) != (4, "float16"):
         actual = f"RGB as {tensor.dtype} with {channels} channels"
         yield Violation.at(f"output {tensor.name}", actual, "float16 with 4 channels")
@@ -177,6 +165,4 @@ def visionary_time_range(subject: InspectedModel) -> Iterator[Violation]:
     """
     for entry, _ in subject.inputs_of("time"):
         if entry.range is not None and entry.range != (0.0, 1.0):
-            yield Violation.at(
-                f"input {entry.name}", f"range {list(entry.range)}", "[0, 1]"
-            )
+            yield Violation.at(f"input {entry.name}", f"range {list(entry.range)}", "[0, 1]")

@@ -97,10 +97,10 @@ def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
         return
     for placement in subject.placements:
         if placement.dtype == "float16":
-            location = f"node {placement.node.name or placement.node.output[0]} ({placement.node.op_type})"
-            yield Violation.at(
-                location, "computes in float16", "float32, as the outputs are"
+            location = (
+                f"node {placement.node.name or placement.node.output[0]} ({placement.node.op_type})"
             )
+            yield Violation.at(location, "computes in float16", "float32, as the outputs are")
             return
 
 

@@ -25,14 +25,7 @@ _LARGE = 10.0
 _LARGE_SHARE = 0.01
 
 
-@rule(
-    "GV012",
-    "rgb-range",
-    Severity.ERROR,
-    over="rows",
-    fixture="rgb_in_bytes",
-    needs=COLORED_ROWS,
-)
+@rule("GV012", "rgb-range", Severity.ERROR, over="rows", fixture="rgb_in_bytes", needs=COLORED_ROWS)
 def rgb_range(rows: Rows) -> Iterator[Violation]:
     """Raw RGB lies in [0, 1] in every drawn row.
 
@@ -93,17 +86,13 @@ def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
     energy = np.square(sample).mean(axis=0, dtype=np.float64)
     if not energy.sum() > 0:
         return
-    spread = {
-        name: _mean_degree(energy[slots]) for name, slots in _orders(len(energy)).items()
-    }
+    spread = {name: _mean_degree(energy[slots]) for name, slots in _orders(len(energy)).items()}
     stored = spread.pop("coefficient-major")
     name, lowest = min(spread.items(), key=lambda item: item[1])
     if stored > _SUSPECT and lowest < _CLEARER * stored:
         actual = f"energy lies at mean degree {stored:.2f} as stored, {lowest:.2f} if read {name}"
         expected = f"a mean degree below {_SUSPECT}, as coefficient-major SH of a scene has"
-        yield Violation.at(
-            f"output {declared.name}", actual, expected, certainty="possible"
-        )
+        yield Violation.at(f"output {declared.name}", actual, expected, certainty="possible")
 
 
 def _orders(size: int) -> dict[str, np.ndarray]:
@@ -120,9 +109,7 @@ def _orders(size: int) -> dict[str, np.ndarray]:
 
 def _mean_degree(energy: Float[np.ndarray, "k 3"]) -> float:
     count = len(energy)
-    degrees = np.repeat(
-        np.arange(degree_of(count) + 1), 2 * np.arange(degree_of(count) + 1) + 1
-    )
+    degrees = np.repeat(np.arange(degree_of(count) + 1), 2 * np.arange(degree_of(count) + 1) + 1)
     return float((energy.sum(axis=1) * degrees).sum() / energy.sum())
 
 

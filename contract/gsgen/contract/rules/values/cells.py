@@ -10,14 +10,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.rules.values.covariance import PSD_FLOOR, PSD_SLACK
 from gsgen.contract.spec.geometry import smallest_eigenvalue
-from gsgen.contract.spec.layout import (
-    COVARIANCE,
-    CULL_OPACITY,
-    OPACITY,
-    POSITION,
-    ROW,
-    VISIBILITY,
-)
+from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, ROW, VISIBILITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_EPSILON, FLOAT16_MAX
 from gsgen.contract.validation.finding import Location, Violation
@@ -59,9 +52,7 @@ def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
     }
     if any(declarations.values()) and not all(declarations.values()):
         present, lacking = (
-            " and ".join(
-                name for name, value in declarations.items() if value is is_declared
-            )
+            " and ".join(name for name, value in declarations.items() if value is is_declared)
             for is_declared in (True, False)
         )
         yield Violation.at("manifest", f"{present} without {lacking}", "all three, or none")
@@ -89,9 +80,7 @@ def weighted_sum_has_cells(subject: InspectedModel) -> Iterator[Violation]:
     if parsed is None or parsed.version != (1, 0) or subject.generator is None:
         return
     if json.loads(subject.file.manifest_text or "{}").get("blend") == "wsr":
-        yield Violation.at(
-            "manifest blend", "wsr in contract 1.0", "alpha, or contract 1.1"
-        )
+        yield Violation.at("manifest blend", "wsr in contract 1.0", "alpha, or contract 1.1")
 
 
 @rule(
@@ -172,14 +161,7 @@ def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
     return np.asarray(first < emission.count)
 
 
-@rule(
-    "GV026",
-    "cells-finite",
-    Severity.ERROR,
-    over="emission",
-    fixture="nan_cell",
-    needs=CELLS,
-)
+@rule("GV026", "cells-finite", Severity.ERROR, over="emission", fixture="nan_cell", needs=CELLS)
 def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     """Every value of every cell is finite, and less than float16's largest where it is float16.
 
@@ -355,10 +337,7 @@ def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
     cells, rows = emission.cells, emission.gaussians
     if cells is None or rows is None or emission.zeros:
         return
-    float_cells, live = (
-        cells.astype(np.float32),
-        np.asarray(rows[: emission.count], np.float32),
-    )
+    float_cells, live = (cells.astype(np.float32), np.asarray(rows[: emission.count], np.float32))
     trace = np.maximum(float_cells[:, COVARIANCE][:, [0, 3, 5]].sum(axis=1), 0)
     size = _REACH * np.sqrt(trace)
     if np.float16 in (cells.dtype, rows.dtype):

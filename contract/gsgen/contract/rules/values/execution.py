@@ -38,9 +38,7 @@ def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
             continue
         dims = static_dims(tensor)
         wrong_shape = dims is not None and tuple(dims) != value.shape
-        if wrong_shape or (
-            tensor.dtype in ("float32", "float16") and tensor.dtype != value.dtype
-        ):
+        if wrong_shape or (tensor.dtype in ("float32", "float16") and tensor.dtype != value.dtype):
             actual = f"{value.dtype} {list(value.shape)}"
             yield Violation.at(f"output {tensor.name}", actual, f"{tensor}, as declared")
 
@@ -96,12 +94,8 @@ def something_is_drawn(probe_runs: ProbeRuns) -> Iterator[Violation]:
     if declared is None:
         return
     runs = probe_runs.execution.runs[: probe_runs.plan.values]
-    counts = [
-        probe_runs.execution.samples[run.sample].outputs.get(declared.name) for run in runs
-    ]
-    numbers = [
-        int(count.reshape(-1)[0]) for count in counts if count is not None and count.size
-    ]
+    counts = [probe_runs.execution.samples[run.sample].outputs.get(declared.name) for run in runs]
+    numbers = [int(count.reshape(-1)[0]) for count in counts if count is not None and count.size]
     if numbers and not any(numbers):
         actual = f"count is 0 at all {len(numbers)} probes: nothing is drawn"
         yield Violation.at(f"output {declared.name}", actual, "live rows at some probe")

@@ -188,9 +188,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     position, (lowest, highest) = rows.position, rows.corners
     outside = np.zeros(len(rows), bool)
     if not ((lowest >= low - slack) & (highest <= high + slack)).all():
-        inside = (position >= (low - slack)[:, None]) & (
-            position <= (high + slack)[:, None]
-        )
+        inside = (position >= (low - slack)[:, None]) & (position <= (high + slack)[:, None])
         outside = rows.drawn & ~inside.all(axis=0)
         if rows.packed.dtype == np.float16:  # GV010 reports saturated rows
             outside &= ~(np.abs(position).max(axis=0) >= FLOAT16_MAX)
@@ -225,9 +223,7 @@ def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
     if emission.gaussians is None or emission.zeros:
         return
     block = emission.gaussians[: min(emission.count, _BLOCK)]
-    block = np.ascontiguousarray(
-        block[block[:, OPACITY].astype(np.float32) >= CULL_OPACITY]
-    )
+    block = np.ascontiguousarray(block[block[:, OPACITY].astype(np.float32) >= CULL_OPACITY])
     if len(block) < _FEWEST:
         return
     different = len({row.tobytes() for row in block})

@@ -26,9 +26,7 @@ def diagnose_opacity(values: Float[np.ndarray, " n"]) -> str:
     if low >= -_SLACK and 2 < high <= _PERCENT + _SLACK:
         return "these look like percent, 0 to 100: divide by 100"
     if -1 - _SLACK <= low < -_SLACK and high <= 1 + _SLACK:
-        return (
-            "values within [-1, 1] suggest tanh in place of the sigmoid: negative opacity"
-        )
+        return "values within [-1, 1] suggest tanh in place of the sigmoid: negative opacity"
     if low < -_SLACK:
         return "values on both sides suggest logits: apply the sigmoid"
     return "values above 1 alone suggest a missing clamp"

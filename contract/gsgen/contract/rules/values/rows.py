@@ -26,19 +26,13 @@ _INF_BITS = {2: 0x7C00, 4: 0x7F800000}
 _OPACITY_SLACK = 1e-3
 
 
-def _not_finite(
-    rows: Rows, among: Bool[np.ndarray, " n"], checked: int
-) -> Iterator[Violation]:
+def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iterator[Violation]:
     """Report rows of ``among`` with a value that is NaN or infinite, output by output."""
     if not checked:
         return
     packed = ~np.isfinite(rows.wide).all(axis=0) & among
     yield Violation.rows(
-        Location(rows.emission.rows_place),
-        packed,
-        rows.packed,
-        "finite values",
-        checked=checked,
+        Location(rows.emission.rows_place), packed, rows.packed, "finite values", checked=checked
     )
     color = rows.color
     if color is None or not color.size:
@@ -47,26 +41,13 @@ def _not_finite(
     examples = np.zeros((len(rows), 1), color.dtype)
     first = np.flatnonzero(invalid)[:_MAX_EXAMPLES]  # the rows in the report
     broken = ~np.isfinite(color[first])
-    examples[first] = np.take_along_axis(
-        color[first], broken.argmax(axis=1)[:, None], axis=1
-    )
+    examples[first] = np.take_along_axis(color[first], broken.argmax(axis=1)[:, None], axis=1)
     yield Violation.rows(
-        Location(rows.emission.color_place),
-        invalid,
-        examples,
-        "finite values",
-        checked=checked,
+        Location(rows.emission.color_place), invalid, examples, "finite values", checked=checked
     )
 
 
-@rule(
-    "GV001",
-    "rows-finite",
-    Severity.ERROR,
-    over="rows",
-    fixture="nan_row",
-    needs=PACKED_ROWS,
-)
+@rule("GV001", "rows-finite", Severity.ERROR, over="rows", fixture="nan_row", needs=PACKED_ROWS)
 def rows_finite(rows: Rows) -> Iterator[Violation]:
     """Every value of every live row is finite.
 
@@ -83,12 +64,7 @@ def rows_finite(rows: Rows) -> Iterator[Violation]:
 
 
 @rule(
-    "GV002",
-    "padding-finite",
-    Severity.ERROR,
-    over="rows",
-    fixture="nan_padding",
-    needs=PACKED_ROWS,
+    "GV002", "padding-finite", Severity.ERROR, over="rows", fixture="nan_padding", needs=PACKED_ROWS
 )
 def padding_finite(rows: Rows) -> Iterator[Violation]:
     """Every value of the rows behind the count is finite.
@@ -195,9 +171,7 @@ def float16_saturation(rows: Rows) -> Iterator[Violation]:
 def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Violation:
     saturated = (peak >= FLOAT16_MAX) & rows.counted & rows.finite
     expected = f"magnitudes below {FLOAT16_MAX:g}"
-    return Violation.rows(
-        Location(subject), saturated, peak, expected, checked=rows.live_rows
-    )
+    return Violation.rows(Location(subject), saturated, peak, expected, checked=rows.live_rows)
 
 
 @rule(

@@ -25,17 +25,10 @@ class NormalsKernel:
 
     def __init__(self, device: Device, *, packed: bool = False) -> None:
         self.kernel = Kernel(
-            device,
-            "normals",
-            "find_normals",
-            ("rw", "ur"),
-            THREADS=THREADS,
-            PACKED=packed,
+            device, "normals", "find_normals", ("rw", "ur"), THREADS=THREADS, PACKED=packed
         )
 
-    def step(
-        self, keys: Buffer, normals: Buffer, uniform: Buffer, slot: int, page: Page
-    ) -> Step:
+    def step(self, keys: Buffer, normals: Buffer, uniform: Buffer, slot: int, page: Page) -> Step:
         """Return the step for a page, whose uniform is number ``slot`` of a buffer."""
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (

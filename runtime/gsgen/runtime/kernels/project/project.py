@@ -106,9 +106,7 @@ def tiles_of(camera: Camera) -> tuple[int, int]:
     return -(-camera.width // TILE), -(-camera.height // TILE)
 
 
-def frame_uniform(
-    camera: Camera, background: Float[np.ndarray, "3"]
-) -> Shaped[np.ndarray, ""]:
+def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[np.ndarray, ""]:
     """Return the uniform that all Gaussians of a frame share.
 
     Args:
@@ -160,9 +158,7 @@ def page_uniforms(
     uniforms = np.zeros(len(pages), PAGE)
     if not pages:
         return uniforms
-    sets, uniforms["base"], uniforms["capacity"], uniforms["count"] = zip(
-        *pages, strict=True
-    )
+    sets, uniforms["base"], uniforms["capacity"], uniforms["count"] = zip(*pages, strict=True)
     transforms = np.stack([splat_set.transform for splat_set in sets])
     linear, offset = transforms[:, :3, :3], transforms[:, :3, 3]
     turned = camera.view[:3, :3] @ linear
@@ -178,9 +174,7 @@ def page_uniforms(
     eye_rest = eye - uniforms["eye"].astype(np.float64)
     uniforms["eye_rest"] = eye_rest
     columns = turned.transpose(0, 2, 1)
-    uniforms["linear_rest"][:, :, :3] = columns - uniforms["linear"][:, :, :3].astype(
-        np.float64
-    )
+    uniforms["linear_rest"][:, :, :3] = columns - uniforms["linear"][:, :, :3].astype(np.float64)
     eye_at = -(turned @ eye_rest[:, :, None])[:, :, 0]
     uniforms["eye_at"] = eye_at
     uniforms["eye_at_rest"] = eye_at - uniforms["eye_at"].astype(np.float64)
@@ -238,12 +232,7 @@ class ProjectKernel:
         )
 
     def step(
-        self,
-        outputs: tuple[Buffer, ...],
-        uniform: Buffer,
-        slot: int,
-        page: Page,
-        *cells: Buffer,
+        self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *cells: Buffer
     ) -> Step:
         """Return the step for a page.
 
@@ -304,9 +293,7 @@ def project_reference(
             else _straight(position, linear, frame, flat=flat)
         )
         jacobian = frame["focal"][:, None] * jacobian
-        covariance = (
-            jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
-        )
+        covariance = jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
         dilated = covariance + DILATION * np.eye(2)
         opacity = rows[:, layout.OPACITY] * page["opacity_scale"]
         if data.cells is not None and page["per_cell"]:
@@ -319,9 +306,7 @@ def project_reference(
             opacity = opacity * np.sqrt(np.maximum(share, 0))
         color = data.appearance[:, :3].astype(np.float64)
         if page["degree"] != NO_HARMONICS:
-            toward = (
-                np.tile(page["forward"], (len(position), 1)) if flat else offset
-            ) @ to_sh.T
+            toward = (np.tile(page["forward"], (len(position), 1)) if flat else offset) @ to_sh.T
             weights = basis(
                 toward / np.linalg.norm(toward, axis=1, keepdims=True), int(page["degree"])
             )
@@ -331,9 +316,7 @@ def project_reference(
         drawn &= np.isfinite(rows).all(axis=1) & np.isfinite(color).all(axis=1)
         drawn &= (rows[:, :3] >= page["clip_low"]).all(axis=1)
         drawn &= (rows[:, :3] <= page["clip_high"]).all(axis=1)
-        drawn &= (
-            (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)
-        )
+        drawn &= (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)
         drawn &= np.arange(len(rows)) < page["count"]
         strength = np.log(opacity / layout.CULL_OPACITY)
         conic = np.full((len(rows), 3), np.nan)
@@ -379,10 +362,7 @@ def _unrolled(
     position: np.ndarray, linear: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return distances, longitudes with latitudes, and their Jacobians for panoramas."""
-    distance, level = (
-        np.linalg.norm(position, axis=1),
-        np.hypot(position[:, 0], position[:, 2]),
-    )
+    distance, level = (np.linalg.norm(position, axis=1), np.hypot(position[:, 0], position[:, 2]))
     angles = np.stack(
         [np.arctan2(position[:, 0], position[:, 2]), np.arctan2(position[:, 1], level)], 1
     )

@@ -12,11 +12,7 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import (
-    MIN_EIGENVALUE_GAP,
-    PANORAMA_CONSTANTS,
-    TILE,
-)
+from gsgen.runtime.kernels.shared.shader import MIN_EIGENVALUE_GAP, PANORAMA_CONSTANTS, TILE
 
 
 @final
@@ -40,12 +36,7 @@ class ProjectCells:
         )
 
     def step(
-        self,
-        outputs: tuple[Buffer, ...],
-        uniform: Buffer,
-        slot: int,
-        cells: Buffer,
-        count: int,
+        self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, cells: Buffer, count: int
     ) -> Step:
         """Return the step for the cells of a set.
 
@@ -89,7 +80,6 @@ def box_reference(
     low = np.floor((mean - 0.5 - radius) / TILE)
     high = np.floor((mean - 0.5 + radius + TILE - 1) / TILE)
     columns, rows = (
-        (along >= low[axis]) & (along < high[axis])
-        for axis, along in enumerate((across, down))
+        (along >= low[axis]) & (along < high[axis]) for axis, along in enumerate((across, down))
     )
     return np.asarray(rows[:, None] & columns)

@@ -21,12 +21,7 @@ from gsgen.runtime.gpu.handles import (
     TextureView,
 )
 from gsgen.runtime.gpu.mesh_residency import MeshBuffers
-from gsgen.runtime.kernels.raster.mesh_place import (
-    MESH_UNIFORM,
-    TO_LINEAR,
-    TO_SRGB,
-    PlacedMesh,
-)
+from gsgen.runtime.kernels.raster.mesh_place import MESH_UNIFORM, TO_LINEAR, TO_SRGB, PlacedMesh
 from gsgen.runtime.kernels.shared.kernel import VEC4, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import NOWHERE, TILE, source
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
@@ -156,9 +151,7 @@ class DrawMeshes:
         ]
         self._layout = raw.create_bind_group_layout(label="meshes", entries=entries)
         self._corners = _CORNERS_AROUND if panorama else _CORNERS
-        code = source(
-            "draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama, CORNERS=self._corners
-        )
+        code = source("draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama, CORNERS=self._corners)
         module = raw.create_shader_module(label="draw_meshes", code=code)
         self._pipeline = _pipeline(
             device,
@@ -179,8 +172,7 @@ class DrawMeshes:
         )
         outputs = {"lay_colors": ("urrw", "w"), "lay_normals": ("urrw",)}
         self._lay = {
-            entry: Kernel(device, "lay_meshes", entry, groups)
-            for entry, groups in outputs.items()
+            entry: Kernel(device, "lay_meshes", entry, groups) for entry, groups in outputs.items()
         }
 
     def step(
@@ -205,11 +197,7 @@ class DrawMeshes:
             self._device.raw.create_texture(
                 label=f"mesh {name}", size=(*size, 1), format=form, usage=usage
             )
-            for name, form in (
-                ("colors", _FLOATS),
-                ("surfaces", _FLOATS),
-                ("depths", DEPTHS),
-            )
+            for name, form in (("colors", _FLOATS), ("surfaces", _FLOATS), ("depths", DEPTHS))
         )
         row = -(-size[0] // _ROW) * _ROW
         copies: tuple[Buffer, ...] = ()
@@ -235,9 +223,7 @@ class DrawMeshes:
             layers=() if layers is None else self._laid(size, row, copies, layers),
         )
 
-    def _bound(
-        self, mesh: MeshBuffers, slots: Buffer, slot: int, rays: Buffer
-    ) -> BindGroup:
+    def _bound(self, mesh: MeshBuffers, slots: Buffer, slot: int, rays: Buffer) -> BindGroup:
         buffers = [(slots, slot * MESH_UNIFORM.itemsize, MESH_UNIFORM.itemsize)]
         buffers += [
             (buffer, 0, buffer.size)
@@ -265,16 +251,11 @@ class DrawMeshes:
         self._device.write(shape, np.array([*size, row, first], np.uint32))
         groups = (-(-size[0] // TILE), -(-size[1] // TILE), 1)
         kernel = self._lay["lay_colors"]
-        binds = (
-            kernel.bind(shape, *copies, layers.colors),
-            kernel.bind(layers.depths, group=1),
-        )
+        binds = (kernel.bind(shape, *copies, layers.colors), kernel.bind(layers.depths, group=1))
         steps = [Step(kernel, binds, groups)]
         if layers.normals is not None:
             kernel = self._lay["lay_normals"]
-            steps.append(
-                Step(kernel, (kernel.bind(shape, *copies, layers.normals),), groups)
-            )
+            steps.append(Step(kernel, (kernel.bind(shape, *copies, layers.normals),), groups))
         return tuple(steps)
 
 
@@ -296,15 +277,11 @@ def seen_reference(
     image = np.zeros((height, width, 8))
     image[..., 7] = NOWHERE
     for face in data.faces:
-        upright = np.cross(
-            corners[face[1]] - corners[face[0]], corners[face[2]] - corners[face[0]]
-        )
+        upright = np.cross(corners[face[1]] - corners[face[0]], corners[face[2]] - corners[face[0]])
         size = np.linalg.norm(upright)
         if not size > 0:
             continue
-        offsets = np.stack(
-            [_beside_reference(corner, uniform, rays) for corner in corners[face]]
-        )
+        offsets = np.stack([_beside_reference(corner, uniform, rays) for corner in corners[face]])
         x, y, z = np.moveaxis(offsets, -1, 0)
         after, last = [1, 2, 0], [2, 0, 1]
         areas = x[after] * y[last] - y[after] * x[last]
@@ -325,9 +302,7 @@ def seen_reference(
 
 
 def _beside_reference(
-    point: Float[np.ndarray, "3"],
-    uniform: Shaped[np.ndarray, ""],
-    rays: Float32[np.ndarray, "n 2"],
+    point: Float[np.ndarray, "3"], uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 3"]:
     """Return how far a point is to the right of each pixel's ray, how far below, and its depth."""
     (sine, cosine), (down_sine, down_cosine) = _angles(uniform, rays)

@@ -23,16 +23,8 @@ from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, source
 
 _ROW_BYTES: Final = 256  # what a row of a copied texture has to be a multiple of
-_UNDER: Final = {
-    "src_factor": "one",
-    "dst_factor": "one-minus-src-alpha",
-    "operation": "add",
-}
-_TESTED: Final = {
-    "format": DEPTHS,
-    "depth_write_enabled": False,
-    "depth_compare": "greater-equal",
-}
+_UNDER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
+_TESTED: Final = {"format": DEPTHS, "depth_write_enabled": False, "depth_compare": "greater-equal"}
 _VISIBILITY: Final = "VERTEX|FRAGMENT"
 
 
@@ -76,9 +68,7 @@ class QuadsStep:
             "load_op": "clear" if self.depth is None else "load",
             "store_op": "store",
         }
-        tested = (
-            None if self.depth is None else {"view": self.depth, "depth_read_only": True}
-        )
+        tested = None if self.depth is None else {"view": self.depth, "depth_read_only": True}
         drawing = encoder.begin_render_pass(
             label="quads",
             color_attachments=[target],
@@ -106,9 +96,7 @@ class DrawQuads:
         panorama: Whether the image is one.
     """
 
-    def __init__(
-        self, device: Device, *, tested: bool = False, panorama: bool = False
-    ) -> None:
+    def __init__(self, device: Device, *, tested: bool = False, panorama: bool = False) -> None:
         self._device = device
         raw = self._raw = device.raw
         kinds = ["uniform"] + ["read-only-storage"] * 5
@@ -135,9 +123,7 @@ class DrawQuads:
             fragment={
                 "module": module,
                 "entry_point": "color_at",
-                "targets": [
-                    {"format": "rgba32float", "blend": {"color": _UNDER, "alpha": _UNDER}}
-                ],
+                "targets": [{"format": "rgba32float", "blend": {"color": _UNDER, "alpha": _UNDER}}],
             },
         )
 

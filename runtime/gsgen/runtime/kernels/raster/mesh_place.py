@@ -1,13 +1,6 @@
 """The uniform of a mesh in a frame, and the rays of the image's pixels."""
 
-__all__ = [
-    "MESH_UNIFORM",
-    "TO_LINEAR",
-    "TO_SRGB",
-    "PlacedMesh",
-    "mesh_rays",
-    "mesh_uniform",
-]
+__all__ = ["MESH_UNIFORM", "TO_LINEAR", "TO_SRGB", "PlacedMesh", "mesh_rays", "mesh_uniform"]
 
 from dataclasses import dataclass
 from typing import Final, Literal, final
@@ -72,9 +65,7 @@ def mesh_uniform(placed: PlacedMesh, camera: Camera) -> Shaped[np.ndarray, ""]:
     eye = np.linalg.solve(linear, camera.eye - offset)
     to_camera = camera.view[:3, :3] @ linear
     uniform["linear"][:, :3] = to_camera.T  # WGSL matrices are columns
-    uniform["upright"][:, :3] = np.linalg.inv(
-        to_camera
-    )  # … and this is a transpose already
+    uniform["upright"][:, :3] = np.linalg.inv(to_camera)  # … and this is a transpose already
     uniform["eye"] = eye
     uniform["eye_rest"] = eye - uniform["eye"].astype(np.float64)
     uniform["shaded"] = mesh.shading == "headlight"

@@ -82,9 +82,7 @@ def _layout(raw: RawDevice, label: str, kinds: str) -> BindGroupLayout:
 
 
 def _resource(resource: Resource) -> dict[str, object]:
-    buffer, offset, size = (
-        resource if isinstance(resource, tuple) else (resource, 0, resource.size)
-    )
+    buffer, offset, size = resource if isinstance(resource, tuple) else (resource, 0, resource.size)
     return {"buffer": buffer, "offset": offset, "size": size}
 
 
@@ -105,10 +103,7 @@ class Step:
 
 
 def run(
-    encoder: Encoder,
-    steps: Iterable[Step],
-    label: str,
-    stamps: PassTimestamps | None = None,
+    encoder: Encoder, steps: Iterable[Step], label: str, stamps: PassTimestamps | None = None
 ) -> None:
     """Encode ``steps`` as one compute pass, which may write timestamps."""
     compute = encoder.begin_compute_pass(label=label, timestamp_writes=stamps)

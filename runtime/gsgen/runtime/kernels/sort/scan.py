@@ -33,9 +33,7 @@ class Scan:
         range_block: Pairs that a workgroup of the ranges has.
     """
 
-    def __init__(
-        self, device: Device, sort_block: int, walk_block: int, range_block: int
-    ) -> None:
+    def __init__(self, device: Device, sort_block: int, walk_block: int, range_block: int) -> None:
         self._device = device
         constants = {
             "SORT_BLOCK": sort_block,
@@ -45,13 +43,7 @@ class Scan:
         self._whole, self._sums = (
             cache(
                 lambda share=share: Kernel(
-                    device,
-                    "scan",
-                    "scan",
-                    ("uww",),
-                    THREADS=_THREADS,
-                    SHARE=share,
-                    **constants,
+                    device, "scan", "scan", ("uww",), THREADS=_THREADS, SHARE=share, **constants
                 )
             )
             for share in (1, _BLOCK)

@@ -66,11 +66,7 @@ class RadixSort:
 
     def __init__(self, device: Device, cut: SortConfig, scan: Scan) -> None:
         self._device, self._cut, self._scan = device, cut, scan
-        constants = {
-            "THREADS": cut.threads,
-            "RUN": cut.run,
-            "DIGITS": 1 << cut.digit_bits,
-        }
+        constants = {"THREADS": cut.threads, "RUN": cut.run, "DIGITS": 1 << cut.digit_bits}
         self._count = Kernel(device, "sort", "count", ("urrrwww",), **constants)
         self._scatter = Kernel(device, "sort", "scatter", ("urrrwww",), **constants)
 

@@ -53,10 +53,7 @@ class BlendWsr:
         )
 
     def step(
-        self,
-        tiles: tuple[int, int],
-        resources: tuple[Buffer, ...],
-        depths: Buffer | None = None,
+        self, tiles: tuple[int, int], resources: tuple[Buffer, ...], depths: Buffer | None = None
     ) -> Step:
         """Return the blending of an image.
 

@@ -24,13 +24,7 @@ class TileRanges:
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(
-            device,
-            "tile_ranges",
-            "mark",
-            ("rrw",),
-            THREADS=_THREADS,
-            RUN=_RUN,
-            **COUNT_CONSTANTS,
+            device, "tile_ranges", "mark", ("rrw",), THREADS=_THREADS, RUN=_RUN, **COUNT_CONSTANTS
         )
 
     def step(self, counts: Buffer, tiles: Buffer, ranges: Buffer) -> Step:
@@ -45,9 +39,7 @@ class TileRanges:
         return Step(self.kernel, (bind,), (counts, 4 * Counts.WALK_PAIRS_GROUPS))
 
 
-def ranges_reference(
-    tiles: UInt32[np.ndarray, " n"], count: int
-) -> UInt32[np.ndarray, "t 2"]:
+def ranges_reference(tiles: UInt32[np.ndarray, " n"], count: int) -> UInt32[np.ndarray, "t 2"]:
     """Return the ranges of ``count`` tiles as ``tile_ranges.wgsl`` must."""
     tile_ids = np.arange(count)
     ends = [np.searchsorted(tiles, tile_ids, side) for side in ("left", "right")]

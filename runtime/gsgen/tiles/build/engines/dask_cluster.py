@@ -99,8 +99,7 @@ class DaskEngine(Engine):
     ) -> Iterator[tuple[int, _Result]]:
         """Run the tasks on the workers of the cluster."""
         futures = [
-            self._client.submit(function, task, pure=False, retries=RETRIES)
-            for task in tasks
+            self._client.submit(function, task, pure=False, retries=RETRIES) for task in tasks
         ]
         index = {future.key: number for number, future in enumerate(futures)}
         try:

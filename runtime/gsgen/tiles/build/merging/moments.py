@@ -20,13 +20,7 @@ fills them where they come from, between the members; f = 1.1 does the rest. Bot
 ``tests/bench/bench_tiles.py`` measures the gain.
 """
 
-__all__ = [
-    "MAX_OPACITY",
-    "SPREAD",
-    "WIDEN",
-    "ellipsoids",
-    "merge_clusters",
-]
+__all__ = ["MAX_OPACITY", "SPREAD", "WIDEN", "ellipsoids", "merge_clusters"]
 
 from typing import Final
 
@@ -73,11 +67,7 @@ def merge_clusters(
     cluster = np.cumsum(cluster)
     # 1. Leave out what cannot be seen, and number the clusters that remain.
     if not is_visible.all():
-        mixture, mass, cluster = (
-            mixture.rows(is_visible),
-            mass[is_visible],
-            cluster[is_visible],
-        )
+        mixture, mass, cluster = (mixture.rows(is_visible), mass[is_visible], cluster[is_visible])
     first = np.flatnonzero(np.diff(cluster, prepend=-1))
     sizes = np.diff(first, append=len(cluster))
     number = np.repeat(np.arange(len(first)), sizes)

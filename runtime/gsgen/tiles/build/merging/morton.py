@@ -35,9 +35,7 @@ class Cube:
     side: float
 
     @classmethod
-    def around(
-        cls, low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]
-    ) -> "Cube":
+    def around(cls, low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> "Cube":
         """Return a cube that holds the box from ``low`` to ``high``, with its centre.
 
         The side is a little longer than the box, and never shorter than float64 can divide.
@@ -64,9 +62,7 @@ class Cube:
         return np.asarray(self.low) + self.side / 2
 
 
-def morton_codes(
-    position: Float[np.ndarray, "n 3"], cube: Cube
-) -> UInt64[np.ndarray, " n"]:
+def morton_codes(position: Float[np.ndarray, "n 3"], cube: Cube) -> UInt64[np.ndarray, " n"]:
     """Return the 63-bit Morton codes of positions in ``cube``; x has the lowest bit.
 
     Positions beyond the cube have the code of its nearest cell.

@@ -83,9 +83,7 @@ def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
         uri, digest = content.content.uri, content.sha256
         entry = record.files.get(uri)
         if entry is None:
-            yield Violation.at(
-                f"content {uri}", f"not in {record.location}", "an entry there"
-            )
+            yield Violation.at(f"content {uri}", f"not in {record.location}", "an entry there")
         elif (entry.size, entry.sha256) != (header.size, digest):
             yield Violation.at(
                 f"content {uri}",

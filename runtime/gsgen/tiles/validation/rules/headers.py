@@ -8,9 +8,7 @@ from gsgen.tiles.gltf.decoding import ContentHeader, SplatPrimitive
 from gsgen.tiles.validation.inspected import InspectedContent, InspectedTileset
 
 
-def headers(
-    inspected: InspectedTileset,
-) -> Iterator[tuple[InspectedContent, ContentHeader]]:
+def headers(inspected: InspectedTileset) -> Iterator[tuple[InspectedContent, ContentHeader]]:
     """Yield the first content of every file, with its header."""
     known_uris: set[str] = set()
     for content in inspected.contents:

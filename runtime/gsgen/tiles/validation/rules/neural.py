@@ -55,14 +55,10 @@ def neural_content(inspected: InspectedTileset) -> Iterator[Violation]:
             yield from _check(inspected, tile, tile.neural)
 
 
-def _check(
-    inspected: InspectedTileset, tile: Tile, neural: NeuralTile
-) -> Iterator[Violation]:
+def _check(inspected: InspectedTileset, tile: Tile, neural: NeuralTile) -> Iterator[Violation]:
     location = f"tile {neural.location}"
     if not tile.contents:
-        yield Violation.at(
-            location, "no content", "splats of the first time, for other viewers"
-        )
+        yield Violation.at(location, "no content", "splats of the first time, for other viewers")
     try:
         data = inspected.store.read(neural.uri, limit=MAX_MODEL)
     except TilesetInvalid as error:
@@ -71,9 +67,7 @@ def _check(
     digest = hashlib.sha256(data).hexdigest()
     if digest != neural.sha256:
         yield Violation.at(
-            f"{location}.sha256",
-            f"{neural.sha256[:12]}…",
-            f"{digest[:12]}…, of {neural.uri}",
+            f"{location}.sha256", f"{neural.sha256[:12]}…", f"{digest[:12]}…, of {neural.uri}"
         )
         return
     with tempfile.TemporaryDirectory() as folder:
@@ -82,9 +76,7 @@ def _check(
         yield from _check_model(path, tile, neural, location)
 
 
-def _check_model(
-    path: Path, tile: Tile, neural: NeuralTile, location: str
-) -> Iterator[Violation]:
+def _check_model(path: Path, tile: Tile, neural: NeuralTile, location: str) -> Iterator[Violation]:
     """Check the model against the contract, whose probes test its bounds."""
     from gsgen.contract import Level, Settings, open_model, validate
 
@@ -93,31 +85,21 @@ def _check_model(
         report: Report = validate(path, settings)
         text = open_model(path).manifest_text
     except GsgenError as error:
-        yield Violation.at(
-            location, f"{neural.uri}: {error.message}", "a Gaussian Generator"
-        )
+        yield Violation.at(location, f"{neural.uri}: {error.message}", "a Gaussian Generator")
         return
     if report.verdict != "conforms":
         rules = ", ".join(dict.fromkeys(f.rule for f in report.findings if f.counts))
-        yield Violation.at(
-            location, f"{neural.uri} breaks {rules}", "a model that conforms"
-        )
+        yield Violation.at(location, f"{neural.uri} breaks {rules}", "a model that conforms")
         return
     manifest = parse(text).manifest if text is not None else None
     if not isinstance(manifest, GeneratorManifest):
-        yield Violation.at(
-            location, f"{neural.uri} is of kind {report.kind}", "a generator"
-        )
+        yield Violation.at(location, f"{neural.uri} is of kind {report.kind}", "a generator")
         return
     yield from _check_declarations(manifest, report, tile, neural, location)
 
 
 def _check_declarations(
-    manifest: GeneratorManifest,
-    report: Report,
-    tile: Tile,
-    neural: NeuralTile,
-    location: str,
+    manifest: GeneratorManifest, report: Report, tile: Tile, neural: NeuralTile, location: str
 ) -> Iterator[Violation]:
     roles = {entry.role for entry in manifest.inputs}
     if roles != set(neural.inputs):
@@ -133,9 +115,7 @@ def _check_declarations(
             f"{report.capacity} or more, the rows of the model",
         )
     if manifest.bounds is None:
-        yield Violation.at(
-            location, f"{neural.uri} declares no bounds", "bounds in the manifest"
-        )
+        yield Violation.at(location, f"{neural.uri} declares no bounds", "bounds in the manifest")
         return
     low, high = np.array(manifest.bounds.min), np.array(manifest.bounds.max)
     box = Box((low + high) / 2, np.diag((high - low) / 2))

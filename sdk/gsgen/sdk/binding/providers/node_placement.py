@@ -8,9 +8,7 @@ from typing import Any
 
 CPU = "CPUExecutionProvider"
 
-_CODES = re.compile(
-    r"\[ONNXRuntimeError\] : \d+ : \w+ : |\S+\.(?:cc|h):\d+ .*? was false\. "
-)
+_CODES = re.compile(r"\[ONNXRuntimeError\] : \d+ : \w+ : |\S+\.(?:cc|h):\d+ .*? was false\. ")
 _LONGEST = 500
 
 

@@ -138,8 +138,7 @@ def _automatic() -> Choice:
         return Choice("cpu", error.message)
     if not adapter.hardware:
         return Choice(
-            "cpu",
-            "WebGPU has only a software driver, which is slower than the CPU provider",
+            "cpu", "WebGPU has only a software driver, which is slower than the CPU provider"
         )
     return Choice("webgpu", f"WebGPU has a GPU: {adapter.name}", adapter)
 
@@ -184,9 +183,7 @@ def open_session(model: Path | bytes, opening: SessionOptions) -> Any:
     source = model if isinstance(model, bytes) else str(model)
     try:
         # With fallback, a missing adapter would open a session on the CPU.
-        session = onnxruntime.InferenceSession(
-            source, settings, providers, enable_fallback=0
-        )
+        session = onnxruntime.InferenceSession(source, settings, providers, enable_fallback=0)
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
         if _NO_ADAPTER not in str(error):
             raise

@@ -69,15 +69,11 @@ def find_adapter() -> Adapter:
         message = "onnxruntime-ep-webgpu is not installed"
         raise AdapterMissing(message, "pip install 'gsgen[live]'") from error
     if not hasattr(onnxruntime, "register_execution_provider_library"):
-        message = (
-            f"onnxruntime {onnxruntime.__version__} does not support plug-in providers"
-        )
+        message = f"onnxruntime {onnxruntime.__version__} does not support plug-in providers"
         raise AdapterMissing(message, "pip install -U onnxruntime")
     _register(provider.get_library_path())
     name = provider.get_ep_name()
-    devices = [
-        candidate for candidate in onnxruntime.get_ep_devices() if candidate.ep_name == name
-    ]
+    devices = [candidate for candidate in onnxruntime.get_ep_devices() if candidate.ep_name == name]
     if not devices:
         message = "ONNX Runtime lists no device for WebGPU"
         raise AdapterMissing(message, DRIVER)

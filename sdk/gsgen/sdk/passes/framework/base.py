@@ -63,11 +63,7 @@ class ErrorBudget:
     def describe(self) -> str:
         """Return the budget as text, such as ``bit for bit``."""
         if not (self.relative or self.absolute):
-            return (
-                "every finite value keeps its bits"
-                if self.repairs_nonfinite
-                else "bit for bit"
-            )
+            return "every finite value keeps its bits" if self.repairs_nonfinite else "bit for bit"
         parts = [f"{self.relative:g} of the largest value"] if self.relative else []
         parts += [f"{self.absolute:g}"] if self.absolute else []
         behind = ", with zeros behind" if self.pads else ""

@@ -32,17 +32,10 @@ class DetachedGraph:
         **attributes: int | float | str | Sequence[int],
     ) -> ir.Value:
         """Draft a node of the ONNX domain with one output, and return the output."""
-        known = next(
-            (v.dtype for v in inputs if v is not None and v.dtype is not None), None
-        )
+        known = next((v.dtype for v in inputs if v is not None and v.dtype is not None), None)
         name = f"{self._stem}_{len(self._nodes)}_{kind}"
         node = new_node(
-            kind,
-            inputs,
-            name,
-            dtype=known if dtype is None else dtype,
-            shape=shape,
-            **attributes,
+            kind, inputs, name, dtype=known if dtype is None else dtype, shape=shape, **attributes
         )
         self._nodes.append((self.anchor, node))
         return node.outputs[0]
@@ -63,9 +56,7 @@ class DetachedGraph:
         self._nodes.append((self.anchor, copy))
         return list(copy.outputs)
 
-    def constant(
-        self, array: object, dtype: type[np.generic] | np.dtype[np.generic]
-    ) -> ir.Value:
+    def constant(self, array: object, dtype: type[np.generic] | np.dtype[np.generic]) -> ir.Value:
         """Draft a weight with the numbers of ``array``."""
         values = np.asarray(array, dtype)
         tensor = ir.tensor(values)

@@ -30,21 +30,12 @@ def spans_of(model: ir.Model, manifest: Manifest | None) -> dict[str, Interval]:
     values = [*graph.inputs, *graph.initializers.values()]
     values += [value for node in graph for value in node.outputs]
     tensors = {value.name or "": _described(value) for value in values}
-    nodes = tuple(
-        ir.serde.serialize_node(node) for node in graph if node.domain in MAIN_DOMAIN
-    )
+    nodes = tuple(ir.serde.serialize_node(node) for node in graph if node.domain in MAIN_DOMAIN)
     described = Graph(
-        inputs=(),
-        outputs=(),
-        nodes=nodes,
-        initializers={},
-        tensors=tensors,
-        functions=frozenset(),
+        inputs=(), outputs=(), nodes=nodes, initializers={}, tensors=tensors, functions=frozenset()
     )
     weights = [_weight(value) for value in graph.initializers.values()]
-    return intervals(
-        described, [tensor for tensor in weights if tensor is not None], manifest
-    )
+    return intervals(described, [tensor for tensor in weights if tensor is not None], manifest)
 
 
 def fits_int32(span: Interval | None, most: int = _INT32[1]) -> bool:

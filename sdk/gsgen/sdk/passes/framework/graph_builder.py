@@ -23,10 +23,7 @@ def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
     name = free_name(graph, name)
     tensor = ir.tensor(array, name=name)
     value = ir.Value(
-        name=name,
-        const_value=tensor,
-        type=ir.TensorType(tensor.dtype),
-        shape=ir.Shape(array.shape),
+        name=name, const_value=tensor, type=ir.TensorType(tensor.dtype), shape=ir.Shape(array.shape)
     )
     graph.register_initializer(value)
     return value

@@ -24,10 +24,9 @@ _DEEPEST = 40
 
 def smallest_normal(dtype: ir.DataType | None) -> float:
     """Return the smallest normal number of ``dtype``; GPUs may flush smaller ones to zero."""
-    return {
-        ir.DataType.FLOAT16: FLOAT16_SMALLEST_NORMAL,
-        ir.DataType.DOUBLE: 2.0**-1022,
-    }.get(dtype or ir.DataType.FLOAT, 2.0**-126)
+    return {ir.DataType.FLOAT16: FLOAT16_SMALLEST_NORMAL, ir.DataType.DOUBLE: 2.0**-1022}.get(
+        dtype or ir.DataType.FLOAT, 2.0**-126
+    )
 
 
 def is_never_zero(value: ir.Value | None) -> bool:

@@ -38,9 +38,7 @@ def _vector_operands(node: ir.Node) -> list[int]:
     if node.op_type != "MatMul" or node.domain not in MAIN_DOMAIN:
         return []
     shapes = [value.shape if value is not None else None for value in node.inputs]
-    return [
-        index for index, shape in enumerate(shapes) if shape is not None and len(shape) == 1
-    ]
+    return [index for index, shape in enumerate(shapes) if shape is not None and len(shape) == 1]
 
 
 def _rewrite(node: ir.Node) -> None:
@@ -50,9 +48,7 @@ def _rewrite(node: ir.Node) -> None:
     operands = list(node.inputs)
     for index in vectors:
         axis = 0 if index == 0 else 1  # Case 2: the left vector is a row. Case 1: a column.
-        lifted = _change_axes(
-            graph, "Unsqueeze", operands[index], [axis], f"{node.name}_{index}"
-        )
+        lifted = _change_axes(graph, "Unsqueeze", operands[index], [axis], f"{node.name}_{index}")
         size = _size(operands[index])
         lifted.outputs[0].shape = ir.Shape([1, size] if index == 0 else [size, 1])
         graph.insert_before(node, lifted)

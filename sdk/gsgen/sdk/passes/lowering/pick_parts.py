@@ -70,16 +70,12 @@ def _axis(node: ir.Node) -> int:
     return axis if axis >= 0 or shape is None else axis + len(shape)
 
 
-def _gather(
-    write: InsertionPoint, value: ir.Value, indices: list[int], axis: int
-) -> ir.Value:
+def _gather(write: InsertionPoint, value: ir.Value, indices: list[int], axis: int) -> ir.Value:
     numbers = write.constant(np.array(indices, np.int64), "places")
     return write.op("Gather", value, numbers, axis=axis)
 
 
-def _indices_per_piece(
-    node: ir.Node, join: ir.Node
-) -> list[tuple[ir.Value, list[int]]] | None:
+def _indices_per_piece(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, list[int]]] | None:
     """Return the joined pieces with the indices to gather from each; None if it takes more pieces."""
     indices = constant_of(node.inputs[1], _MAX_INDICES)
     shapes = [fixed_shape(piece) for piece in join.inputs]
@@ -97,9 +93,7 @@ def _indices_per_piece(
         piece_number = int(np.searchsorted(ends, joined_index, side="right"))
         piece = join.inputs[piece_number]
         assert piece is not None
-        piece_index = int(joined_index) - (
-            int(ends[piece_number - 1]) if piece_number else 0
-        )
+        piece_index = int(joined_index) - (int(ends[piece_number - 1]) if piece_number else 0)
         if pieces and pieces[-1][0] is piece:
             pieces[-1][1].append(piece_index)
         else:

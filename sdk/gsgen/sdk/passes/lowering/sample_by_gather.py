@@ -35,9 +35,7 @@ class SampleByGather(ByTables, CautiousRewrite):
 
     name: ClassVar[str] = "sample-by-gather"
     exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6)
-    wanted_by: ClassVar[str] = (
-        "targets without a kernel for GridSample in the model's dtype"
-    )
+    wanted_by: ClassVar[str] = "targets without a kernel for GridSample in the model's dtype"
 
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite every GridSample that lacks a kernel, subgraphs included."""
@@ -98,9 +96,7 @@ def _replace(node: ir.Node) -> None:
     start = before.constant(first.astype(np.int32)[:, None], "frame")
     rows = []
     for y_index, y_weight in ys:
-        line = before.op(
-            "Mul", y_index, before.constant(np.asarray(width, np.int32), "width")
-        )
+        line = before.op("Mul", y_index, before.constant(np.asarray(width, np.int32), "width"))
         line = before.op("Add", line, start) if frames > 1 else line
         parts = []
         for x_index, x_weight in xs:
@@ -127,9 +123,7 @@ class _Sampler:
     def number(self, value: float) -> ir.Value:
         return self.before.constant(np.asarray(value, self.dtype.numpy()), "number")
 
-    def neighbours(
-        self, grid: ir.Value, axis: int, size: int
-    ) -> list[tuple[ir.Value, ir.Value]]:
+    def neighbours(self, grid: ir.Value, axis: int, size: int) -> list[tuple[ir.Value, ir.Value]]:
         """Return (index int32 [P, 1], weight [P, 1]) of the lower and the upper neighbour."""
         op, unit = self.before.op, self.number(1)
         column = op("Gather", grid, self.before.int64(axis), dtype=self.dtype, axis=1)
@@ -144,9 +138,7 @@ class _Sampler:
             (low, op("Sub", high, coordinate)),
             (high, op("Sub", coordinate, low)),
         ):
-            masked_weight = (
-                weight if self.border else self._mask_outside(index, weight, last)
-            )
+            masked_weight = weight if self.border else self._mask_outside(index, weight, last)
             pixel = op("Cast", self._clamp(index, last), dtype=_INT, to=_INT.value)
             pairs.append((pixel, masked_weight))
         return pairs
@@ -182,16 +174,11 @@ def _pixel_table(before: InsertionPoint, image: ir.Value) -> ir.Value:
         turned = np.ascontiguousarray(known.transpose(0, 2, 3, 1)).reshape(-1, channels)
         return before.constant(turned, "table")
     turned_value = before.op("Transpose", image, perm=[0, 2, 3, 1])
-    return before.op(
-        "Reshape", turned_value, before.int64(frames * height * width, channels)
-    )
+    return before.op("Reshape", turned_value, before.int64(frames * height * width, channels))
 
 
 def _convert(
-    before: InsertionPoint,
-    value: ir.Value,
-    kind: ir.DataType,
-    shape: list[int] | None = None,
+    before: InsertionPoint, value: ir.Value, kind: ir.DataType, shape: list[int] | None = None
 ) -> ir.Value:
     """Return ``value`` cast and reshaped."""
     if value.dtype != kind:

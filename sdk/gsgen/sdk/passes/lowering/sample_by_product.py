@@ -84,12 +84,7 @@ def _line(node: ir.Node, varying: set[ir.Value]) -> _Line | str:
         return "its shapes are not known"
     if grid not in varying:
         return ""
-    if (
-        len(shapes[0]) != 4
-        or shapes[0][0] != 1
-        or plane.dtype != _FLOAT
-        or grid.dtype != _FLOAT
-    ):
+    if len(shapes[0]) != 4 or shapes[0][0] != 1 or plane.dtype != _FLOAT or grid.dtype != _FLOAT:
         return ""
     modes = {
         name: attribute.as_string()
@@ -109,10 +104,7 @@ def _line(node: ir.Node, varying: set[ir.Value]) -> _Line | str:
         common = None if varying_coordinate is None else _common_number(varying_coordinate)
         if fixed is None or common is None or fixed in varying:
             continue
-        if fixed_shape(fixed) != (count, 1) or fixed_shape(varying_coordinate) != (
-            count,
-            1,
-        ):
+        if fixed_shape(fixed) != (count, 1) or fixed_shape(varying_coordinate) != (count, 1):
             continue
         if 4 * count * shapes[0][2 if common_is_x else 3] > _MAX_WEIGHT_BYTES:
             return f"weights of {count} points would take too much memory"
@@ -150,18 +142,14 @@ def _replace(node: ir.Node, line: _Line) -> None:
     order = [3, 2, 1] if line.common_is_x else [2, 3, 1]
     turned = write.op("Transpose", plane, perm=[*order, 0])
     rows = write.op("Reshape", turned, write.int64(common, fixed * channels))
-    mix = _hat_weights(
-        write, node, write.op("Reshape", line.common, write.int64(1, 1)), common
-    )
+    mix = _hat_weights(write, node, write.op("Reshape", line.common, write.int64(1, 1)), common)
     row = write.op("Reshape", write.op("MatMul", mix, rows), write.int64(fixed, channels))
     samples = write.op("MatMul", _hat_weights(write, node, line.fixed, fixed), row)
     flat = write.op("Transpose", samples, perm=[1, 0])
     write.replace(write.op("Reshape", flat, write.int64(1, channels, points[1], points[2])))
 
 
-def _hat_weights(
-    write: InsertionPoint, node: ir.Node, coordinate: ir.Value, size: int
-) -> ir.Value:
+def _hat_weights(write: InsertionPoint, node: ir.Node, coordinate: ir.Value, size: int) -> ir.Value:
     """Return the weights [n, ``size``] of the cells for coordinates [n, 1] from −1 to 1."""
 
     def number(value: float) -> ir.Value:

@@ -45,9 +45,7 @@ class SelectExtremes(Substitute):
         if is_op(node, "Clip"):  # Case 3
             low, high = (*node.inputs[1:], None)[:2]
             result = first if low is None else _replace_beyond(write, "Less", first, low)
-            result = (
-                result if high is None else _replace_beyond(write, "Greater", result, high)
-            )
+            result = result if high is None else _replace_beyond(write, "Greater", result, high)
         else:
             result = first
             for argument in node.inputs[1:]:
@@ -58,9 +56,7 @@ class SelectExtremes(Substitute):
         write.replace(result)
 
 
-def _larger_or_smaller(
-    write: InsertionPoint, kind: str, a: ir.Value, b: ir.Value
-) -> ir.Value:
+def _larger_or_smaller(write: InsertionPoint, kind: str, a: ir.Value, b: ir.Value) -> ir.Value:
     """Return the larger or smaller of two values; NaN if one of them is NaN."""
     for x, bound_value in ((a, b), (b, a)):
         bound = _finite_number(bound_value)
@@ -77,9 +73,7 @@ def _larger_or_smaller(
     return write.op("Where", is_not_nan, selected, b, dtype=b.dtype)
 
 
-def _replace_beyond(
-    write: InsertionPoint, test: str, x: ir.Value, bound: ir.Value
-) -> ir.Value:
+def _replace_beyond(write: InsertionPoint, test: str, x: ir.Value, bound: ir.Value) -> ir.Value:
     """Return ``bound`` where ``x`` exceeds it in the direction of ``test``, else ``x``."""
     beyond = write.op(test, x, bound, dtype=ir.DataType.BOOL)
     return write.op("Where", beyond, bound, x, dtype=x.dtype)
@@ -87,11 +81,7 @@ def _replace_beyond(
 
 def _finite_number(value: ir.Value) -> np.ndarray | None:
     array = constant_of(value)
-    return (
-        array
-        if array is not None and array.size == 1 and np.isfinite(array).all()
-        else None
-    )
+    return array if array is not None and array.size == 1 and np.isfinite(array).all() else None
 
 
 def _is_finite(value: ir.Value) -> bool:

@@ -49,9 +49,7 @@ class UnrollControlFlow(CautiousRewrite):
         self.used_names = _used_names(model)
         while True:
             candidates = (node for node in every_node(model) if is_op(node, *_WRITERS))
-            node = next(
-                (candidate for candidate in candidates if candidate not in refused), None
-            )
+            node = next((candidate for candidate in candidates if candidate not in refused), None)
             if node is None:
                 return
             plan = _WRITERS[node.op_type](node, self)
@@ -165,8 +163,7 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
     out_axes = _int_list(node, "scan_output_axes", len(node.outputs) - carried)
     prepended = _int_list(node, "scan_output_directions", len(node.outputs) - carried)
     sizes = {
-        _axis_size(value, axis)
-        for value, axis in zip(node.inputs[carried:], in_axes, strict=True)
+        _axis_size(value, axis) for value, axis in zip(node.inputs[carried:], in_axes, strict=True)
     }
     if len(sizes) != 1 or None in sizes:
         return "the length of its scanned inputs is not known"
@@ -187,14 +184,10 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
                 before.op(
                     "Gather",
                     value,
-                    before.constant(
-                        np.asarray(turns - 1 - turn if back else turn, np.int64)
-                    ),
+                    before.constant(np.asarray(turns - 1 - turn if back else turn, np.int64)),
                     axis=axis,
                 )
-                for value, axis, back in zip(
-                    node.inputs[carried:], in_axes, backwards, strict=True
-                )
+                for value, axis, back in zip(node.inputs[carried:], in_axes, backwards, strict=True)
             ]
             results = copy((*state, *rows))
             state = results[:carried]
@@ -236,9 +229,7 @@ _WRITERS: dict[str, Callable[[ir.Node, UnrollControlFlow], Plan]] = {
 class _BodyCopier:
     """Copies a body into the surrounding graph, once per iteration."""
 
-    def __init__(
-        self, before: InsertionPoint, body: ir.Graph, used_names: set[str | None]
-    ) -> None:
+    def __init__(self, before: InsertionPoint, body: ir.Graph, used_names: set[str | None]) -> None:
         self.before, self.body, self.used_names = before, body, used_names
         self.stem = before.node.name or before.node.outputs[0].name or before.node.op_type
         self.turn = 0

@@ -66,14 +66,11 @@ class _Formula:
 
     def op(self, kind: str, *inputs: ir.Value | float) -> ir.Value:
         values = [
-            self.number(operand) if isinstance(operand, float) else operand
-            for operand in inputs
+            self.number(operand) if isinstance(operand, float) else operand for operand in inputs
         ]
         return self.write.op(kind, *values)
 
-    def where(
-        self, test: str, bound: float, then: ir.Value, otherwise: ir.Value
-    ) -> ir.Value:
+    def where(self, test: str, bound: float, then: ir.Value, otherwise: ir.Value) -> ir.Value:
         """Return ``then`` where x exceeds ``bound`` in the direction of ``test``, else ``otherwise``."""
         limit = self.number(bound)
         beyond = self.write.op(test, self.x, limit, dtype=ir.DataType.BOOL)
@@ -85,11 +82,7 @@ class _Formula:
 
     def negative_exponential(self, scale: float = 1.0) -> ir.Value:
         """Return e^(x / scale) − 1 where x is negative, else zero."""
-        below = (
-            self.negative_part()
-            if scale == 1
-            else self.op("Div", self.negative_part(), scale)
-        )
+        below = self.negative_part() if scale == 1 else self.op("Div", self.negative_part(), scale)
         return self.op("Sub", self.op("Exp", below), 1.0)
 
 
@@ -107,9 +100,7 @@ def _selu(f: _Formula) -> ir.Value:
     alpha = f.attribute("alpha", 1.67326319217681884765625)
     gamma = f.attribute("gamma", 1.05070102214813232421875)
     return f.op(
-        "Mul",
-        f.op("Add", f.op("Relu", f.x), f.op("Mul", f.negative_exponential(), alpha)),
-        gamma,
+        "Mul", f.op("Add", f.op("Relu", f.x), f.op("Mul", f.negative_exponential(), alpha)), gamma
     )
 
 
@@ -183,7 +174,5 @@ _FORMULAS: dict[str, Callable[[_Formula], ir.Value]] = {
     "Softplus": _softplus,
     "Softsign": lambda f: f.op("Div", f.x, f.op("Add", f.op("Abs", f.x), 1.0)),
     "Swish": _swish,
-    "ThresholdedRelu": lambda f: f.where(
-        "Greater", f.attribute("alpha", 1.0), f.x, f.number(0)
-    ),
+    "ThresholdedRelu": lambda f: f.where("Greater", f.attribute("alpha", 1.0), f.x, f.number(0)),
 }

@@ -36,9 +36,7 @@ class WriteOutModulo(Substitute):
         """Return whether it computes signed integers, or floats with the sign of the dividend."""
         value = node.inputs[0]
         kind = None if value is None else value.dtype
-        return kind in _INTEGERS or (
-            kind in FLOAT_TYPES and bool(int_attribute(node, "fmod", 0))
-        )
+        return kind in _INTEGERS or (kind in FLOAT_TYPES and bool(int_attribute(node, "fmod", 0)))
 
     def replace(self, node: ir.Node) -> None:
         """Divide, and subtract the multiple of the divisor."""
@@ -49,9 +47,7 @@ class WriteOutModulo(Substitute):
         assert x.dtype is not None
         zero = write.constant(np.zeros((), x.dtype.numpy()))
         if x.dtype in _INTEGERS:  # Case 1
-            write.replace(
-                _integer_remainder(write, x, y, zero, int_attribute(node, "fmod", 0))
-            )
+            write.replace(_integer_remainder(write, x, y, zero, int_attribute(node, "fmod", 0)))
             return
         write.replace(_float_remainder(write, x, y, zero))  # Case 2
 
@@ -76,27 +72,17 @@ def _integer_remainder(
     return write.op("Add", remainder, write.op("Where", wrong, y, zero, dtype=x.dtype))
 
 
-def _float_remainder(
-    write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.Value
-) -> ir.Value:
+def _float_remainder(write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.Value) -> ir.Value:
     """Return the remainder of the absolute values, with the sign of ``x``."""
     size, step = write.op("Abs", x), write.op("Abs", y)
     count = write.op("Floor", write.op("Div", size, step))
     remainder = write.op("Sub", size, write.op("Mul", count, step))
     few = write.op("Less", remainder, step, dtype=ir.DataType.BOOL)
-    remainder = write.op(
-        "Where", few, remainder, write.op("Sub", remainder, step), dtype=x.dtype
-    )
+    remainder = write.op("Where", few, remainder, write.op("Sub", remainder, step), dtype=x.dtype)
     many = write.op("Less", remainder, zero, dtype=ir.DataType.BOOL)
-    remainder = write.op(
-        "Where", many, write.op("Add", remainder, step), remainder, dtype=x.dtype
-    )
+    remainder = write.op("Where", many, write.op("Add", remainder, step), remainder, dtype=x.dtype)
     return write.op(
-        "Where",
-        _positive(write, x, zero),
-        remainder,
-        write.op("Neg", remainder),
-        dtype=x.dtype,
+        "Where", _positive(write, x, zero), remainder, write.op("Neg", remainder), dtype=x.dtype
     )
 
 

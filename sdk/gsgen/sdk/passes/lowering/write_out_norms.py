@@ -48,9 +48,7 @@ class WriteOutNorms(Substitute):
     def can_replace(self, node: ir.Node) -> bool:
         """Return whether dtype and rank are known."""
         value = node.inputs[0]
-        return (
-            value is not None and value.dtype in FLOAT_TYPES and rank_of(value) is not None
-        )
+        return value is not None and value.dtype in FLOAT_TYPES and rank_of(value) is not None
 
     def replace(self, node: ir.Node) -> None:
         """Replace the normalisation by its formula."""
@@ -63,9 +61,7 @@ class WriteOutNorms(Substitute):
 class _Norm:
     """Helpers that write the operators of one normalisation."""
 
-    def __init__(
-        self, write: InsertionPoint, node: ir.Node, x: ir.Value, opset: int
-    ) -> None:
+    def __init__(self, write: InsertionPoint, node: ir.Node, x: ir.Value, opset: int) -> None:
         self.write, self.node, self.opset = write, node, opset
         self.kind = x.dtype
         self.rank = rank_of(x) or 0
@@ -83,13 +79,7 @@ class _Norm:
         return self.write.op(kind, *inputs)
 
     def number(self, value: float) -> ir.Value:
-        kind = (
-            np.float32
-            if self.is_float16
-            else self.kind.numpy()
-            if self.kind
-            else np.float32
-        )
+        kind = np.float32 if self.is_float16 else self.kind.numpy() if self.kind else np.float32
         return self.write.constant(np.asarray(value, kind), "number")
 
     def argument(self, index: int) -> ir.Value | None:
@@ -98,11 +88,7 @@ class _Norm:
 
     def attribute(self, name: str, default: float) -> float:
         attribute_value = self.node.attributes.get(name)
-        return (
-            float(np.float32(default))
-            if attribute_value is None
-            else attribute_value.as_float()
-        )
+        return float(np.float32(default)) if attribute_value is None else attribute_value.as_float()
 
     def reduced(self, kind: str, value: ir.Value, axes: list[int]) -> ir.Value:
         """Reduce along ``axes``, which keep size one."""
@@ -110,16 +96,12 @@ class _Norm:
             return self.write.op(kind, value, self.write.int64(*axes), keepdims=1)
         return self.write.op(kind, value, axes=axes, keepdims=1)
 
-    def inverse_deviation(
-        self, centred: ir.Value, axes: list[int], epsilon: float
-    ) -> ir.Value:
+    def inverse_deviation(self, centred: ir.Value, axes: list[int], epsilon: float) -> ir.Value:
         variance = self.reduced("ReduceMean", self.op("Mul", centred, centred), axes)
         guarded = self.op("Add", variance, self.number(epsilon))
         return self.op("Reciprocal", self.op("Sqrt", guarded))
 
-    def scaled(
-        self, value: ir.Value, scale: ir.Value | None, bias: ir.Value | None
-    ) -> ir.Value:
+    def scaled(self, value: ir.Value, scale: ir.Value | None, bias: ir.Value | None) -> ir.Value:
         value = value if scale is None else self.op("Mul", value, scale)
         return value if bias is None else self.op("Add", value, bias)
 
@@ -199,9 +181,7 @@ def _lp(norm: _Norm) -> None:
         squares = norm.op("Mul", norm.x, norm.x)
         length = norm.op("Sqrt", norm.reduced("ReduceSum", squares, [axis]))
     is_zero = norm.write.op("Equal", length, norm.number(0), dtype=ir.DataType.BOOL)
-    safe = norm.write.op(
-        "Where", is_zero, norm.number(math.inf), length, dtype=length.dtype
-    )
+    safe = norm.write.op("Where", is_zero, norm.number(math.inf), length, dtype=length.dtype)
     norm.finish(norm.op("Div", norm.x, safe))
 
 

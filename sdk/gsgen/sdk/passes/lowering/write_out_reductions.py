@@ -37,11 +37,7 @@ class WriteOutReductions(Substitute):
         value = node.inputs[0]
         idle = int_attribute(node, "noop_with_empty_axes", 0)
         axes = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
-        floats = (
-            value is not None
-            and value.dtype is not None
-            and value.dtype.is_floating_point()
-        )
+        floats = value is not None and value.dtype is not None and value.dtype.is_floating_point()
         return floats and (not idle or (axes is not None and axes.size > 0))
 
     def replace(self, node: ir.Node) -> None:
@@ -63,9 +59,7 @@ class WriteOutReductions(Substitute):
         write.replace(result)
 
 
-def _log_sum_exp(
-    write: InsertionPoint, x: ir.Value, reduced: Callable[..., ir.Value]
-) -> ir.Value:
+def _log_sum_exp(write: InsertionPoint, x: ir.Value, reduced: Callable[..., ir.Value]) -> ir.Value:
     """Subtract the maximum first, unless it is infinite: the exponential of large numbers overflows."""
     assert x.dtype is not None
     kind = x.dtype.numpy()
@@ -73,9 +67,7 @@ def _log_sum_exp(
     infinity = write.constant(np.asarray(np.inf, kind))
 
     def finite_or_zero(largest: ir.Value) -> ir.Value:
-        finite = write.op(
-            "Less", write.op("Abs", largest), infinity, dtype=ir.DataType.BOOL
-        )
+        finite = write.op("Less", write.op("Abs", largest), infinity, dtype=ir.DataType.BOOL)
         return write.op("Where", finite, largest, zero, dtype=x.dtype)
 
     largest_kept = finite_or_zero(reduced("ReduceMax", x, keep=1))
@@ -99,9 +91,7 @@ def _reduced(
     axes_input = node.inputs[1] if len(node.inputs) > 1 else None
     if opset >= (_SUM_TAKES_AXES if kind == "ReduceSum" else _ALL_TAKE_AXES):
         argument = write.int64(*axes) if axes is not None else axes_input
-        return write.op(
-            kind, value, *([argument] if argument is not None else []), keepdims=keep
-        )
+        return write.op(kind, value, *([argument] if argument is not None else []), keepdims=keep)
     if axes is None:
         return write.op(kind, value, keepdims=keep)
     return write.op(kind, value, keepdims=keep, axes=axes)

@@ -26,9 +26,7 @@ class WriteOutSigns(Substitute):
     """
 
     name: ClassVar[str] = "write-out-signs"
-    kinds: ClassVar[frozenset[str]] = frozenset(
-        {"Abs", "IsInf", "IsNaN", "Neg", "Relu", "Sign"}
-    )
+    kinds: ClassVar[frozenset[str]] = frozenset({"Abs", "IsInf", "IsNaN", "Neg", "Relu", "Sign"})
 
     def can_replace(self, node: ir.Node) -> bool:
         """Return whether the dtype is known; Abs, Neg and Relu are rewritten for integers only."""
@@ -84,9 +82,7 @@ def _is_infinite(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
     assert x.dtype is not None
     kind = x.dtype.numpy()
     end = write.constant(np.asarray(np.inf, kind), "number")
-    up, down = (
-        int_attribute(node, f"detect_{sign}", 1) for sign in ("positive", "negative")
-    )
+    up, down = (int_attribute(node, f"detect_{sign}", 1) for sign in ("positive", "negative"))
     if up and down:
         x = write.op("Abs", x)
     elif down:

@@ -44,9 +44,7 @@ class ChunkConcat(WithinLimit, NodeRewrite):
         write.replace(whole)
 
 
-def _groups(
-    parts: Sequence[ir.Value | None], limit: int
-) -> list[Sequence[ir.Value | None]]:
+def _groups(parts: Sequence[ir.Value | None], limit: int) -> list[Sequence[ir.Value | None]]:
     """Divide ``parts`` into as few groups as possible, of about equal size."""
     count = -(-len(parts) // limit)
     ends = [len(parts) * k // count for k in range(count + 1)]

@@ -26,9 +26,7 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
     """
 
     name: ClassVar[str] = "chunk-split"
-    wanted_by: ClassVar[str] = (
-        "targets with a limit `split_outputs`: webgpu, visionary, core"
-    )
+    wanted_by: ClassVar[str] = "targets with a limit `split_outputs`: webgpu, visionary, core"
     limited_by: ClassVar[str] = "split_outputs"
 
     def rewrite(self, model: ir.Model) -> None:

@@ -13,11 +13,7 @@ from gsgen.sdk.passes.framework.value_facts import constant_of
 
 _INTEGERS = (ir.DataType.INT32, ir.DataType.INT64)
 # Up to this number, a dtype represents every integer.
-_EXACT_INTEGERS = {
-    ir.DataType.FLOAT: 2**24,
-    ir.DataType.FLOAT16: 2**11,
-    ir.DataType.DOUBLE: 2**53,
-}
+_EXACT_INTEGERS = {ir.DataType.FLOAT: 2**24, ir.DataType.FLOAT16: 2**11, ir.DataType.DOUBLE: 2**53}
 
 
 class ClipBeforeCast(NodeRewrite):
@@ -37,19 +33,11 @@ class ClipBeforeCast(NodeRewrite):
 
     def matches(self, node: ir.Node) -> bool:
         """Return whether ``node`` clips floats that were cast to integers, with constant bounds."""
-        if (
-            not is_op(node, "Clip", "Max", "Min")
-            or self.opset < 12
-            or node.inputs[0] is None
-        ):
+        if not is_op(node, "Clip", "Max", "Min") or self.opset < 12 or node.inputs[0] is None:
             return False
         inner = node.inputs[0].producer()
         x = inner.inputs[0] if inner is not None and is_op(inner, "Cast") else None
-        if (
-            x is None
-            or x.dtype not in _EXACT_INTEGERS
-            or node.inputs[0].dtype not in _INTEGERS
-        ):
+        if x is None or x.dtype not in _EXACT_INTEGERS or node.inputs[0].dtype not in _INTEGERS:
             return False
         bounds = _bounds(node)
         return bounds is not None and all(

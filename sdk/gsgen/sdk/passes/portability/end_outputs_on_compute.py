@@ -47,9 +47,7 @@ def _copies(node: ir.Node) -> bool:
     has_axes = "axes" in node.attributes and bool(node.attributes["axes"].as_ints())
     axes = node.inputs[1] if len(node.inputs) > 1 else None
     empty = axes is None or (axes.shape is not None and 0 in axes.shape.dims)
-    return is_copy(
-        node.op_type, len(node.inputs), keeps_all_axes=idle and empty and not has_axes
-    )
+    return is_copy(node.op_type, len(node.inputs), keeps_all_axes=idle and empty and not has_axes)
 
 
 def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:

@@ -30,9 +30,7 @@ _NEW_ATTRIBUTES: dict[str, Callable[[ir.Attr], bool]] = {
     "output_dtype": lambda attribute: attribute.as_int() == 0,
     "precision": lambda attribute: attribute.as_int() == 0,
     "round_mode": lambda attribute: attribute.as_string() == "up",
-    "saturate": lambda attribute: (
-        attribute.as_int() == 1
-    ),  # eight-bit floats are checked elsewhere
+    "saturate": lambda attribute: attribute.as_int() == 1,  # eight-bit floats are checked elsewhere
     "noop_with_empty_axes": lambda attribute: attribute.as_int() == 0,
 }
 # Attribute values that an earlier set does not have.
@@ -74,9 +72,7 @@ class LowerOpset(CautiousRewrite):
     exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5, absolute=1e-7)
     wanted_by: ClassVar[str] = "targets with operator tables, or --opset"
 
-    def __init__(
-        self, target_opset: int = SAFEST_OPSET, max_ir_version: int | None = None
-    ) -> None:
+    def __init__(self, target_opset: int = SAFEST_OPSET, max_ir_version: int | None = None) -> None:
         super().__init__()
         self.target_opset, self.max_ir_version = target_opset, max_ir_version
 
@@ -112,20 +108,12 @@ class LowerOpset(CautiousRewrite):
     def _obstacle(self, node: ir.Node) -> str:
         """Return the reason why ``node`` has no equivalent in the lower set; empty if it has one."""
         if self.opset > _NEWEST_KNOWN_OPSET:
-            return (
-                f"operator set is {self.opset}, expected {_NEWEST_KNOWN_OPSET} or earlier"
-            )
-        new, old = (
-            _schema(node.op_type, opset) for opset in (self.opset, self.target_opset)
-        )
+            return f"operator set is {self.opset}, expected {_NEWEST_KNOWN_OPSET} or earlier"
+        new, old = (_schema(node.op_type, opset) for opset in (self.opset, self.target_opset))
         if new is None or (old is not None and new.since_version == old.since_version):
             return ""
         if self._is_written_out(node, old):
-            return (
-                ""
-                if self._writer(node).can_replace(node)
-                else "its dtype or rank is not known"
-            )
+            return "" if self._writer(node).can_replace(node) else "its dtype or rank is not known"
         if old is None:
             return f"operator set {self.target_opset} has no {node.op_type}"
         if is_op(node, "GridSample") and rank_of(node.inputs[0]) != 4:
@@ -146,18 +134,12 @@ class LowerOpset(CautiousRewrite):
         return node.op_type in kinds and (old is None or is_op(node, "GroupNormalization"))
 
     def _writer(self, node: ir.Node) -> WriteOutNorms | WriteOutActivations:
-        rewrite = (
-            WriteOutNorms()
-            if node.op_type in WriteOutNorms.kinds
-            else WriteOutActivations()
-        )
+        rewrite = WriteOutNorms() if node.op_type in WriteOutNorms.kinds else WriteOutActivations()
         rewrite.opset = self.opset
         return rewrite
 
     def _lower(self, node: ir.Node) -> None:
-        new, old = (
-            _schema(node.op_type, opset) for opset in (self.opset, self.target_opset)
-        )
+        new, old = (_schema(node.op_type, opset) for opset in (self.opset, self.target_opset))
         if new is None or (old is not None and new.since_version == old.since_version):
             return
         self.note(node)
@@ -170,11 +152,7 @@ class LowerOpset(CautiousRewrite):
             node.attributes["mode"] = ir.AttrString("mode", _RENAMED.get(mode, mode))
         if is_op(node, *_REDUCTIONS) and self.target_opset < 18:
             _axes_as_attribute(node)
-        if (
-            is_op(node, "Split")
-            and self.target_opset < _SPLIT_COUNTS
-            and len(node.inputs) < 2
-        ):
+        if is_op(node, "Split") and self.target_opset < _SPLIT_COUNTS and len(node.inputs) < 2:
             sizes = split_sizes(node) or []
             node.resize_inputs(2)
             node.replace_input_with(1, InsertionPoint(node).int64(*sizes))
@@ -204,16 +182,10 @@ def _argument_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
         known = node.inputs[1] is None or constant_of(node.inputs[1]) is not None
         return "" if known else "its axes are not known before the frame"
     if is_op(node, "Split") and "num_outputs" in node.attributes:
-        return (
-            ""
-            if split_sizes(node) is not None
-            else "the sizes of its outputs are not known"
-        )
+        return "" if split_sizes(node) is not None else "the sizes of its outputs are not known"
     count = len([value for value in node.inputs if value is not None])
     return (
-        f"it has {count} inputs, expected {old.max_input} at most"
-        if count > old.max_input
-        else ""
+        f"it has {count} inputs, expected {old.max_input} at most" if count > old.max_input else ""
     )
 
 

@@ -72,13 +72,9 @@ class NarrowIntegers(ByTables, CautiousRewrite):
             return not _is_integer_cast(node)
         result_dtype = node.outputs[0].dtype
         variant = (
-            f"to {result_dtype.numpy()}"
-            if is_op(node, "Cast") and result_dtype is not None
-            else ""
+            f"to {result_dtype.numpy()}" if is_op(node, "Cast") and result_dtype is not None else ""
         )
-        return self.target.lacks_kernel(node, self.opset, variant) and not _is_integer_cast(
-            node
-        )
+        return self.target.lacks_kernel(node, self.opset, variant) and not _is_integer_cast(node)
 
     def _narrow(self, node: ir.Node, spans: dict[str, Interval]) -> None:
         values = [value for value in (*_computed(node), *node.outputs) if value is not None]
@@ -104,9 +100,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
             value.shape = old.shape
             outputs.append(_cast(write, value, _INT64) if was_int64 else value)
             if old.name in spans:
-                spans |= dict.fromkeys(
-                    (value.name or "", outputs[-1].name or ""), spans[old.name]
-                )
+                spans |= dict.fromkeys((value.name or "", outputs[-1].name or ""), spans[old.name])
         write.replace(*outputs)
 
     def _sums_integers(self, node: ir.Node) -> bool:
@@ -123,9 +117,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
     def _sum_floats(self, node: ir.Node, spans: dict[str, Interval]) -> None:
         for value in (node.inputs[0], node.outputs[0]):
             if value is None or not fits_int32(spans.get(value.name or ""), _EXACT_FLOAT):
-                self.refuse(
-                    node, "its numbers may exceed 2²⁴, so floats might not be exact"
-                )
+                self.refuse(node, "its numbers may exceed 2²⁴, so floats might not be exact")
                 return
         self.note(node)
         write = InsertionPoint(node)

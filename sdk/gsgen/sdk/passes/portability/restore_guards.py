@@ -50,12 +50,8 @@ class RestoreGuards(CautiousRewrite):
             assert divisor is not None
             if divisor.dtype not in FLOAT_TYPES or is_never_zero(divisor):
                 continue
-            if constant_of(divisor) is not None or not (
-                _is_length(divisor) or _is_square(divisor)
-            ):
-                self.refuse(
-                    node, f"its divisor {divisor.name} may be zero, and is not a length"
-                )
+            if constant_of(divisor) is not None or not (_is_length(divisor) or _is_square(divisor)):
+                self.refuse(node, f"its divisor {divisor.name} may be zero, and is not a length")
                 continue
             self.note(node)
             _guard(node, divisor_index)
@@ -80,9 +76,7 @@ def _guard(node: ir.Node, divisor_index: int) -> None:
     before = InsertionPoint(node)
     zero, small = (before.constant(np.asarray(value, dtype)) for value in (0, least))
     at_zero = before.op("Equal", divisor, zero, dtype=ir.DataType.BOOL, shape=divisor.shape)
-    guarded = before.op(
-        "Where", at_zero, small, divisor, dtype=divisor.dtype, shape=divisor.shape
-    )
+    guarded = before.op("Where", at_zero, small, divisor, dtype=divisor.dtype, shape=divisor.shape)
     node.replace_input_with(divisor_index, guarded)
 
 

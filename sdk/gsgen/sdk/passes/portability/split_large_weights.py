@@ -12,12 +12,7 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint, weight
-from gsgen.sdk.passes.framework.value_facts import (
-    constant_of,
-    fixed_shape,
-    int_attribute,
-    rank_of,
-)
+from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, rank_of
 
 _BINDING = 128 << 20  # every WebGPU device binds this many bytes
 _BOOL = ir.DataType.BOOL
@@ -80,9 +75,7 @@ class SplitLargeWeights(CautiousRewrite):
             plan()
         graph.initializers.pop(value.name or "")
 
-    def _plan(
-        self, value: ir.Value, node: ir.Node, input_index: int
-    ) -> "str | Callable[[], None]":
+    def _plan(self, value: ir.Value, node: ir.Node, input_index: int) -> "str | Callable[[], None]":
         """Return a function that splits ``value`` for ``node``, or the reason against it."""
         splitting = _splitting_axis(value, node, input_index)
         if isinstance(splitting, str):
@@ -123,20 +116,14 @@ class SplitLargeWeights(CautiousRewrite):
 Write = Callable[[ir.Node, list[ir.Value], list[int]], None]
 
 
-def _splitting_axis(
-    value: ir.Value, node: ir.Node, input_index: int
-) -> tuple[int, Write] | str:
+def _splitting_axis(value: ir.Value, node: ir.Node, input_index: int) -> tuple[int, Write] | str:
     """Return the axis to split an input of ``node`` along, and the rewriting function, or a reason."""
     rank = rank_of(value) or 0
     # Case 1
     if is_op(node, "Gather") and input_index == 0 and rank_of(node.inputs[1]) is not None:
         return int_attribute(node, "axis", 0) % rank, _split_gather
     # Case 2
-    if (
-        is_op(node, "MatMul")
-        and rank == 2
-        and (rank_of(node.inputs[1 - input_index]) or 0) > 1
-    ):
+    if is_op(node, "MatMul") and rank == 2 and (rank_of(node.inputs[1 - input_index]) or 0) > 1:
         return (1, _split_matmul_columns) if input_index == 1 else (0, _split_matmul_rows)
     # Case 3
     if is_op(node, "Gemm") and input_index == 1:
@@ -210,10 +197,7 @@ def _split_gemm(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None
             [*node.attributes.values()],
             name=f"{node.name or node.outputs[0].name}_{start}",
         )
-        copy.outputs[0].name, copy.outputs[0].type = (
-            f"{copy.name}_part",
-            node.outputs[0].type,
-        )
+        copy.outputs[0].name, copy.outputs[0].type = (f"{copy.name}_part", node.outputs[0].type)
         before.graph.insert_before(node, copy)
         products.append(copy.outputs[0])
     before.replace(before.op("Concat", *products, axis=1))

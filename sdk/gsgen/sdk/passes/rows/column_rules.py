@@ -33,21 +33,14 @@ _ELEMENTWISE = frozenset({
     "Greater", "GreaterOrEqual", "Less", "LessOrEqual", "Log", "Max", "Min", "Mul", "Neg",
     "Not", "Or", "Reciprocal", "Relu", "Sigmoid", "Sin", "Sqrt", "Sub", "Tanh", "Where",
 })  # fmt: skip
-_REDUCTIONS = {
-    "ReduceL2": "Add",
-    "ReduceMax": "Max",
-    "ReduceMin": "Min",
-    "ReduceSum": "Add",
-}
+_REDUCTIONS = {"ReduceL2": "Add", "ReduceMax": "Max", "ReduceMin": "Min", "ReduceSum": "Add"}
 _SHAPERS = ("Expand", "Reshape", "Squeeze", "Unsqueeze")
 
 
 def works_on_columns(node: ir.Node, rows: int) -> bool:
     """Return whether ``node``, which returns ``rows`` rows, can be evaluated column by column."""
     if is_op(node, *_ELEMENTWISE):
-        return all(
-            value is None or _may_be_operand(value, node, rows) for value in node.inputs
-        )
+        return all(value is None or _may_be_operand(value, node, rows) for value in node.inputs)
     first = node.inputs[0] if node.inputs else None
     shape = fixed_shape(first)
     if not shape or shape[0] != rows:
@@ -63,25 +56,16 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
         perm = node.attributes.get("perm")
         return perm is not None and next(iter(perm.as_ints())) == 0
     if is_op(node, "Gather"):
-        return int_attribute(node, "axis", 0) % len(shape) > 0 and _are_constant(
-            node.inputs[1:]
-        )
+        return int_attribute(node, "axis", 0) % len(shape) > 0 and _are_constant(node.inputs[1:])
     if is_op(node, "Slice"):
         return _slices(node, len(shape)) is not None
     if is_op(node, "Split"):
-        return (
-            int_attribute(node, "axis", 0) % len(shape) > 0
-            and split_sizes(node) is not None
-        )
+        return int_attribute(node, "axis", 0) % len(shape) > 0 and split_sizes(node) is not None
     return False
 
 
 def columns_of(
-    node: ir.Node,
-    inputs: Sequence[ir.Value | None],
-    rows: int,
-    look: ColumnLookup,
-    emit: Emit,
+    node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
 ) -> list[Columns]:
     """Return the columns of each output of ``node``.
 
@@ -106,9 +90,7 @@ def columns_of(
         return [columns.reshape(shape[1:])]
     axis = int_attribute(node, "axis", 0) % (columns.ndim + 1) - 1
     if is_op(node, "Concat"):
-        return [
-            np.concatenate([look(value) for value in inputs if value is not None], axis)
-        ]
+        return [np.concatenate([look(value) for value in inputs if value is not None], axis)]
     if is_op(node, "Transpose"):
         perm = node.attributes["perm"].as_ints()
         return [columns.transpose([axis_number - 1 for axis_number in list(perm)[1:]])]
@@ -144,11 +126,7 @@ def _may_be_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
 
 
 def _elementwise(
-    node: ir.Node,
-    inputs: Sequence[ir.Value | None],
-    rows: int,
-    look: ColumnLookup,
-    emit: Emit,
+    node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
 ) -> Columns:
     """Write an elementwise operator once for each column."""
     shape = fixed_shape(node.outputs[0])
@@ -171,9 +149,7 @@ def _elementwise(
     return results
 
 
-def _operand(
-    value: ir.Value, shape: tuple[int, ...], rows: int, look: ColumnLookup
-) -> Columns:
+def _operand(value: ir.Value, shape: tuple[int, ...], rows: int, look: ColumnLookup) -> Columns:
     value_shape = fixed_shape(value)
     assert value_shape is not None
     if len(value_shape) == len(shape) and value_shape and value_shape[0] == rows:
@@ -198,9 +174,7 @@ def _reduce(node: ir.Node, columns: Columns, emit: Emit) -> Columns:
     totals = np.empty(len(flat), object)
     squares = is_op(node, "ReduceL2")
     for index, parts in enumerate(flat):
-        terms = (
-            [emit("Mul", [part, part], {}) for part in parts] if squares else list(parts)
-        )
+        terms = [emit("Mul", [part, part], {}) for part in parts] if squares else list(parts)
         total = reduce(lambda a, b: emit(_REDUCTIONS[node.op_type], [a, b], {}), terms)
         totals[index] = emit("Sqrt", [total], {}) if squares else total
     return totals

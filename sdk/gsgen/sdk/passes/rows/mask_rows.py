@@ -32,12 +32,7 @@ from gsgen.sdk.passes.rows.row_indices import (
     nonzero_index,
     transform_index,
 )
-from gsgen.sdk.passes.rows.row_numbers import (
-    constant_rows,
-    linear_numbers,
-    mask_count,
-    shape_fact,
-)
+from gsgen.sdk.passes.rows.row_numbers import constant_rows, linear_numbers, mask_count, shape_fact
 from gsgen.sdk.passes.rows.row_operators import propagate_rows, split_rows
 from gsgen.sdk.passes.rows.row_reductions import pad_rows, reduce_rows, scatter_rows
 
@@ -118,9 +113,7 @@ class MaskRows(CautiousRewrite):
 class _Attempt:
     """One attempt to rewrite a graph, without the masks in ``excluded``."""
 
-    def __init__(
-        self, graph: ir.Graph, excluded: frozenset[Mask], count: str | None
-    ) -> None:
+    def __init__(self, graph: ir.Graph, excluded: frozenset[Mask], count: str | None) -> None:
         self.graph, self.excluded, self.count = graph, excluded, count
         self.draft = RowDraft("masked_rows")
         self.facts: dict[ir.Value, Fact] = {}
@@ -158,9 +151,7 @@ class _Attempt:
             if attribute.type != ir.AttributeType.GRAPH:
                 continue
             for inner in attribute.as_graph().all_nodes():
-                facts = [
-                    self.facts.get(value) for value in inner.inputs if value is not None
-                ]
+                facts = [self.facts.get(value) for value in inner.inputs if value is not None]
                 if any(_varies(fact) for fact in facts):
                     raise Blocked(inner, "a subgraph reads rows of a mask", _masks(facts))
 
@@ -182,21 +173,15 @@ class _Attempt:
         if fact is not None:
             self.facts[node.outputs[0]] = fact
         elif not self._replace_counts(node, facts) and any(_varies(fact) for fact in facts):
-            raise Blocked(
-                node, "it may mix rows, or its shape depends on the count", _masks(facts)
-            )
+            raise Blocked(node, "it may mix rows, or its shape depends on the count", _masks(facts))
 
-    def _fixed_size_value(
-        self, node: ir.Node, facts: Sequence[Fact | None]
-    ) -> ir.Value | None:
+    def _fixed_size_value(self, node: ir.Node, facts: Sequence[Fact | None]) -> ir.Value | None:
         """Draft the output of a node whose size no longer depends on the mask (cases 2 to 4)."""
         if len(_masks(facts)) != 1:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
             return scatter_rows(node, facts, self.draft)
-        if is_op(node, "Concat", "Pad") and _fills_capacity(
-            facts
-        ):  # Case 3: up to a capacity
+        if is_op(node, "Concat", "Pad") and _fills_capacity(facts):  # Case 3: up to a capacity
             return pad_rows(node, facts, self.draft)
         return reduce_rows(node, facts, self.draft)  # Case 4: a reduction over the rows
 
@@ -210,11 +195,7 @@ class _Attempt:
             fact = compress_rows(node, mask, self.draft)
         else:
             fact = mask_count(node) if is_op(node, "ReduceSum") else None
-            return (
-                fact
-                if fact is not None and fact.mask.unrepeated not in self.excluded
-                else None
-            )
+            return fact if fact is not None and fact.mask.unrepeated not in self.excluded else None
         if fact is None or fact.mask.unrepeated in self.excluded:
             return None
         self.sources.append(node)
@@ -230,11 +211,7 @@ class _Attempt:
         first, kinds = facts[0], {type(fact) for fact in facts if fact is not None}
         if is_op(node, "Shape") and first is not None:
             return shape_fact(node, first)
-        if (
-            is_op(node, "Gather", "GatherND")
-            and first is None
-            and isinstance(facts[1], Index)
-        ):
+        if is_op(node, "Gather", "GatherND") and first is None and isinstance(facts[1], Index):
             return gather_rows(node, facts[1], self.draft)
         if isinstance(first, Index):
             return transform_index(node, first)
@@ -257,12 +234,7 @@ class _Attempt:
             return None if mask is None else Index(mask, "columns")
         if is_op(node, "Compress"):
             axis = node.attributes.get("axis")
-            if (
-                not isinstance(selector, Rows)
-                or selector is rows
-                or axis is None
-                or rows.flat
-            ):
+            if not isinstance(selector, Rows) or selector is rows or axis is None or rows.flat:
                 return None
             mask = (
                 compose_masks(selector, self.draft)
@@ -271,11 +243,7 @@ class _Attempt:
             )
             along = axis.as_int() % len(fixed_shape(rows.value) or (1,)) == rows.axis
             return Rows(mask, rows.value, rows.axis) if mask is not None and along else None
-        return (
-            gather_nested_rows(node, rows, selector)
-            if isinstance(selector, Index)
-            else None
-        )
+        return gather_nested_rows(node, rows, selector) if isinstance(selector, Index) else None
 
     def _replace_counts(self, node: ir.Node, facts: Sequence[Fact | None]) -> bool:
         """Replace counts that ``node`` reads as numbers; return whether that was possible.
@@ -314,14 +282,10 @@ class _Attempt:
                     raise Blocked(node, reason, frozenset({fact.mask.unrepeated}))
                 replacements.append(self.draft.compact(fact))
             elif isinstance(fact, Linear):
-                replacements.append(
-                    self._count_output(fact, value) if fact.varies else None
-                )
+                replacements.append(self._count_output(fact, value) if fact.varies else None)
             elif fact is not None and node is not None:
                 raise Blocked(
-                    node,
-                    "the indices of a mask are an output",
-                    frozenset({fact.mask.unrepeated}),
+                    node, "the indices of a mask are an output", frozenset({fact.mask.unrepeated})
                 )
             else:
                 replacements.append(None)

@@ -139,9 +139,7 @@ def read_mask(value: ir.Value | None) -> Mask | None:
     ):
         return Mask(root, dims)
     same_rank = len(dims) == len(inner) and dims[: len(base_shape)] == base_shape
-    return (
-        Mask(base, base_shape, dims[len(base_shape) :]) if same_rank else Mask(root, dims)
-    )
+    return Mask(base, base_shape, dims[len(base_shape) :]) if same_rank else Mask(root, dims)
 
 
 def _truth_source(value: ir.Value | None) -> ir.Value | None:

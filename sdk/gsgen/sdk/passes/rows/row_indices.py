@@ -13,12 +13,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import is_op
-from gsgen.sdk.passes.framework.value_facts import (
-    constant_of,
-    fixed_shape,
-    int_attribute,
-    rank_of,
-)
+from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, rank_of
 from gsgen.sdk.passes.rows.row_draft import RowDraft
 from gsgen.sdk.passes.rows.row_facts import Index, Mask, Rows, read_mask
 
@@ -70,21 +65,13 @@ def transform_index(node: ir.Node, index: Index) -> Index | None:
         # Case 1: element 0 along the axis of size one.
         zero, axis = constant_of(node.inputs[1]), int_attribute(node, "axis", 0) % 2
         picks = zero is not None and zero.ndim == 0 and zero == 0
-        return (
-            Index(index.mask, "flat")
-            if picks and _axis_of_size_one(index) == axis
-            else None
-        )
+        return Index(index.mask, "flat") if picks and _axis_of_size_one(index) == axis else None
     if is_op(node, "Slice") and index.form != "flat":
         # Case 2: the only column (or row): torch separates indices by axes in this way.
-        axes = (
-            constant_of(node.inputs[3]) if len(node.inputs) > 3 else np.zeros(1, np.int64)
-        )
+        axes = constant_of(node.inputs[3]) if len(node.inputs) > 3 else np.zeros(1, np.int64)
         start = constant_of(node.inputs[1])
         single = (
-            axes is not None
-            and axes.size == 1
-            and int(axes[0]) % 2 == _axis_of_size_one(index)
+            axes is not None and axes.size == 1 and int(axes[0]) % 2 == _axis_of_size_one(index)
         )
         return index if single and start is not None and not start.any() else None
     rank = rank_of(node.outputs[0])
@@ -114,11 +101,7 @@ def gather_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
         fits = index.form == "flat" and len(mask.dims) == 1 and shape[axis] == mask.size
         return Rows(mask, value, axis) if fits else None
     axes = len(mask.dims)
-    if (
-        index.form != "rows"
-        or int_attribute(node, "batch_dims", 0)
-        or shape[:axes] != mask.dims
-    ):
+    if index.form != "rows" or int_attribute(node, "batch_dims", 0) or shape[:axes] != mask.dims:
         return None
     return Rows(mask, draft.reshaped(value, [mask.size, *shape[axes:]]), 0)
 

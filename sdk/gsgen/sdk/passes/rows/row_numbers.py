@@ -14,27 +14,14 @@ from gsgen.sdk.passes.rows.row_draft import RowDraft
 from gsgen.sdk.passes.rows.row_facts import Fact, Filler, Index, Linear, Rows, read_mask
 
 _WHOLE = (ir.DataType.INT32, ir.DataType.INT64)
-_MOVES = (
-    "Cast",
-    "Concat",
-    "Gather",
-    "Identity",
-    "Reshape",
-    "Slice",
-    "Squeeze",
-    "Unsqueeze",
-)
+_MOVES = ("Cast", "Concat", "Gather", "Identity", "Reshape", "Slice", "Squeeze", "Unsqueeze")
 
 
 def mask_count(node: ir.Node) -> Linear | None:
     """Return K if ``node`` sums all elements of a boolean mask."""
     source = node.inputs[0].producer() if node.inputs[0] is not None else None
     result_shape = fixed_shape(node.outputs[0])
-    if (
-        not is_op(source, "Cast")
-        or node.outputs[0].dtype not in _WHOLE
-        or result_shape is None
-    ):
+    if not is_op(source, "Cast") or node.outputs[0].dtype not in _WHOLE or result_shape is None:
         return None
     mask = read_mask(node.inputs[0])
     if mask is None or mask.root.dtype != ir.DataType.BOOL or mask.repeats:
@@ -44,10 +31,7 @@ def mask_count(node: ir.Node) -> Linear | None:
     if mask_shape is None or np.prod(result_shape) != 1 or np.prod(mask_shape) == 1:
         return None
     return Linear(
-        mask,
-        np.zeros(result_shape, np.int64),
-        np.ones(result_shape, np.int64),
-        varies=False,
+        mask, np.zeros(result_shape, np.int64), np.ones(result_shape, np.int64), varies=False
     )
 
 
@@ -81,10 +65,7 @@ def _dims(fact: Fact) -> list[int | None]:
 def linear_numbers(node: ir.Node, facts: Sequence[Fact | None]) -> Linear | None:
     """Return the result of arithmetic on shapes, if it is linear in K."""
     known = [fact for fact in facts if isinstance(fact, Linear)]
-    if (
-        len({fact.mask.unrepeated for fact in known}) != 1
-        or node.outputs[0].dtype not in _WHOLE
-    ):
+    if len({fact.mask.unrepeated for fact in known}) != 1 or node.outputs[0].dtype not in _WHOLE:
         return None
     parts = [_parts(value, fact) for value, fact in zip(node.inputs, facts, strict=True)]
     whole = [part for part in parts if part is not None]
@@ -103,9 +84,7 @@ def linear_numbers(node: ir.Node, facts: Sequence[Fact | None]) -> Linear | None
         constant, factor = np.broadcast_arrays(a * c, a * d + b * c)
         return Linear(known[0].mask, constant, factor, varies)
     joins = is_op(node, "Concat")
-    if not is_op(node, *_MOVES) or not (
-        joins or (len(known) == 1 and facts[0] is known[0])
-    ):
+    if not is_op(node, *_MOVES) or not (joins or (len(known) == 1 and facts[0] is known[0])):
         return None
     arguments = [constant for constant, _ in whole[1:]]
     terms = [
@@ -118,9 +97,7 @@ def linear_numbers(node: ir.Node, facts: Sequence[Fact | None]) -> Linear | None
     return Linear(known[0].mask, constant, factor, varies)
 
 
-def _parts(
-    value: ir.Value | None, fact: Fact | None
-) -> tuple[np.ndarray, np.ndarray] | None:
+def _parts(value: ir.Value | None, fact: Fact | None) -> tuple[np.ndarray, np.ndarray] | None:
     if isinstance(fact, Linear):
         return fact.constant, fact.factor
     known = constant_of(value)
@@ -144,9 +121,7 @@ def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | Fille
         target = draft.constant(whole, np.int64)
         return Rows(shape.mask, draft.op("Expand", source, target, shape=whole), axis)
     if factor[0] == -1:
-        row = np.broadcast_to(
-            value[0], np.broadcast_shapes(value.shape[1:], tuple(sizes[1:]))
-        )
+        row = np.broadcast_to(value[0], np.broadcast_shapes(value.shape[1:], tuple(sizes[1:])))
         return Filler(shape.mask, int(sizes[0]), row)
     return None
 

@@ -31,9 +31,7 @@ _ELEMENTWISE = frozenset({
     "Or", "Pow", "Reciprocal", "Relu", "Round", "Selu", "Sigmoid", "Sign", "Sin", "Sinh",
     "Softplus", "Softsign", "Sqrt", "Sub", "Sum", "Tan", "Tanh", "Where", "Xor",
 })  # fmt: skip
-_AXIS_OPERATORS = frozenset(
-    {"ArgMax", "ArgMin", "CumSum", "Hardmax", "LogSoftmax", "Softmax"}
-)
+_AXIS_OPERATORS = frozenset({"ArgMax", "ArgMin", "CumSum", "Hardmax", "LogSoftmax", "Softmax"})
 
 Facts = Sequence[Fact | None]
 
@@ -93,11 +91,7 @@ def _elementwise(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     negative_axes = {fact.axis - (rank_of(fact.value) or 0) for fact in row_facts}
     rank = rank_of(node.outputs[0])
-    if (
-        len(negative_axes) != 1
-        or rank is None
-        or any(isinstance(f, Index | Filler) for f in facts)
-    ):
+    if len(negative_axes) != 1 or rank is None or any(isinstance(f, Index | Filler) for f in facts):
         return None
     (negative_axis,) = negative_axes
     inputs = _full_inputs(node, facts)
@@ -134,17 +128,11 @@ def _matrix_product(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     if len(row_facts) != sum(fact is not None for fact in facts) or not row_facts:
         return None
-    row_axis = (
-        _gemm_row_axis(node, facts)
-        if is_op(node, "Gemm")
-        else _matmul_row_axis(node, facts)
-    )
+    row_axis = _gemm_row_axis(node, facts) if is_op(node, "Gemm") else _matmul_row_axis(node, facts)
     return (
         None
         if row_axis is None
-        else _draft_for_all_rows(
-            node, _full_inputs(node, facts), row_axis, row_facts[0], draft
-        )
+        else _draft_for_all_rows(node, _full_inputs(node, facts), row_axis, row_facts[0], draft)
     )
 
 
@@ -166,9 +154,7 @@ def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
         is_matrix_vector = isinstance(rows, Rows) and facts[1] is None and ranks[1] == 1
         return (
             rows.axis
-            if is_matrix_vector
-            and isinstance(rows, Rows)
-            and rows.axis + 1 < (ranks[0] or 0)
+            if is_matrix_vector and isinstance(rows, Rows) and rows.axis + 1 < (ranks[0] or 0)
             else None
         )
     negative_axes = {
@@ -197,24 +183,15 @@ def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
         node.attributes["equation"].as_string().replace(" ", "").partition("->")
     )
     terms = input_terms.split(",")
-    if (
-        not arrow
-        or "." in input_terms + output_term
-        or len(terms) != len(facts)
-        or not row_facts
-    ):
+    if not arrow or "." in input_terms + output_term or len(terms) != len(facts) or not row_facts:
         return None
     letters = {
-        term[fact.axis]
-        for term, fact in zip(terms, facts, strict=True)
-        if isinstance(fact, Rows)
+        term[fact.axis] for term, fact in zip(terms, facts, strict=True) if isinstance(fact, Rows)
     }
     other_letters = "".join(
         t for t, fact in zip(terms, facts, strict=True) if not isinstance(fact, Rows)
     )
-    if len(letters) != 1 or any(
-        fact is not None and fact not in row_facts for fact in facts
-    ):
+    if len(letters) != 1 or any(fact is not None and fact not in row_facts for fact in facts):
         return None
     (letter,) = letters
     once = all(term.count(letter) <= 1 for term in terms) and output_term.count(letter) == 1
@@ -233,9 +210,7 @@ def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | N
     arrays = [constant_of(value) for value in node.inputs[1:]]
     if any(array is None for array in arrays) or len(arrays) < 2:
         return None
-    starts, ends, *axes_and_steps = [
-        array.reshape(-1) for array in arrays if array is not None
-    ]
+    starts, ends, *axes_and_steps = [array.reshape(-1) for array in arrays if array is not None]
     rank = rank_of(rows.value) or 1
     axes = axes_and_steps[0] % rank if axes_and_steps else np.arange(len(starts))
     steps = axes_and_steps[1] if len(axes_and_steps) > 1 else np.ones(len(starts), np.int64)
@@ -271,9 +246,7 @@ def _reduce(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | 
     if rows.axis in reduced_axes:
         return None
     removed_axes = (
-        0
-        if int_attribute(node, "keepdims", 1)
-        else sum(p < rows.axis for p in reduced_axes)
+        0 if int_attribute(node, "keepdims", 1) else sum(p < rows.axis for p in reduced_axes)
     )
     return _draft_for_all_rows(
         node, [rows.value, *node.inputs[1:]], rows.axis - removed_axes, rows, draft
@@ -286,9 +259,7 @@ def _along_axis(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Row
         known = constant_of(node.inputs[1])
         axis = None if known is None else int(known.reshape(-1)[0]) % rank
     else:
-        axis = (
-            int_attribute(node, "axis", 0 if is_op(node, "ArgMax", "ArgMin") else -1) % rank
-        )
+        axis = int_attribute(node, "axis", 0 if is_op(node, "ArgMax", "ArgMin") else -1) % rank
     if axis is None or axis == rows.axis:
         return None
     drops = is_op(node, "ArgMax", "ArgMin") and not int_attribute(node, "keepdims", 1)

@@ -13,12 +13,7 @@ import onnx_ir as ir
 
 from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import is_op
-from gsgen.sdk.passes.framework.value_facts import (
-    constant_of,
-    fixed_shape,
-    int_attribute,
-    rank_of,
-)
+from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, rank_of
 from gsgen.sdk.passes.rows.row_draft import RowDraft
 from gsgen.sdk.passes.rows.row_facts import Fact, Filler, Index, Linear, Rows
 from gsgen.sdk.passes.rows.row_operators import axes_of
@@ -85,9 +80,7 @@ def reduce_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None
     count = draft.op("Max", draft.order(rows.mask).count, minimum, shape=[1])
     number = draft.op("Cast", count, dtype=kind, shape=[1], to=kind.value)
     elements_per_row = prod(shape[axis] for axis in reduced_axes if axis != rows.axis)
-    number = draft.op(
-        "Mul", number, draft.constant(elements_per_row, kind.numpy()), shape=[1]
-    )
+    number = draft.op("Mul", number, draft.constant(elements_per_row, kind.numpy()), shape=[1])
     return draft.op("Div", total, draft.reshaped(number, []))
 
 
@@ -96,9 +89,7 @@ def pad_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
     rows = facts[0]
     if not isinstance(rows, Rows) or rows.axis != 0 or rows.flat:
         return None
-    padding = (
-        _concat_padding(node, facts) if is_op(node, "Concat") else _pad_padding(node, facts)
-    )
+    padding = _concat_padding(node, facts) if is_op(node, "Concat") else _pad_padding(node, facts)
     shape = fixed_shape(rows.value)
     if padding is None or shape is None:
         return None
@@ -137,11 +128,6 @@ def _pad_padding(node: ir.Node, facts: Facts) -> tuple[int, np.ndarray] | None:
     fill_input = node.inputs[2] if len(node.inputs) > 2 else None
     known = constant_of(fill_input)
     kind = node.outputs[0].dtype
-    if (
-        factor.any()
-        or constant.any()
-        or (fill_input is not None and known is None)
-        or kind is None
-    ):
+    if factor.any() or constant.any() or (fill_input is not None and known is None) or kind is None:
         return None
     return capacity, np.asarray(0 if known is None else known.reshape(()), kind.numpy())

@@ -80,9 +80,7 @@ def _groups(graph: ir.Graph) -> Iterator[_Group]:
         if rows is None:
             continue
         neighbours = {
-            id(owner[v]): owner[v]
-            for v in node.inputs
-            if v in owner and owner[v].rows == rows
+            id(owner[v]): owner[v] for v in node.inputs if v in owner and owner[v].rows == rows
         }
         merged = _Group(rows)
         for neighbour in neighbours.values():
@@ -105,9 +103,7 @@ def _rows(node: ir.Node) -> int | None:
         return None
     (count,) = rows
     narrow = all(shape and prod(shape[1:]) <= _MAX_WIDTH for shape in shapes)
-    return (
-        count if count >= _MIN_ROWS and narrow and works_on_columns(node, count) else None
-    )
+    return count if count >= _MIN_ROWS and narrow and works_on_columns(node, count) else None
 
 
 class _Plan:
@@ -122,8 +118,7 @@ class _Plan:
         self.outside_results = {
             value
             for value in self.results
-            if value.is_graph_output()
-            or any(user not in inside for user in value.consumers())
+            if value.is_graph_output() or any(user not in inside for user in value.consumers())
         }
 
     def cost_before(self) -> float:
@@ -150,9 +145,7 @@ class _Plan:
         self._run(lambda _: (emit, leaf), lambda *_: None)
         widths = [_width(value) for value in split_values if value.producer() is not None]
         # A target with few bindings joins more than seven columns in two steps.
-        joined_widths = [
-            _width(value) for value in self.outside_results if _width(value) > 1
-        ]
+        joined_widths = [_width(value) for value in self.outside_results if _width(value) > 1]
         joined = [width * (2 if width > SAFE_WIDTH else 1) for width in joined_widths]
         return (
             _ELEMENTWISE_COST * len(numbers)
@@ -165,9 +158,7 @@ class _Plan:
         written: dict[Hashable, ir.Value] = {}
 
         def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
-            def emit(
-                kind: str, operands: Sequence[Any], attributes: dict[str, Any]
-            ) -> ir.Value:
+            def emit(kind: str, operands: Sequence[Any], attributes: dict[str, Any]) -> ir.Value:
                 key = (kind, tuple(operands), tuple(sorted(attributes.items())))
                 if key not in written:
                     written[key] = _write_operator(write, kind, operands, attributes)
@@ -179,9 +170,7 @@ class _Plan:
             for value, value_columns in zip(node.outputs, columns, strict=True):
                 if value in self.outside_results:
                     whole = _join_columns(write, value_columns, value, self.rows)
-                    ir.convenience.replace_all_uses_with(
-                        value, whole, replace_graph_outputs=True
-                    )
+                    ir.convenience.replace_all_uses_with(value, whole, replace_graph_outputs=True)
                     if value.name is not None and whole.is_graph_output():
                         whole.name, value.name = value.name, f"{value.name}_rows"
 
@@ -196,9 +185,7 @@ class _Plan:
             write = InsertionPoint(node)
             emit, leaf = writers(write)
 
-            def look(
-                value: ir.Value, leaf: Callable[[ir.Value], Columns] = leaf
-            ) -> Columns:
+            def look(value: ir.Value, leaf: Callable[[ir.Value], Columns] = leaf) -> Columns:
                 if value not in known:
                     known[value] = leaf(value)
                 return known[value]
@@ -217,9 +204,7 @@ def _cost(node: ir.Node, rows: int) -> float:
     result_width = sum(_width(value) for value in node.outputs)
     first = node.inputs[0]
     input_width = (
-        _width(first)
-        if first is not None and (fixed_shape(first) or (0,))[0] == rows
-        else 1
+        _width(first) if first is not None and (fixed_shape(first) or (0,))[0] == rows else 1
     )
     if is_op(node, *_COPIES):
         return 0.0
@@ -273,24 +258,16 @@ def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns
     assert shape is not None
     width = prod(shape[1:])
     array = np.empty(width, object)
-    flat = (
-        value
-        if shape == (rows, width)
-        else write.op("Reshape", value, write.int64(rows, width))
-    )
+    flat = value if shape == (rows, width) else write.op("Reshape", value, write.int64(rows, width))
     flat.shape = ir.Shape([rows, width])
     parts = (
-        [flat]
-        if width == 1
-        else write.ops("Split", width, flat, write.int64(*[1] * width), axis=1)
+        [flat] if width == 1 else write.ops("Split", width, flat, write.int64(*[1] * width), axis=1)
     )
     array[:] = [write.op("Reshape", part, write.int64(rows)) for part in parts]
     return array.reshape(shape[1:])
 
 
-def _join_columns(
-    write: InsertionPoint, columns: Columns, value: ir.Value, rows: int
-) -> ir.Value:
+def _join_columns(write: InsertionPoint, columns: Columns, value: ir.Value, rows: int) -> ir.Value:
     """Return ``columns`` joined to a tensor with the shape of ``value``."""
     shape = fixed_shape(value)
     assert shape is not None
@@ -301,9 +278,7 @@ def _join_columns(
     return tensor
 
 
-def _restored_parts(
-    write: InsertionPoint, columns: list[ir.Value], rows: int
-) -> list[ir.Value]:
+def _restored_parts(write: InsertionPoint, columns: list[ir.Value], rows: int) -> list[ir.Value]:
     """Return tensors [rows, …] that hold ``columns`` in order.
 
     Columns that are all outputs of one Split, in order, are replaced by the input of the Split.

@@ -28,28 +28,14 @@ class MergeCasts(NodeRewrite):
         """Return whether ``node`` casts the output of a lossless Cast to the same numbers."""
         value = node.inputs[0] if is_op(node, "Cast") else None
         inner = value.producer() if value is not None else None
-        if (
-            value is None
-            or inner is None
-            or not is_op(inner, "Cast")
-            or not inner.inputs[0]
-        ):
+        if value is None or inner is None or not is_op(inner, "Cast") or not inner.inputs[0]:
             return False
         first, between = inner.inputs[0].dtype, value.dtype
         last = node.outputs[0].dtype
-        if (
-            first is None
-            or between is None
-            or last is None
-            or not holds_all(between, first)
-        ):
+        if first is None or between is None or last is None or not holds_all(between, first):
             return False
         # The cast of a number that does not fit differs between dtypes.
-        return (
-            holds_all(last, first)
-            or first == ir.DataType.BOOL
-            or _are_integers(between, last)
-        )
+        return holds_all(last, first) or first == ir.DataType.BOOL or _are_integers(between, last)
 
     def replace(self, node: ir.Node) -> None:
         """Cast the input of the first Cast."""

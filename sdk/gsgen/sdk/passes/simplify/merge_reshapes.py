@@ -28,11 +28,7 @@ class MergeReshapes(NodeRewrite):
         if not is_op(node, *_SHAPERS) or node.inputs[0] is None:
             return False
         shape = fixed_shape(node.outputs[0])
-        return (
-            shape is not None
-            and 0 not in shape
-            and is_op(node.inputs[0].producer(), *_SHAPERS)
-        )
+        return shape is not None and 0 not in shape and is_op(node.inputs[0].producer(), *_SHAPERS)
 
     def replace(self, node: ir.Node) -> None:
         """Reshape the input of the first operator to the last shape."""

@@ -24,9 +24,7 @@ class MergeTransposes(NodeRewrite):
         """Return whether ``node`` transposes the output of another Transpose."""
         if not is_op(node, "Transpose") or node.inputs[0] is None:
             return False
-        return (
-            is_op(node.inputs[0].producer(), "Transpose") and _permutation(node) is not None
-        )
+        return is_op(node.inputs[0].producer(), "Transpose") and _permutation(node) is not None
 
     def replace(self, node: ir.Node) -> None:
         """Transpose the input of the first Transpose by the composed permutation."""

@@ -34,11 +34,7 @@ class RemoveNoOps(NodeRewrite):
     def matches(self, node: ir.Node) -> bool:
         """Return whether ``node`` changes nothing and does not separate an input from an output."""
         x = next(iter(node.inputs), None)
-        if (
-            x is None
-            or not node.outputs
-            or any(output.uses() for output in node.outputs[1:])
-        ):
+        if x is None or not node.outputs or any(output.uses() for output in node.outputs[1:]):
             return False
         if any(output.is_graph_output() for output in node.outputs[1:]):
             return False
@@ -50,9 +46,7 @@ class RemoveNoOps(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Replace the output by the unchanged input."""
-        argument = _unchanged_argument(
-            node
-        )  # not stored: another replacement may have changed it
+        argument = _unchanged_argument(node)  # not stored: another replacement may have changed it
         assert argument is not None
         write = InsertionPoint(node)
         for spare in node.outputs[1:]:
