@@ -11,7 +11,7 @@ from types import ModuleType
 from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
 from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness
-from gsgen.contract.rules.graph import capture, graph, integers, naming, replay
+from gsgen.contract.rules.graph import capture, graph, integers, naming, repeatability, replay
 from gsgen.contract.rules.interface import declarations, input_declarations, inputs, manifest
 from gsgen.contract.rules.outputs import capacity, companions, count, graph_outputs, outputs
 from gsgen.contract.rules.targets import limits, visionary, visionary_drawing
@@ -32,6 +32,7 @@ FAMILIES = (
     companions,
     graph_outputs,
     graph,
+    repeatability,
     replay,
     capture,
     integers,

@@ -35,7 +35,8 @@ def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         A path that leads out of the folder makes the machine that loads the model read files of the
-        author's choosing; a missing or short file fails only when the model is loaded.
+        author's choosing; a missing or short file, or a length that is not that of the weight,
+        fails only when the model is loaded.
 
     Hint:
         Store weights inside the model or in a file beside it, and ship both.
@@ -71,6 +72,8 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
     except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
         reason = error.strerror if isinstance(error, OSError) else "links form a cycle"
         return f"cannot be looked up: {reason}", "a file beside the model"
+    if payload and ref.length not in (None, payload):
+        return f"declares a length of {ref.length} bytes for weight {ref.tensor!r}", f"{payload}"
     needed = ref.offset + (payload if ref.length is None else ref.length)
     if needed > size:
         return f"has {size} bytes (weight {ref.tensor!r})", f"at least {needed}"

@@ -1,6 +1,6 @@
 """Input roles: what a frame input means, and the shape and dtype that this fixes."""
 
-__all__ = ["ROLES", "Role", "Shape", "matching_shape", "role"]
+__all__ = ["JOINTS", "ROLES", "Role", "Shape", "matching_shape", "role"]
 
 from dataclasses import dataclass
 
@@ -39,6 +39,9 @@ class Role:
     needs_range: bool = False
     conventions: tuple[str, ...] = ()
 
+
+# The numbers of joints of the body models whose order a convention of `pose` names.
+JOINTS: dict[str, tuple[int, ...]] = {"smpl-axis-angle": (24, 55)}
 
 _FLOAT = ("float32",)
 _INDEX = ("int32",)

@@ -7,7 +7,7 @@ from gsgen.contract.probing.run_comparison import Behaviour, Comparison
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.gates import REPRODUCIBLE
+from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
 _OF_CAMERA = ("view", "projection", "camera_position", "viewport")
@@ -25,7 +25,7 @@ def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
     Severity.ERROR,
     over="runs",
     fixture="seeded_random",
-    needs=("GV025", "GG010"),
+    needs=(MODEL_RUNS, *NOT_RANDOM),
     kinds=KINDS,
 )
 def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
@@ -35,7 +35,8 @@ def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
         A still camera would show a flickering picture, and no test could compare results.
 
     Hint:
-        Remove random operators; draw the numbers before export and store them as weights.
+        Call model.eval() before the export, which switches Dropout off; draw random numbers before
+        export and store them as weights.
     """
     yield from _differences(behaviour.repeated, "the same bits as the run before")
 

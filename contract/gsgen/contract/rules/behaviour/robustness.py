@@ -172,7 +172,7 @@ def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
 @rule(
     "GB009",
     "live-rows-first",
-    Severity.INFO,
+    Severity.WARNING,
     over="runs",
     fixture="mostly_inert",
     needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003"),
