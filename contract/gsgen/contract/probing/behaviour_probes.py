@@ -1,6 +1,6 @@
 """Probes for single behaviour rules: range ends, flipped axes, loops, frames, other orders."""
 
-__all__ = ["REPEATED", "trial_probes"]
+__all__ = ["REPEATED", "trial_probes", "turned_away"]
 
 import math
 from collections.abc import Iterator
@@ -21,6 +21,7 @@ _STEP = 0.3
 _BEYOND = 0.01
 # Upper bound of visited frames: both ends, and the middle.
 _WINDOW = 8
+_FEW_FRAMES = 4
 _INTO_FRAME = 0.3
 _STEPS = 60
 _REFRESH = 60.0
@@ -46,10 +47,21 @@ def trial_probes(
                 yield "loop", tuple(_loop(entry, base))
                 yield "paces", tuple(_paces(entry, base))
                 yield "frames", tuple(_frames(entry, base))
+            elif entry.role == "frame_index" and entry.range is not None:
+                yield "frames", tuple(_frame_numbers(entry, base))
     if len(first) > 1:
         repeated = dict.fromkeys((len(first) - 1, len(first) // 2, 1))
         yield "again", tuple(_changed(first[index], REPEATED) for index in repeated)
     yield "plain", (replace(_changed(base, "without optimisations"), optimise=False),)
+
+
+def turned_away(manifest: Manifest, base: Probe) -> Iterator[Probe]:
+    """Yield ``base`` with its camera turned by half a circle about its own y axis, if it has one."""
+    if isinstance(manifest, GeneratorManifest):
+        order = manifest.space.matrix_order if manifest.space else "column"
+        for entry in _of_role(manifest, "view")[:1]:
+            back = np.diag([-1.0, 1.0, -1.0, 1.0]) @ as_tensor(base.inputs[entry.name], order)
+            yield _changed(base, "looking away", **{entry.name: as_tensor(back, order)})
 
 
 def _changed(base: Probe, words: str, **inputs: Array) -> Probe:
@@ -174,3 +186,17 @@ def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
     for frame in sorted(frame_numbers):
         probe = _at(entry, base, (frame + _INTO_FRAME) / count)
         yield replace(probe, label=f"frame {frame}")
+
+
+def _frame_numbers(entry: Input, base: Probe) -> Iterator[Probe]:
+    """The first frames of a frame index, and some from the middle of its range on."""
+    assert entry.range is not None
+    if not entry.frames or entry.frames < 2:
+        return
+    low, high = int(entry.range[0]), int(entry.range[1])
+    starts = (low, low + entry.frames // 2)
+    for number in sorted({k for start in starts for k in range(start, start + _FEW_FRAMES)}):
+        if number <= high:
+            frame = _filled(base.inputs[entry.name], number)
+            probe = _changed(base, f"at frame {number}", **{entry.name: frame})
+            yield replace(probe, label=f"frame {number}")

@@ -10,12 +10,21 @@ from types import ModuleType
 
 from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
-from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness
+from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness, root
 from gsgen.contract.rules.graph import capture, graph, integers, naming, repeatability, replay
 from gsgen.contract.rules.interface import declarations, input_declarations, inputs, manifest
 from gsgen.contract.rules.outputs import capacity, companions, count, graph_outputs, outputs
 from gsgen.contract.rules.targets import limits, visionary, visionary_drawing
-from gsgen.contract.rules.values import appearance, cells, covariance, execution, extent, rows
+from gsgen.contract.rules.values import (
+    appearance,
+    camera_space,
+    cells,
+    covariance,
+    execution,
+    extent,
+    rows,
+)
+from gsgen.contract.rules.values import companions as companion_values
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -39,6 +48,8 @@ FAMILIES = (
     naming,
     rows,
     execution,
+    camera_space,
+    companion_values,
     covariance,
     extent,
     appearance,
@@ -46,6 +57,7 @@ FAMILIES = (
     determinism,
     camera,
     motion,
+    root,
     robustness,
     limits,
     capacity,
