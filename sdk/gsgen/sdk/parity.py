@@ -1,4 +1,4 @@
-"""Compare an exported model with the torch module it came from, each field in its own unit.
+"""Compares an exported model with the torch module it came from, each field in its own unit.
 
 Positions are compared in standard deviations of their Gaussian, covariances relative to their
 trace, opacity absolutely, and appearance as the colour seen from 64 directions. The rounding of
@@ -44,7 +44,7 @@ _TYPICAL = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The expected outputs of a model for one probe, unpacked; in an export, those of eager torch.
+    """The expected outputs of a model for one set of inputs, unpacked; at export, those of torch.
 
     Attributes:
         probe: The inputs.
@@ -60,7 +60,7 @@ class Reference:
 
     @property
     def live_cells(self) -> int:
-        """The number of cells with a live row."""
+        """The number of cells that contain a live Gaussian."""
         if self.cells is None or not len(self.cells):
             return 0
         return -(-self.count // (len(self.gaussians) // len(self.cells)))
@@ -68,7 +68,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class ModelOutput:
-    """The outputs of a model for one probe.
+    """The packed outputs of a model for one set of inputs.
 
     Attributes:
         rows: Packed Gaussians, [N, 10].
@@ -85,7 +85,7 @@ class ModelOutput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldParity:
-    """The largest error in one field.
+    """The largest error in one field of a Gaussian, such as its position.
 
     Attributes:
         field: ``position``, ``covariance``, ``opacity`` or ``appearance``; for cells
@@ -105,7 +105,7 @@ class FieldParity:
 
 @dataclass(frozen=True, slots=True)
 class Parity:
-    """The result of a comparison: the largest error of each field, over all probes.
+    """The result of a comparison of two models: the largest error of each field, over all inputs.
 
     Attributes:
         fields: One entry a field.
@@ -143,7 +143,7 @@ def compare(
     roundings: int = 1,
     neighbours: Mapping[int, Sequence[Reference]] | None = None,
 ) -> Parity:
-    """Compare a model's outputs with the expected ones for the same probes.
+    """Compare a model's outputs with the expected ones for the same inputs.
 
     Args:
         references: The expected outputs for each probe.
@@ -173,7 +173,7 @@ def compare(
 
 
 def references_equal(a: Reference, b: Reference, tolerance: float = 0.0) -> bool:
-    """Return whether two results have the same bits, or agree within a relative tolerance."""
+    """Return whether two sets of outputs have equal bits, or agree within a relative tolerance."""
     pairs = [
         (getattr(a.gaussians, name), getattr(b.gaussians, name))
         for name in ("position", "opacity", "covariance", "sh", "rgb")
@@ -207,7 +207,7 @@ def _compare_probe(
     roundings: int,
     near: Sequence[Reference],
 ) -> tuple[list[FieldParity], int]:
-    """Return the largest errors of each field, and the number of rows that match ``near`` instead."""
+    """Return each field's largest error for one probe, and the count of rows matching ``near``."""
     label, n = reference.probe.label, reference.count
     if output.count != n:
         return [_failure("count", abs(output.count - n), label)], 0
@@ -235,7 +235,7 @@ def _failure(field: str, error: float, probe: str) -> FieldParity:
 def _worst(
     reference: Reference, near: Sequence[Reference], part: slice, measured: "_Measure"
 ) -> tuple[list[FieldParity], int]:
-    """Return the largest errors of a part's rows, and the number of rows that match ``near`` instead."""
+    """Return each field's largest error, and the number of rows that match ``near``."""
     worst_fields = []
     jumps = np.zeros(part.stop - part.start, bool)
     for name, (error, ratio) in measured(reference).items():
@@ -290,7 +290,7 @@ _Fields = Callable[[Reference, slice, ModelOutput, Tolerances, int], Iterator[Me
 def _fields(
     reference: Reference, part: slice, output: ModelOutput, tolerances: Tolerances, roundings: int
 ) -> Iterator[Measured]:
-    """Yield each field's error and tolerance, row by row."""
+    """Yield the error and the tolerance of each field of Gaussians, row by row."""
     expected = reference.gaussians
     rows = output.rows[part].astype(np.float64)
     dtype = output.rows.dtype.name
@@ -306,7 +306,7 @@ def _fields(
 def _cell_fields(
     reference: Reference, part: slice, output: ModelOutput, tolerances: Tolerances, roundings: int
 ) -> Iterator[Measured]:
-    """Yield the errors and tolerances of cells, cell by cell."""
+    """Yield the error and the tolerance of each field of cells, cell by cell."""
     expected = reference.cells
     assert expected is not None
     assert output.cells is not None

@@ -53,7 +53,7 @@ _CHANNELS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorCloud:
-    """N anchors, each of which decodes to K Gaussians.
+    """A point cloud of N anchors, each of which decodes to K Gaussians.
 
     Attributes:
         position: Centres of the anchors.
@@ -80,18 +80,18 @@ class AnchorCloud:
 
     @property
     def per_anchor(self) -> int:
-        """Number K of Gaussians of an anchor."""
+        """The number K of Gaussians that an anchor decodes to."""
         return self.offset.shape[1]
 
     @property
     def width(self) -> int:
-        """Length F of a feature vector."""
+        """The length F of an anchor's feature vector."""
         return self.feature.shape[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mlp:
-    """The weights of two layers with ReLU between them, as (out, in) matrices.
+    """The weights of a network of two layers with ReLU between them, as (out, in) matrices.
 
     Attributes:
         hidden: Weight of the first layer, [F, in].
@@ -110,7 +110,7 @@ class Mlp:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorNets:
-    """The decoding networks of an anchor checkpoint.
+    """The decoding networks of a checkpoint of Scaffold-GS, Octree-GS or Duplex-GS.
 
     Attributes:
         opacity: [feature, direction, (distance), (level)] → K.
@@ -131,7 +131,7 @@ class AnchorNets:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorCheckpoint:
-    """The contents of an anchor checkpoint.
+    """The anchors, networks and training options of an anchor checkpoint.
 
     Attributes:
         folder: Folder of the training run.
@@ -178,7 +178,7 @@ def read_anchors(
 
 
 def require_sizes(cfg: CfgArgs, cloud: AnchorCloud, ply: Path) -> None:
-    """Raise if the anchors have other sizes than the training options.
+    """Raise if sizes of the anchors differ from those in the training options.
 
     Raises:
         CheckpointInvalid: The PLY and ``cfg_args`` are from different runs.
@@ -217,14 +217,14 @@ def _read_cloud(path: Path, *, octree: bool) -> AnchorCloud:
 
 
 def numbered(pattern: re.Pattern[str], names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the matching names in the order of their numbers; files may sort them as text."""
+    """Return the column names with a prefix, sorted by their numbers instead of as text."""
     matches = [(int(match[1]), name) for name in names if (match := pattern.fullmatch(name))]
     return tuple(name for _, name in sorted(matches))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Sizes:
-    """Sizes that determine the shapes of the networks."""
+    """Sizes that determine the shapes of the decoding networks of anchors."""
 
     per_anchor: int
     width: int
@@ -283,7 +283,7 @@ States = Mapping[str, tuple[Path, Mapping[str, Any]]]
 
 
 def _states(iteration_folder: Path) -> States:
-    """Read the state dict of each network, from one file or from one file each."""
+    """Read the state dict of each network of an anchor checkpoint, from one file or several."""
     for united in (
         iteration_folder / name for name in _UNITED if (iteration_folder / name).is_file()
     ):
@@ -331,7 +331,7 @@ def _has_bank(states: States, iteration_folder: Path, cfg: CfgArgs) -> bool:
 
 
 def _bank(states: States, iteration_folder: Path, sizes: _Sizes) -> Mlp:
-    """Read the feature bank; its inputs are direction and distance, in Octree-GS (level)."""
+    """Read the feature bank network; inputs are direction and distance, in Octree-GS also level."""
     path, state = states["bank"]
     if sizes.width % 4:
         message = f"feat_dim is {sizes.width}, expected a multiple of 4 for a feature bank"

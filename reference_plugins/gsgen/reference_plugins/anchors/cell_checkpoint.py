@@ -54,7 +54,7 @@ _MIN_BACKGROUND = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Weighting:
-    """How the renderer of Duplex-GS weights Gaussians.
+    """The parameters of Duplex-GS' weighted blending.
 
     Attributes:
         sigma: The depth at which a weight falls to 0.
@@ -173,7 +173,7 @@ def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> Weighting:
 
 
 def _shortest_decimal(value: float) -> float:
-    """Return the shortest decimal of a float32 number: 0.15, not 0.15000000596."""
+    """Return the shortest decimal that rounds to a float32 number: 0.15, not 0.15000000596."""
     return float(str(np.float32(value)))
 
 

@@ -24,7 +24,7 @@ _EXTENT = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Options that select the decoded anchors.
+    """Options that select which anchors a frame decodes.
 
     Attributes:
         cull: ``none`` keeps anchors out of view; ``frustum`` hides those whose Gaussians cannot
@@ -55,7 +55,7 @@ class Frustum(nn.Module):
     def forward(
         self, camera: Float[Tensor, "4 4"], proj: Float[Tensor, "4 4"]
     ) -> Float[Tensor, "n 1"]:
-        """Return 1 for anchors that may be visible and 0 for others."""
+        """Return 1 for anchors whose Gaussians may be in the image, and 0 for others."""
         return frustum_mask(self.anchor, camera, proj, self.reach).reshape(-1, 1)
 
 

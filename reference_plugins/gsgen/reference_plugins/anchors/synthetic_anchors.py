@@ -223,7 +223,7 @@ def _networks(options: AnchorOptions, *, octree: bool) -> dict[str, nn.Module]:
 
 
 class _Embedding(nn.Module):
-    """Wraps an embedding as the published code does."""
+    """Wraps an embedding of appearances as a module, as the published code does."""
 
     def __init__(self, options: AnchorOptions, generator: torch.Generator) -> None:
         super().__init__()
@@ -246,7 +246,7 @@ def _network(inputs: int, width: int, outputs: int, generator: torch.Generator) 
 
 
 def _shape_head(name: str, head: nn.Sequential, per_anchor: int) -> None:
-    """Make the colour follow the hue in the feature, and raise opacities."""
+    """Set a decoding network so that the colour follows the feature's hue and opacity is high."""
     first, last = head[0], head[2]
     assert isinstance(first, nn.Linear)
     assert isinstance(last, nn.Linear)

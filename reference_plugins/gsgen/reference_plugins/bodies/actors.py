@@ -43,7 +43,7 @@ class Actor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActorInputs:
-    """The set of inputs that an avatar declares.
+    """The set of pose inputs that an avatar declares.
 
     Attributes:
         joints: Number of joints in a pose.
@@ -63,7 +63,7 @@ class ActorInputs:
     bodies: int = 1
 
     def declared(self) -> tuple[Input, ...]:
-        """Return the inputs as the manifest declares them."""
+        """Return the pose inputs of an avatar as the manifest declares them."""
         input_list = [
             declared for body in range(self.bodies) for declared in self._body_inputs(body)
         ]
@@ -84,7 +84,7 @@ class ActorInputs:
         return body_inputs
 
     def actor_from(self, tensors: Sequence[Tensor]) -> Actor:
-        """Assemble an :class:`Actor` from the tensors of one frame, in the order of :meth:`declared`."""
+        """Assemble an :class:`Actor` from the input tensors of one frame, in declared order."""
         remaining = list(tensors)
         shape = remaining.pop() if self.shape else None
         inputs_per_body = len(remaining) // self.bodies

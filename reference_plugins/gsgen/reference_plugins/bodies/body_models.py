@@ -28,7 +28,7 @@ _HANDS = ("hands_meanl", "hands_meanr")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """A skinned body of V vertices and J joints, in float64.
+    """A skinned body model of V vertices and J joints, in float64.
 
     Attributes:
         path: The file.
@@ -52,12 +52,12 @@ class Body:
 
     @property
     def joints(self) -> int:
-        """Number of joints."""
+        """The number of joints of the body model."""
         return len(self.parents)
 
     @property
     def kind(self) -> str:
-        """Name of the body model: SMPL or SMPL-X."""
+        """The name of the body model: SMPL or SMPL-X."""
         return KINDS[self.joints][0]
 
     def describe(self) -> str:

@@ -34,7 +34,7 @@ class MotionPlayback(GaussianGenerator):
         *,
         spacing: float = 1.0,
     ) -> None:
-        """Store a table of values for each input of ``avatar``.
+        """Store the motion's values for each input of ``avatar`` as a table of frames.
 
         Args:
             avatar: The avatar; its shape is baked, and its inputs are those of ``actors``.
@@ -74,7 +74,7 @@ class MotionPlayback(GaussianGenerator):
         return gaussians
 
     def _input_value(self, declared: Input, frame: Int[Tensor, "1"]) -> Tensor:
-        """Look up the value of an input in a frame."""
+        """Look up the value of an avatar's input in a frame of the motion."""
         table: Any = getattr(self, f"table_{declared.role}")
         value: Tensor = torch.index_select(table, 0, frame).reshape(declared.shape or (-1,))
         body = int(declared.name.rpartition("_")[2]) if declared.name[-1].isdecimal() else 0

@@ -1,4 +1,4 @@
-"""Reads motion files: poses of a body for each frame, in one of these layouts.
+"""Reads motion files, which hold the poses of a body in each frame, in several layouts.
 
 - an ``.npz`` of AMASS (``poses``, ``trans``, ``mocap_framerate``),
 - a folder of ``.npz``, one per frame, as R3-Avatar caches its data sets (``poses``, ``R``, ``Th``,
@@ -46,7 +46,7 @@ _KNOWN = (*("poses", "trans", "mocap_framerate", "mocap_frame_rate"), *("R", "Rh
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """A motion of T frames.
+    """A motion of a body over T frames.
 
     Attributes:
         path: The file or folder.

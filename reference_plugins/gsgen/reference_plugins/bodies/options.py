@@ -110,7 +110,7 @@ def with_motion(
     loop: bool,
     spacing: float,
 ) -> "GaussianGenerator":
-    """Wrap ``avatar`` in a :class:`MotionPlayback` if a motion is given, and set its licence.
+    """Wrap ``avatar`` to play a motion file, if one is given, and add the motion's licence.
 
     Raises:
         ConfigInvalid: An option requires a motion, which is missing.

@@ -21,7 +21,7 @@ from gsgen.reference_plugins.tensors.layers import Dense
 
 
 class PoseBlendshapes(nn.Module):
-    """Joints of a body model, and offsets of the vertices that Gaussians are attached to."""
+    """Pose and shape blendshapes of the vertices that Gaussians are attached to."""
 
     joints: Tensor
     joint_dirs: Tensor
@@ -40,7 +40,7 @@ class PoseBlendshapes(nn.Module):
         *,
         add_hands: bool = False,
     ) -> None:
-        """Store the blendshapes of ``vertices``.
+        """Store the blendshapes of the vertices with the indices ``vertices``.
 
         Args:
             body: The body model.

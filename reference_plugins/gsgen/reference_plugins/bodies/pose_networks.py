@@ -31,7 +31,7 @@ SKIP = 3
 
 @dataclass(frozen=True, slots=True)
 class PoseNets:
-    """Layers of the pose network and of the weight network.
+    """Layers of the networks that correct joint rotations and skinning weights.
 
     Attributes:
         pose: Three layers, from 3(J−1) axis-angles to as many.
@@ -45,7 +45,7 @@ class PoseNets:
 def read_pose_nets(
     path: Path, pose: Mapping[str, Any], weights: Mapping[str, Any], joints: int
 ) -> PoseNets:
-    """Extract the layers from the two state dicts, and check their shapes.
+    """Extract the layers of both correction networks from their state dicts; check the shapes.
 
     Raises:
         CheckpointInvalid: A tensor is missing, unexpected or of another shape.
@@ -76,7 +76,7 @@ def _width(weight: Any) -> int | None:
 
 
 def weight_offsets(nets: PoseNets, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n j"]:
-    """Return offsets of the logarithms of the skinning weights at ``points``, in float64."""
+    """Return offsets of the logarithms of skinning weights at ``points``, in float64."""
     first = hidden = positional_encoding(points.double(), POINT_OCTAVES)
     *inner, last = nets.weights
     for index, (weight, bias) in enumerate(inner):

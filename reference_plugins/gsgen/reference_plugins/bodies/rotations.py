@@ -26,7 +26,7 @@ _CROSS = (
 
 
 def rotation_matrices(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
-    """Convert rotation vectors to matrices: I + a K + b K², a = sin θ/θ and b = 2 (sin ½θ/θ)².
+    """Convert rotation vectors to matrices by Rodrigues' formula, stable at small angles.
 
     It uses few operators on small matrices: for a few dozen joints, launches are the only cost.
     """
@@ -89,7 +89,7 @@ def nearest_rotation(
 def _larger(
     a: Tensor, b: Tensor, quaternion_a: Tensor, quaternion_b: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the larger of two numbers and its quaternion; the first where they are equal."""
+    """Select the larger of two numbers with its quaternion; the first where they are equal."""
     first = a >= b
     quaternion = torch.where(first[:, None], quaternion_a, quaternion_b)
     return torch.maximum(a, b), quaternion

@@ -34,7 +34,7 @@ Layer = tuple[Tensor, Tensor]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deformation:
-    """The layers of the deformation network.
+    """The layers of the network that deforms Gaussians over time.
 
     Attributes:
         layers: Layers as (weight, bias); the first takes the encoded point and time.
@@ -54,13 +54,13 @@ class Deformation:
 
     @property
     def has_six_degrees(self) -> bool:
-        """Whether points move by screw motions."""
+        """Whether the deformation network moves points by screw motions."""
         return len(self.warp) == 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeformationCheckpoint:
-    """The contents of a Deformable-3D-Gaussians checkpoint.
+    """The Gaussians and the network of a Deformable-3D-Gaussians checkpoint.
 
     Attributes:
         folder: Folder of the training run.
@@ -78,12 +78,12 @@ class DeformationCheckpoint:
 
     @property
     def operations(self) -> int:
-        """Number of multiplications and additions in a frame."""
+        """The number of multiplications and additions that the network needs for a frame."""
         weights = [weight.numel() for weight, _ in self.net.layers]
         return 2 * len(self.canonical) * sum(weights)
 
     def describe(self) -> str:
-        """Return the sizes and the variant of the network as one line."""
+        """Return the sizes and the variant of the deformation network as one line."""
         kind = "Blender" if self.net.time is not None else "real"
         motion = "screws (6 degrees of freedom)" if self.net.has_six_degrees else "shifts"
         return (

@@ -38,7 +38,7 @@ Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 @dataclass(frozen=True, slots=True)
 class Flags:
-    """The active parts of the networks.
+    """The parts of the 4DGaussians networks that are active.
 
     Attributes:
         active: Names of the active heads, in the order of ``HEADS``.
@@ -52,7 +52,7 @@ class Flags:
 
     @classmethod
     def of(cls, cfg: CfgArgs) -> "Flags":
-        """Read the flags of a training run, with the defaults of the published code.
+        """Read the active parts of the networks from training options, with published defaults.
 
         Raises:
             CheckpointInvalid: An option that never worked in that code, or no active head.
@@ -82,7 +82,7 @@ class Flags:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneNets:
-    """The hexplane and its networks.
+    """The hexplane of 4DGaussians and the networks behind it.
 
     Attributes:
         aabb: Box of the planes; the first row is the upper corner.
@@ -104,7 +104,7 @@ class HexPlaneNets:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneCheckpoint:
-    """The contents of a 4DGaussians checkpoint.
+    """The Gaussians, hexplane and networks of a 4DGaussians checkpoint.
 
     Attributes:
         folder: Folder of the training run.
@@ -123,7 +123,7 @@ class HexPlaneCheckpoint:
     nets: HexPlaneNets
 
     def describe(self) -> str:
-        """Return the sizes and the active heads as one line."""
+        """Return the sizes and the active networks of a 4DGaussians checkpoint as one line."""
         grids = self.nets.grids
         sizes = ["×".join(map(str, _sizes(planes))) for planes in grids]
         parts = [
@@ -139,7 +139,7 @@ class HexPlaneCheckpoint:
 
 
 def _sizes(planes: tuple[Tensor, ...]) -> tuple[int, int, int, int]:
-    """Return the resolution along x, y, z and t."""
+    """Return the resolution of the planes along x, y, z and t."""
     return (planes[0].shape[2], planes[0].shape[1], planes[1].shape[1], planes[2].shape[1])
 
 
@@ -199,7 +199,7 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
 
 
 def _counts(path: Path, net: Mapping[str, Any]) -> tuple[int, int]:
-    """Return the number of resolutions and of layers behind the planes."""
+    """Return the number of plane resolutions and of layers behind the planes."""
     scales = {int(match[1]) for name in net if (match := _GRID.fullmatch(name))}
     layers = {int(match[1]) for name in net if (match := _OUT.fullmatch(name))}
     if scales != set(range(len(scales))) or not scales or not layers:
@@ -258,7 +258,7 @@ def _voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _require_sizes(path: Path, grids: tuple[tuple[Tensor, ...], ...]) -> None:
-    """Raise if the six planes differ in the resolution along an axis."""
+    """Raise if the six planes of a hexplane differ in the resolution along an axis."""
     pairs = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
     for scale, planes in enumerate(grids):
         size = _sizes(planes)

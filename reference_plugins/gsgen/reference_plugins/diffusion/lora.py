@@ -60,7 +60,7 @@ _UNSUPPORTED = {
 
 @dataclass(slots=True)
 class Pair:
-    """The two matrices that change one layer, and their scale.
+    """The two low-rank matrices that change one layer, and their scale.
 
     Attributes:
         down: A, [r, i] or [r, i, h, w].
@@ -75,7 +75,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adapter:
-    """The contents of a LoRA file.
+    """The contents of a LoRA file: a pair of matrices for each changed layer.
 
     Attributes:
         path: The file.
@@ -94,7 +94,7 @@ class Adapter:
     by_root: bool = False
 
     def share(self, layer: str, pair: Pair, rank: int) -> float:
-        """Return the factor α/r of a layer's change."""
+        """Return the factor α/r that scales the change of a layer."""
         alpha = pair.alpha
         if alpha is None:
             matches = (
@@ -105,7 +105,7 @@ class Adapter:
 
 
 def read_lora(path: Path) -> Adapter:
-    """Read a LoRA.
+    """Read a LoRA file, with the names of its tool.
 
     Args:
         path: A safetensors file, a file of ``torch.save``, or the folder of either under the name
@@ -177,7 +177,7 @@ def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], 
 
 
 def _parse_name(name: str) -> tuple[str, str] | None:
-    """Parse a tensor's name into its layer and its kind: down, up or alpha."""
+    """Parse the name of a LoRA tensor into its layer and its kind: down, up or alpha."""
     unwrapped = name.replace(_WRAPPED, "")
     if match := _PROCESSOR.fullmatch(unwrapped):
         projection = "to_out.0" if match["what"] == "to_out" else match["what"]
@@ -191,7 +191,7 @@ def _parse_name(name: str) -> tuple[str, str] | None:
 
 
 def _settings(path: Path, metadata: Mapping[str, str]) -> tuple[dict[str, Any], Path]:
-    """Return the settings that peft saved, and their file: a config file or the adapter itself."""
+    """Return the LoRA settings that peft saved, and their file: a config or the adapter file."""
     config_file = path.parent / _CONFIG
     if path.name.startswith("adapter_model") and config_file.is_file():
         return dict(read_model_config(path.parent, _CONFIG).values), config_file
@@ -207,7 +207,7 @@ def _settings(path: Path, metadata: Mapping[str, str]) -> tuple[dict[str, Any], 
 
 
 def _checked_settings(settings: Mapping[str, Any], where: Path) -> dict[str, float]:
-    """Raise if a setting is not supported; return α by suffix of the layer's name."""
+    """Raise if a LoRA setting is not supported; return α for each suffix of a layer name."""
     for name, usual in {"use_dora": False, "fan_in_fan_out": False}.items():
         if settings.get(name, usual) not in (usual, None):
             message = f"{name} is {settings[name]!r}, supported: {usual!r}"

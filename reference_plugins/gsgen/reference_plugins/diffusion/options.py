@@ -54,7 +54,7 @@ class VectorOptions:
 
     @classmethod
     def of(cls, config: ModelConfig) -> "VectorOptions | None":
-        """Parse the options of a configuration; None if no vector is added.
+        """Parse the options of SDXL's added vector; None for networks without it.
 
         Raises:
             CheckpointInvalid: The network needs another kind of vector.
@@ -126,12 +126,12 @@ class UNetOptions:
 
     @property
     def stride(self) -> int:
-        """Number that the sides of an image must be multiples of."""
+        """The number that width and height of an image must be multiples of."""
         return int(2 ** (len(self.channels) - 1))
 
     @classmethod
     def of(cls, config: ModelConfig) -> "UNetOptions":
-        """Parse the options of a U-Net.
+        """Parse the options of a U-Net from a ``config.json`` of diffusers.
 
         Raises:
             CheckpointInvalid: The configuration is not of a supported U-Net.
@@ -180,14 +180,14 @@ class UNetOptions:
 
     @property
     def time(self) -> int:
-        """Length of the embedded time."""
+        """The length of the embedded time vector of a U-Net."""
         return _TIME * self.channels[0]
 
 
 def _heads_per_level(
     config: ModelConfig, channels: tuple[int, ...], *, conditional: bool
 ) -> tuple[int, ...]:
-    """Return the number of attention heads of each level.
+    """Return the number of attention heads at each level of a U-Net.
 
     In conditional U-Nets, ``attention_head_dim`` is this number, in spite of its name.
     """
@@ -243,12 +243,12 @@ class AutoencoderOptions:
 
     @property
     def stride(self) -> int:
-        """Number of image pixels along one latent pixel."""
+        """The number of image pixels along one latent pixel."""
         return int(2 ** (len(self.channels) - 1))
 
     @classmethod
     def of(cls, config: ModelConfig, *, skips: bool = False) -> "AutoencoderOptions":
-        """Parse the options of an autoencoder.
+        """Parse the options of an autoencoder from a ``config.json`` of diffusers.
 
         Args:
             config: The configuration.

@@ -31,7 +31,7 @@ Share = Tensor | float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """Options of the denoising step.
+    """Options of the denoising step of a diffusion network.
 
     Attributes:
         timestep: The timestep.
@@ -50,7 +50,7 @@ class Step:
 
 @final
 class Denoiser(PostProcess):
-    """One step of a U-Net, in pixels or in the latents of an autoencoder.
+    """One denoising step of a U-Net, in pixels or in the latents of an autoencoder.
 
     An image whose sides are not multiples of the stride is padded by its edge on the right and at
     the bottom, and cropped afterwards.
@@ -68,7 +68,7 @@ class Denoiser(PostProcess):
         context: Float[Tensor, "1 m d"] | None = None,
         vector: Float[Tensor, "1 v"] | None = None,
     ) -> None:
-        """Combine a checkpoint's networks into one model.
+        """Combine the networks of a diffusion checkpoint into one model.
 
         Args:
             read: The checkpoint.
@@ -104,7 +104,7 @@ class Denoiser(PostProcess):
     def forward(
         self, image: Float[Tensor, "1 c h w"], timestep: Float[Tensor, "1"] | None = None
     ) -> Float[Tensor, "1 c h w"]:
-        """Return the image without the noise that the network predicts."""
+        """Return the image without the noise that the U-Net predicts."""
         height, width = image.shape[2], image.shape[3]
         result = self._denoise(
             self._pad(2 * image - 1 if self.step.is_unit_range else image), timestep
@@ -139,7 +139,7 @@ class Denoiser(PostProcess):
         return result
 
     def _signal_and_noise_at(self, timestep: Tensor | None) -> tuple[Share, Share]:
-        """Return √ᾱ and √(1 − ᾱ) of the timestep, rounded to an existing one."""
+        """Return √ᾱ and √(1 − ᾱ) of the diffusion timestep, rounded to an existing one."""
         if timestep is None:
             return self.fixed
         whole = torch.floor(timestep + 0.5).clamp(0.0, float(len(self.table) - 1))
@@ -154,7 +154,7 @@ def _signal_and_noise(noise: Noise) -> Float[Tensor, "steps 2"]:
 def _clean(
     prediction: str, noisy: Tensor, predicted: Tensor, signal: Share, noise: Share
 ) -> Tensor:
-    """Solve xₜ = √ᾱ x₀ + √(1 − ᾱ) ε for x₀."""
+    """Solve xₜ = √ᾱ x₀ + √(1 − ᾱ) ε for the clean image x₀."""
     if prediction == "epsilon":
         return (noisy - noise * predicted) / signal
     if prediction == "v_prediction":  # Salimans and Ho 2022, appendix D

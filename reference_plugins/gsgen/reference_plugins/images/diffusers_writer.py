@@ -26,7 +26,7 @@ _WEIGHTS = "diffusion_pytorch_model.safetensors"
 
 
 def config_of(values: Mapping[str, Any]) -> ModelConfig:
-    """Wrap options as if they were read from a ``config.json``."""
+    """Wrap network options in a ModelConfig, as if they were read from a ``config.json``."""
     return ModelConfig(Path("config.json"), values)
 
 
@@ -39,7 +39,7 @@ def write_network(
 
 
 def write_schedule(folder: Path, changes: Mapping[str, Any] | None = None) -> None:
-    """Write ``scheduler/`` into ``folder``.
+    """Write a synthetic noise schedule as ``scheduler/`` into ``folder``.
 
     Args:
         folder: The folder of the checkpoint.

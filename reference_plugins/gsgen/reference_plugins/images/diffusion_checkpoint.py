@@ -45,7 +45,7 @@ _LARGEST_BETA = 0.999
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """The noise schedule of training.
+    """The noise schedule that a diffusion network was trained with.
 
     Attributes:
         signal: ᾱ of each timestep: the remaining share of the image's variance, float64.
@@ -58,7 +58,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffusionCheckpoint:
-    """The networks and the noise schedule of one checkpoint.
+    """The networks and the noise schedule of one diffusion checkpoint.
 
     Attributes:
         folder: The folder that was read.
@@ -80,19 +80,19 @@ class DiffusionCheckpoint:
 
     @property
     def stride(self) -> int:
-        """Number that the sides of an image must be multiples of."""
+        """The number that width and height of an image must be multiples of."""
         pixels = 1 if self.autoencoder is None else self.autoencoder.options.stride
         return pixels * self.unet.options.stride
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """Height and width of training images, if the checkpoint records them."""
+        """Height and width of the training images, if the checkpoint records them."""
         sample = self.unet.options.sample
         pixels = 1 if self.autoencoder is None else self.autoencoder.options.stride
         return None if sample is None else (pixels * sample[0], pixels * sample[1])
 
     def describe(self) -> str:
-        """Describe the checkpoint in one line: networks, schedule and LoRAs."""
+        """Describe a diffusion checkpoint in one line: networks, schedule and LoRAs."""
         options = self.unet.options
         count = sum(weight.numel() for weight in self.unet.parameters())
         parts = [f"U-Net of {count:,} weights, {len(options.channels)} levels"]
@@ -162,7 +162,7 @@ def read_diffusion(
 
 @dataclass(frozen=True, slots=True)
 class _Read(Generic[_Net]):
-    """A network, the file of its weights, and the LoRA that was saved in it, if any."""
+    """A diffusion network, the file of its weights, and the LoRA saved in the file, if any."""
 
     network: _Net
     path: Path
@@ -229,7 +229,7 @@ def _weights(folder: Path) -> tuple[Path, dict[str, Any]]:
 def _rename_attention(
     state: dict[str, Any], expected: dict[str, tuple[int, ...]]
 ) -> dict[str, Any]:
-    """Convert attention layers of old files to today's names and shapes."""
+    """Convert attention layers of old diffusers files to today's names and shapes."""
     renamed = {}
     for name, value in state.items():
         *parents, layer, kind = name.split(".") if name.count(".") else ("", "", name)

@@ -28,7 +28,7 @@ _PARTS = ("state_dict_unet", "state_dict_vae")
 
 @dataclass(frozen=True, slots=True)
 class Difix:
-    """Tensors that replace or extend the weights of U-Net and autoencoder.
+    """Tensors of Difix that replace or extend the weights of U-Net and autoencoder.
 
     Attributes:
         unet: Tensors of the U-Net by name, including those of a LoRA.

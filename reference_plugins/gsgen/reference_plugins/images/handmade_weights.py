@@ -89,7 +89,7 @@ def set_outline_weights(network: Stylise) -> None:
 
 
 class Weights:
-    """Access to a network's weights by name; all are set to zero first."""
+    """Access to the weights of a network by name; all weights are set to zero first."""
 
     def __init__(self, network: nn.Module) -> None:
         self._named = {name: parameter.data for name, parameter in network.named_parameters()}
@@ -100,12 +100,12 @@ class Weights:
         return self._named[name]
 
     def __call__(self, name: str, change: Callable[[Tensor], None]) -> None:
-        """Apply ``change`` to the weight of a layer."""
+        """Apply ``change`` to the weight tensor of a layer."""
         change(self._named[f"{name}.weight"])
 
 
 def _centre(weight: Float[Tensor, "o i h w"]) -> None:
-    """Set a kernel that copies the first three channels."""
+    """Set a convolution kernel that copies the first three channels."""
     for color in range(COLORS):
         weight[color, color, weight.shape[2] // 2, weight.shape[3] // 2] = 1.0
 

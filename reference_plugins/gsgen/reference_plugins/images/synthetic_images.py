@@ -48,7 +48,7 @@ def write_denoiser(
     smoothing: bool = False,
     seed: int = 0,
 ) -> Path:
-    """Write a checkpoint in the layout of diffusers, and return ``folder``.
+    """Write a synthetic diffusion checkpoint in the layout of diffusers, and return ``folder``.
 
     Args:
         folder: The folder to write.
@@ -99,7 +99,7 @@ def write_stylise(
 
 
 def _disturb(network: nn.Module) -> None:
-    """Add noise to all weights, so that norms and biases differ from 1 and 0."""
+    """Add noise to all weights of a network, so that norms and biases differ from 1 and 0."""
     with torch.no_grad():
         for weight in network.parameters():
             weight.add_(0.1 * torch.randn_like(weight))

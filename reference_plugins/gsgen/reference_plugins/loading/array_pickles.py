@@ -71,7 +71,7 @@ class _Inert:
 
 @final
 class _Sparse(_Inert):
-    """A sparse matrix, compressed by columns or by rows."""
+    """A sparse matrix of SciPy, compressed by columns or by rows."""
 
     by_columns = True
 

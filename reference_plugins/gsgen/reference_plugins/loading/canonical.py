@@ -18,7 +18,7 @@ from gsgen.reference_plugins.loading.folder import required_file
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Canonical:
-    """N Gaussians before activation, float32.
+    """N canonical Gaussians of a deformation before activation, float32.
 
     Attributes:
         position: Centres.
@@ -41,17 +41,17 @@ class Canonical:
 
     @property
     def degree(self) -> int:
-        """SH degree of ``sh``."""
+        """The degree of the spherical harmonics ``sh``."""
         return math.isqrt(self.sh.shape[1]) - 1
 
     def describe(self) -> str:
-        """Return the number of Gaussians and their SH degree as text."""
+        """Return the number of canonical Gaussians and their SH degree as text."""
         cut = "" if self.stored is None else f" (cut from {self.stored})"
         return f"{len(self):,} Gaussians of SH degree {self.degree}{cut}"
 
 
 def read_canonical(path: Path) -> Canonical:
-    """Read splats from a 3DGS PLY.
+    """Read the canonical Gaussians of a deformation from a 3DGS PLY.
 
     Raises:
         CheckpointInvalid: The file is missing or damaged, or holds points without splats.

@@ -36,18 +36,17 @@ _TEXT_OR_NOT_PYTHON = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """The printed text of a value that is not a literal; it is never run."""
+    """The printed text of a training option that is not a literal; it is never run."""
 
     text: str
 
     def __repr__(self) -> str:
-        """Return the text."""
         return self.text
 
 
 @dataclass(frozen=True, slots=True)
 class CfgArgs:
-    """The options of one training run.
+    """The options of one training run, read from ``cfg_args``.
 
     Attributes:
         path: The file.
@@ -60,28 +59,28 @@ class CfgArgs:
     present: bool = True
 
     def flag(self, name: str, *, default: bool = False) -> bool:
-        """Return a boolean option."""
+        """Return a boolean training option."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
             raise self._unlike(name, "True or False")
         return value
 
     def integer(self, name: str, default: int) -> int:
-        """Return an integer option."""
+        """Return an integer training option."""
         value = self.values.get(name, default)
         if not isinstance(value, int) or isinstance(value, bool):
             raise self._unlike(name, "a whole number")
         return value
 
     def number(self, name: str, default: float) -> float:
-        """Return a numeric option as float."""
+        """Return a numeric training option as float."""
         value = self.values.get(name, default)
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise self._unlike(name, "a number")
         return float(value)
 
     def word(self, name: str, default: str, known: Iterable[str] = ()) -> str:
-        """Return a text option; it must be one of ``known`` unless that is empty."""
+        """Return a text option of the training, one of ``known`` unless that is empty."""
         value = self.values.get(name, default)
         choices = tuple(known)
         if not isinstance(value, str) or (choices and value not in choices):
@@ -89,7 +88,7 @@ class CfgArgs:
         return value
 
     def printed(self) -> dict[str, Printed]:
-        """Return the options whose values are not literals, and so cannot be read."""
+        """Return the training options whose values are not literals, and so cannot be read."""
         return {name: value for name, value in self.values.items() if isinstance(value, Printed)}
 
     def _unlike(self, name: str, expected: str) -> CheckpointInvalid:
@@ -98,7 +97,7 @@ class CfgArgs:
 
 
 def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
-    """Read ``cfg_args`` of the training run in ``folder``.
+    """Read the training options from ``cfg_args`` of the training run in ``folder``.
 
     Args:
         folder: The output folder of a training run.
@@ -157,7 +156,7 @@ def _tree(text: str) -> ast.expr:
 
 
 def _is_unspellable(value: ast.expr) -> bool:
-    """Whether argparse printed options whose names are not identifiers: ``**{'a-b': 1}``."""
+    """Return whether argparse printed options that are not identifiers, as ``**{'a-b': 1}``."""
     return isinstance(value, ast.Dict) and all(
         isinstance(key, ast.Constant)
         and isinstance(key.value, str)

@@ -122,7 +122,7 @@ def _below(folder: Path, levels: int = _LEVELS) -> Iterator[Path]:
 
 
 def required_file(path: Path, content: str) -> Path:
-    """Return ``path`` if the file exists.
+    """Return ``path``; raise with the files of other iterations if it does not exist.
 
     Raises:
         CheckpointInvalid: The file is missing; the message names its ``content``.
@@ -134,7 +134,7 @@ def required_file(path: Path, content: str) -> Path:
 
 
 def _elsewhere(path: Path) -> str:
-    """Return a hint that names the other iterations with such a file."""
+    """Return a hint that names the other iterations of the run that have a file."""
     home = path.parent.parent
     if not _ITERATION.fullmatch(path.parent.name) or not home.is_dir():
         return ""

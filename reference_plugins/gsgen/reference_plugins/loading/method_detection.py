@@ -35,7 +35,7 @@ def refuse_other_method(name: str, run: Path, iteration: Path) -> None:
 
 
 def point_columns(iteration: Path) -> tuple[str, ...]:
-    """Return the column names of an iteration's point cloud; none if it cannot be read.
+    """Return the column names of an iteration's point cloud; empty if it cannot be read.
 
     The reader of the file reports its faults.
     """

@@ -36,7 +36,7 @@ _NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 
 
 def read_safetensors(path: Path) -> dict[str, Tensor]:
-    """Read every tensor of a file.
+    """Read every tensor of a safetensors file.
 
     Raises:
         CheckpointInvalid: The file is missing or damaged, or has a dtype unknown to torch.
@@ -51,7 +51,7 @@ def read_safetensors(path: Path) -> dict[str, Tensor]:
 
 
 def is_safetensors(path: Path) -> bool:
-    """Whether a file has the suffix or the first bytes of safetensors."""
+    """Return whether a file has the suffix or the first bytes of safetensors."""
     if path.suffix == ".safetensors":
         return True
     with path.open("rb") as stream:
@@ -76,7 +76,7 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def _header(data: bytes | bytearray, size: int) -> tuple[dict[str, Any], int]:
-    """Parse the header from the first bytes of a file, and return it with its end offset."""
+    """Parse the header from the first bytes of a safetensors file; return it and its end offset."""
     length = int.from_bytes(data[:_LENGTH], "little")
     if size < _LENGTH or length > min(_MAX_HEADER_BYTES, size - _LENGTH):
         raise ValueError(f"the header claims {length:,} of {size:,} bytes")

@@ -35,7 +35,7 @@ _DTYPES = {
 
 
 def is_script_archive(path: Path) -> bool:
-    """Whether ``torch.jit.save`` wrote the file, and not ``torch.save``: it has constants.
+    """Return whether ``torch.jit.save``, and not ``torch.save``, wrote a file.
 
     True for an archive too damaged to be listed: :func:`read_script_state` then refuses it.
     """
@@ -83,7 +83,7 @@ class _Module:
 
 @final
 class _Storage:
-    """Names a storage's dtype; never called."""
+    """Placeholder that names the dtype of a tensor storage; it is never called."""
 
     def __init__(self, dtype: torch.dtype) -> None:
         self.dtype = dtype
@@ -91,7 +91,7 @@ class _Storage:
 
 @final
 class _Reader:
-    """Reads the pickle of one archive."""
+    """Reads the pickle of one TorchScript archive without running code."""
 
     def __init__(self, archive: zipfile.ZipFile) -> None:
         self._archive = archive

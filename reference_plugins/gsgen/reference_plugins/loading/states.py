@@ -62,7 +62,7 @@ def _unwrapped(value: Any) -> Any:
 
 
 def entries_below(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """Return the entries whose names start with ``prefix``, without that prefix."""
+    """Return the dict entries whose names start with ``prefix``, without that prefix."""
     return {
         name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)
     }
@@ -105,7 +105,7 @@ def require_tensors(
 
 
 def first_names(names: Iterable[str], between: str = ", ") -> str:
-    """Join the first names, and add how many more there are."""
+    """Join the first names of a list, and add how many more there are."""
     shown = list(names)
     remainder = f"{between}and {len(shown) - _MAX_SHOWN} more" if len(shown) > _MAX_SHOWN else ""
     return between.join(shown[:_MAX_SHOWN]) + remainder

@@ -37,7 +37,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians
 
 @final
 class GauHuman(GaussianGenerator):
-    """A person, or several copies, whose poses are inputs."""
+    """GauHuman: a person, or several copies, whose poses are inputs."""
 
     family = "avatar"
 
@@ -57,7 +57,7 @@ class GauHuman(GaussianGenerator):
         add_hands: bool = False,
         bake: Bake = "auto",
     ) -> None:
-        """Transform the Gaussians from the big pose to the rest pose.
+        """Transform the Gaussians of GauHuman from the big pose to the rest pose.
 
         Args:
             canonical: The Gaussians in the big pose.
@@ -89,7 +89,7 @@ class GauHuman(GaussianGenerator):
         self.register_buffer("sh", canonical.sh)
 
     def forward(self, *tensors: Tensor) -> Gaussians:
-        """Return the Gaussians of all bodies, body after body.
+        """Return the posed Gaussians of all bodies, body after body.
 
         Args:
             tensors: The values of the declared inputs, in order.

@@ -115,7 +115,7 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
 
 
 def _kind_of(body: Path | None) -> str:
-    """Return the kind of a body model file, for a run without options; SMPL without a file."""
+    """Return SMPL or SMPL-X by a body model file, for a run without options; default SMPL."""
     if body is None or not body.is_file():
         return "smpl"
     joints = joints_of_file(body)

@@ -78,7 +78,7 @@ class LHMCheckpoint:
     body: Body
 
     def describe(self) -> str:
-        """Describe the checkpoint in one line: Gaussians and body model."""
+        """Describe an avatar of LHM in one line: Gaussians and body model."""
         return f"{self.path}: {len(self.position):,} Gaussians; {self.body.describe()}"
 
 
@@ -96,7 +96,7 @@ class Face:
 
 
 def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
-    """Read an avatar of LHM.
+    """Read an avatar of LHM from a file of its inference code.
 
     Args:
         folder: The folder of the ``.pth`` and ``pretrained_models``; or the ``.pth`` itself, in

@@ -178,7 +178,7 @@ def _checkpoint_file(folder: Path, iteration: int | None) -> Path:
 
 
 def _last_iteration_folder(folder: Path) -> Path:
-    """Return the folder of the last iteration; the run's folder without iterations."""
+    """Return the folder of a run's last iteration; the run's folder without iterations."""
     iteration_folders = (folder / "point_cloud").glob("iteration_*")
     return max(iteration_folders, default=folder)
 

@@ -54,7 +54,7 @@ class StaticScene(ConstantSource):
     antialias: Literal["classic", "mip"] | None = None
 
     def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:
-        """Return the packed rows, with the SH degree that ``target`` reads."""
+        """Return the packed Gaussians of a splat file, with the SH degree that ``target`` reads."""
         sh_degree, content = self.sh_degree, self.content
         if sh_degree is None and isinstance(content, Splats):
             sh_degree = REQUIRED_DEGREES.get(target)
@@ -80,7 +80,7 @@ def from_content(
     appearance: Literal["sh", "rgb"] | None = None,
     sh_degree: int | None = None,
 ) -> ConstantRows:
-    """Pack the content of a file.
+    """Pack the content of a splat file, point cloud or file of packed rows.
 
     Args:
         content: Splats, points, or packed rows, which pass through unchanged.
@@ -129,7 +129,7 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> Constan
 
 
 def _of_degree(sh: Float[np.ndarray, "n k 3"], degree: int) -> Float[np.ndarray, "n l 3"]:
-    """Cut SH to a degree, or pad them with zeros."""
+    """Truncate SH to a degree, or pad them with zeros."""
     resized = np.zeros((len(sh), coefficients(degree), 3), sh.dtype)
     shared = min(resized.shape[1], sh.shape[1])
     resized[:, :shared] = sh[:, :shared]

@@ -63,11 +63,11 @@ def covariance_planes(
 
 
 def planes_of(rows: Float[Tensor, "n k"]) -> list[Tensor]:
-    """Split rows into one plane [1, N] for each column."""
+    """Split rows into one tensor [1, N] for each column."""
     turned = rows.transpose(0, 1)
     return [turned[i : i + 1] for i in range(rows.shape[1])]
 
 
 def stacked(planes: Sequence[Tensor]) -> Tensor:
-    """Join planes of M numbers each into rows [M, len(planes)]."""
+    """Join component tensors of M numbers each into rows [M, components]."""
     return torch.stack([plane.reshape(-1) for plane in planes], dim=0).transpose(0, 1)

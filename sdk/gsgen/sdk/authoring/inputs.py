@@ -30,7 +30,7 @@ Range = tuple[float, float]
 
 
 def view(name: str = "camera") -> Input:
-    """World→camera matrix, float32 [4, 4], in the generator's declared memory order."""
+    """Declare the world→camera matrix, float32 [4, 4], in the generator's memory order."""
     return Input(name=name, role="view", shape=(4, 4), default="identity")
 
 
@@ -93,7 +93,7 @@ def pose(
     convention: Literal["smpl-axis-angle", "axis-angle", "quaternion-wxyz"] = "axis-angle",
     range: Range = (-3.1416, 3.1416),
 ) -> Input:
-    """Joint rotations, float32 [joints, 3] (axis-angle, radians) or [joints, 4] (quaternions)."""
+    """Declare joint rotations, float32 [joints, 3] (axis-angle) or [joints, 4] (quaternions)."""
     quaternions = convention == "quaternion-wxyz"
     return Input(
         name=name,
@@ -159,7 +159,7 @@ def image(
     *,
     range: Range = (0.0, 1.0),
 ) -> Input:
-    """The rendered image of a post-process model, [1, channels, height, width].
+    """Declare the rendered image of a post-process model, [1, channels, height, width].
 
     Args:
         channels: 3, or 4 with alpha.
@@ -178,7 +178,7 @@ def timestep(default: float, name: str = "timestep", *, range: Range = (0, 999))
 
 
 def conditioning(rows: int, width: int, name: str = "conditioning") -> Input:
-    """Conditioning vectors of a post-process model, float32 [1, rows, width]."""
+    """Declare the conditioning vectors of a post-process model, float32 [1, rows, width]."""
     return Input(
         name=name, role="conditioning", shape=(1, rows, width), range=(-3.0, 3.0), default="zeros"
     )

@@ -69,7 +69,7 @@ class Packed:
 
 
 class PackedGenerator(nn.Module):
-    """An author's generator with packed outputs."""
+    """Wraps a generator as a module whose outputs are packed as the contract requires."""
 
     def __init__(self, generator: GaussianGenerator, packed: Packed) -> None:
         super().__init__()
@@ -77,7 +77,7 @@ class PackedGenerator(nn.Module):
         self.packed = packed
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """Return ``(gaussians, appearance, num_points)``, followed by ``cells`` if there are any."""
+        """Return ``(gaussians, appearance, num_points)``, and ``cells`` for weighted blending."""
         gaussians = self.generator(*inputs)
         if not isinstance(gaussians, Gaussians):
             message = f"forward returned {type(gaussians).__name__}, expected gsgen.sdk.Gaussians"

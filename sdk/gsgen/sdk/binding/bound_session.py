@@ -58,7 +58,7 @@ class TensorSpec:
     dims: tuple[int | str | None, ...]
 
     def shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
-        """Return the static shape; in ``sizes``, ``NAME[AXIS]`` names a dimension without a symbol.
+        """Return the static shape of the tensor; ``sizes`` resolves symbolic dimensions.
 
         Raises:
             SizeUnknown: A dimension has no size.

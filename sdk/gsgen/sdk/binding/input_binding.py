@@ -134,7 +134,7 @@ def _low(declared: Input) -> float:
 
 
 def _identity(role: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the identity transform as a matrix, quaternions or rotation vectors, by ``shape``."""
+    """Return the identity transform in ``shape``: a matrix, quaternions or rotation vectors."""
     if role != "pose" and len(shape) == 2 and shape[0] == shape[1]:
         return np.eye(shape[0])
     identity = np.zeros(shape)  # rotation vectors

@@ -103,7 +103,7 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def output_origin(graph: "Graph", name: str) -> str:
-    """Describe the operator that probably breaks an output: its own, or an ancestor."""
+    """Describe the node that probably breaks an output under replay: producer or ancestor."""
     if graph.input(name) is not None:
         return "it is an unchanged input"
     producer = graph.producers.get(name)

@@ -124,7 +124,7 @@ def repair(
 
 @contextmanager
 def _draft(target: Path | None, source: Path) -> Iterator[Path]:
-    """Yield the path of the draft to validate; without ``target``, it is deleted afterwards."""
+    """Yield the path of the repaired draft; without ``target``, delete the file afterwards."""
     if target is not None:
         with atomic_write(target) as draft:
             yield draft

@@ -143,7 +143,7 @@ class Watch(TorchFunctionMode):
             step()
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Call ``func``, record its hazards, and mark results that depend on inputs."""
+        """Call the torch function ``func``, record hazards, and mark input-dependent results."""
         kwargs = kwargs or {}
         name = getattr(func, "__name__", "")
         leaves = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor)]

@@ -271,7 +271,7 @@ class _Search:
         self._guards = epsilon_guards(self.nodes, opset)
 
     def choose(self, share: float, progress: Progress) -> _Choice:
-        """Choose tables, then nodes, whose error is at most ``share`` of the tolerance."""
+        """Choose tables, then nodes, whose rounding uses at most ``share`` of the tolerance."""
         measure, nodes = self._measure, self.nodes
         # Tables come first: their size decides the size of the file and of the download.
         progress(f"measuring which of {len(measure.weights)} weights may be float16")
@@ -306,7 +306,7 @@ class _Search:
 
 
 def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
-    """Refuse SH whose float16 rows would not fill words (rule GO015); RGB gets a fourth channel."""
+    """Raise if float16 SH rows would not fill 32-bit words (rule GO015)."""
     color = manifest.outputs.appearance
     if color is None or color.space != "sh":
         return

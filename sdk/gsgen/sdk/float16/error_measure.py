@@ -104,7 +104,7 @@ class ErrorProbe:
             return ModelOutput(rows, color, output.count, cells)
 
     def parity(self, selected: Collection[int]) -> Parity:
-        """Round the selected units, and compare the stored outputs with those of float32."""
+        """Round the selected nodes and tables, and compare the outputs with those of float32."""
         flags = np.zeros(len(self.model.units), np.bool_)
         flags[list(selected)] = True
         stored = np.zeros(len(self.weights), np.bool_)
@@ -128,7 +128,7 @@ class ErrorProbe:
         return self(())
 
     def _used(self, field: FieldParity) -> float:
-        """Return the used share of a field's tolerance, without the part for storing the outputs."""
+        """Return the used share of a field's tolerance, without the error of storing outputs."""
         base = self._stored.get(field.field, 0.0)
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 

@@ -81,7 +81,7 @@ class InstrumentedModel:
         selected: Bool[np.ndarray, " n"],
         stored: Bool[np.ndarray, " w"] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Return the outputs, in float32, with the selected units and stored tables rounded."""
+        """Return the float32 outputs with the selected nodes and tables rounded to float16."""
         if stored is None:
             stored = np.zeros(len(self.weights), np.bool_)
         session_inputs = {**inputs, **self._constants(stored), FLAGS: selected}
@@ -105,7 +105,7 @@ class InstrumentedModel:
         self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})
 
     def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
-        """Return the tables and the results of constant nodes; those of the last selection are cached."""
+        """Return weight tables and results of constant nodes, cached for one selection."""
         key = stored.tobytes()
         if key != self._cached.key or not self._cached.arrays:
             arrays = {
@@ -127,7 +127,7 @@ class _CachedConstants:
 
 
 def tables(graph: ir.Graph) -> list[ir.Value]:
-    """Return the float32 weights that fit the range of float16 and have too many elements for a guard."""
+    """Return the float32 weights that fit the range of float16, without small constants."""
     return [value for value in graph.initializers.values() if _is_table(value)]
 
 

@@ -85,7 +85,7 @@ def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
 
 
 def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
-    """Return nodes that must stay float32 even if the probes show no error, with the reasons.
+    """Return nodes that stay float32 for safety: comparisons, ε guards, constants above 65,504.
 
     Case 1: a comparison turns a small error into a large one, at a time between the probes.
     Case 2: a constant beyond 65,504 becomes infinite.
@@ -125,7 +125,7 @@ def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
 def retained_nodes(
     nodes: Sequence[ir.Node], guarded: Mapping[ir.Node, str], costly: Sequence[Sensitivity]
 ) -> list[RetainedFloat32]:
-    """Return the nodes that stay float32: guards, and groups whose measured error is too large."""
+    """Return the nodes that stay float32: ε guards, and groups whose error is too large."""
     able = set(nodes)
     retained = [
         RetainedFloat32(node_key(node), reason) for node, reason in guarded.items() if node in able

@@ -69,7 +69,7 @@ class ToFloat16(CautiousRewrite):
         return
 
     def rewrite(self, model: ir.Model) -> None:
-        """Convert nodes, weights and outputs, and insert Casts between them."""
+        """Convert nodes, weights and outputs to float16, and insert Casts at float32 nodes."""
         graph, opset = model.graph, opset_of(model)
         once = set(constant_nodes(graph))
         selected = [

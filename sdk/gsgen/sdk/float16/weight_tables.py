@@ -95,7 +95,7 @@ def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
 
 
 def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
-    """Return the axis whose positions have their own steps; None if all numbers share one."""
+    """Return the axis whose positions have step sizes of their own; None for one size."""
     last = array.ndim - 1
     axes = [k for k, n in enumerate(array.shape) if 1 < n <= array.size // _LEAST_ROWS]
     coarse = {k: float(np.square(_range(array, k)[1]).mean()) for k in axes}

@@ -50,7 +50,7 @@ class EarlyStop:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The outputs of one frame, computed in three ways.
+    """The outputs of one frame on the CPU, in WebGPU without capture, and in WebGPU by replay.
 
     Attributes:
         probe: The inputs.
@@ -94,7 +94,7 @@ class Live:
 
     @property
     def state(self) -> str:
-        """The result of the capture, in one line."""
+        """The result of the graph capture, in one line."""
         if self.accepted:
             replayed = sum(frame.replayed is not None for frame in self.frames)
             return f"accepted, {max(replayed - 1, 0)} replays"
@@ -103,7 +103,7 @@ class Live:
 
 @contextmanager
 def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
-    """Run the model of ``trial`` in WebGPU; the arrays are valid within the ``with`` block.
+    """Run a model in WebGPU; the returned arrays are valid within the ``with`` block.
 
     Raises:
         LevelUnavailable: A package, a driver or a feature of the adapter is missing.
@@ -126,7 +126,7 @@ def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
 
 
 def survey(seconds: float = 60) -> dict[str, str]:
-    """Return versions and adapter of the WebGPU provider, found out by a child process.
+    """Start a child process that returns versions and adapter of the WebGPU provider.
 
     Raises:
         LevelUnavailable: A package or a driver is missing.
@@ -144,7 +144,7 @@ def _need_package() -> None:
 
 
 def _select_runs(trial: ProbeRuns) -> list[int]:
-    """Return runs with different inputs; the last one repeats the first."""
+    """Return runs of the model with different inputs; the last run repeats the first."""
     plan = trial.plan
     runs = [run for run in range(plan.values) if not plan.probes[run].zeros]
     zeros = [run for run in range(plan.values) if plan.probes[run].zeros]
@@ -156,7 +156,7 @@ def _select_runs(trial: ProbeRuns) -> list[int]:
 
 
 def _raise_if_unavailable(execution: Execution) -> None:
-    """Raise if the child process ended before it ran the model."""
+    """Raise if the child process ended before it ran the model in WebGPU."""
     for event in execution.events:
         if event["event"] == "fell-back":
             raise RuntimeError(f"ONNX Runtime fell back to the CPU: {event['message']}")
@@ -177,7 +177,7 @@ def _environment(events: tuple[Event, ...]) -> dict[str, str]:
 
 
 def _adapter(events: tuple[Event, ...]) -> str:
-    """Return the adapter's name, its kind and its float16 support, as text."""
+    """Return a GPU's name, kind and float16 support, as text."""
     device = next((e["name"] for e in events if e["event"] == "device"), "")
     for event in events:
         if event["event"] == "adapter":

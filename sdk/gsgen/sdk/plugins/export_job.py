@@ -67,7 +67,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
 
 def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult":
-    """Check the options, build, and export through the pipeline of the module's kind."""
+    """Check the options, build the module or scene, and export it by its kind."""
     from gsgen.contract.spec.severity import Level
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.settings import Settings

@@ -27,7 +27,7 @@ OPSETS = (16, 23)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportRequest:
-    """The options of one export.
+    """The options of one run of `gsgen export`.
 
     Attributes:
         output: The model file.
@@ -53,7 +53,7 @@ class ExportRequest:
     report: Path | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a report that would overwrite a model.
+        """Raise if the report of an export would overwrite a model file.
 
         Raises:
             ConfigInvalid: The report's path is that of a model.

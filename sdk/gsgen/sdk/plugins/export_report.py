@@ -24,7 +24,7 @@ _SCHEMA = "gsgen-export/1"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """The result of an export, or the error that stopped it.
+    """The result of `gsgen export`, or the error that stopped it.
 
     Attributes:
         written: Whether the model file was written.

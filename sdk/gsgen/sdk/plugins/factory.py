@@ -22,7 +22,7 @@ _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 @dataclass(frozen=True, slots=True)
 class Factory:
-    """A callable that returns a generator, or a finished generator.
+    """A user's callable that returns a generator, or a finished generator.
 
     Attributes:
         target: ``module:name``, as the user typed it.
@@ -34,7 +34,7 @@ class Factory:
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """The parameters of the callable; empty for a finished generator."""
+        """The parameters of a user's factory; empty for a finished generator."""
         if not _is_factory(self.make):
             return {}
         try:
@@ -64,7 +64,7 @@ class Factory:
         return values
 
     def build(self, arguments: dict[str, Any]) -> Any:
-        """Call the factory and return its generator.
+        """Call a user's factory and return its generator.
 
         Raises:
             GsgenError: It raised, or did not return a generator.
@@ -133,7 +133,7 @@ def require_torch() -> None:
 
 
 def load_factory(target: str, folder: Path | None = None) -> Factory:
-    """Import a factory by name; modules of ``folder`` take precedence.
+    """Import a factory ``module:name``; modules of ``folder`` take precedence.
 
     Args:
         target: ``package.module:factory``, or ``file.py:factory``.
@@ -184,7 +184,7 @@ def _import(name: str, search_folder: Path) -> Any:
 
 
 def _no_module(name: str, absent: str, search_folder: Path) -> UnknownName:
-    """Return an error that suggests a module of ``search_folder``."""
+    """Return the error for an unknown module, with a suggestion from the files of a folder."""
     parent = search_folder.joinpath(*absent.split(".")[:-1])
     prefix = absent.rpartition(".")[0]
     stems = [path.stem for path in parent.glob("*.py") if path.stem != "__init__"]
@@ -233,7 +233,7 @@ def _checked(module: Any, target: str) -> Any:
 
 
 def _raised(error: Exception, where: str) -> GsgenError:
-    """Return an error that carries the user's exception and the line that raised it."""
+    """Return an error that carries an exception of the user's code, and the line that raised it."""
     reason = error.msg if isinstance(error, SyntaxError) else str(error)
     line = user_line_of(error)
     location = f"{where}, {line}" if line else where

@@ -1,4 +1,4 @@
-"""Write the package of a new plugin, with an example method and its tests."""
+"""Writes the package of a new plugin, with an example method and its tests."""
 
 __all__ = ["PluginPackage", "write_plugin_package"]
 
@@ -38,7 +38,7 @@ _FILES = {
 
 @dataclass(frozen=True, slots=True)
 class PluginPackage:
-    """The package of a plugin, as it was written.
+    """Paths and names of a new plugin's package, which was written from the template.
 
     Attributes:
         folder: The folder of the package.
@@ -109,12 +109,12 @@ def _template(source: str, replacements: dict[str, str]) -> str:
 
 
 def _filled(text: str, replacements: dict[str, str]) -> str:
-    """Return ``text`` with every @word@ replaced; an unknown word raises KeyError."""
+    """Return template ``text`` with every @word@ replaced; an unknown word raises KeyError."""
     return re.sub("@([a-z]+)@", lambda match: replacements[match[1]], text)
 
 
 def _write(folder: Path, texts: dict[str, str]) -> None:
-    """Write all files into a temporary folder, and rename it when it is complete."""
+    """Write all files of a package into a temporary folder, and rename it when complete."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:
@@ -130,7 +130,7 @@ def _write(folder: Path, texts: dict[str, str]) -> None:
 
 
 def _umask() -> int:
-    """Return the process's file mode mask, which can only be read by setting it."""
+    """Return the process's file mode mask, by setting and restoring it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

@@ -1,4 +1,4 @@
-"""Compare two model files: run both at the same probes, and measure how far outputs differ."""
+"""Compares two model files: runs both with the same inputs, and measures how far outputs differ."""
 
 __all__ = ["Comparison", "Difference", "compare_files", "probes_of"]
 
@@ -45,7 +45,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The differences of all outputs of two models.
+    """The differences of all outputs of two models for the same inputs.
 
     Attributes:
         differences: The largest difference of each output that differs.
@@ -57,7 +57,7 @@ class Comparison:
 
 
 def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe, ...]:
-    """Return the inputs to run a model with: the contract's probes if it has a manifest.
+    """Return the inputs to test a model with: the contract's probes if it has a manifest.
 
     Raises:
         RewriteFailed: An input is not a tensor of numbers.
@@ -114,7 +114,7 @@ def _dtype(tensor: Tensor) -> str:
 def _sample_probe(
     shapes: Mapping[str, tuple[int, ...]], dtypes: Mapping[str, str], index: int
 ) -> Probe:
-    """Return a probe of zeros for index 0, else of random numbers; integers are small, as indices are."""
+    """Return test inputs of zeros for index 0, else of random numbers; integers are small."""
     rng = np.random.default_rng([7, index])
     arrays: dict[str, np.ndarray] = {}
     for name, shape in shapes.items():
@@ -141,7 +141,7 @@ def compare_files(
     allowed: ErrorBudget,
     passes: str,
 ) -> Comparison:
-    """Run two model files at the same probes, and return how far their outputs differ.
+    """Run two model files with the same inputs, and return how far their outputs differ.
 
     Args:
         before: The source.
@@ -214,7 +214,7 @@ def _must_run(run: Execution, probes: Sequence[Probe], where: str, version: str)
 def _must_repeat(
     model: Path, outputs: Sequence[str], probes: Sequence[Probe], limits: Limits
 ) -> None:
-    """Raise if the source itself gives other outputs in a second run with the same inputs."""
+    """Raise if a model's outputs change between two runs with the same inputs."""
     twice = [probe for probe in probes for _ in range(2)]
     with execute(model, outputs, twice, _room(model, limits)) as run:
         samples = [run.sample for run in run.runs]
@@ -252,7 +252,7 @@ def _differences(
 
 
 def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Return ``new`` without the rows of zeros after those of ``old``."""
+    """Return the array ``new`` without its rows of zeros after the number of rows of ``old``."""
     if old.ndim != new.ndim or not old.ndim or len(new) <= len(old):
         return new
     return new[: len(old)] if not new[len(old) :].any() else new
@@ -261,7 +261,7 @@ def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
 def _error(
     old: np.ndarray, new: np.ndarray, allowed: ErrorBudget
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return the absolute error of every number, and the allowed error.
+    """Return the absolute error of every number of an output, and the allowed error.
 
     The last axis holds the fields of a Gaussian, so the relative tolerance of each column refers to
     the largest number of that column.

@@ -1,4 +1,4 @@
-"""Rewrite a graph for a consumer: run passes until nothing changes, and compare the outputs.
+"""Rewrites a graph for a runtime: runs passes until nothing changes, and compares the outputs.
 
 Step 1 runs the passes that keep every bit, step 2 all passes. After each step, the model is run at
 the contract's probes and compared with the model before it. If it differs by more than the passes
@@ -67,7 +67,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """The changes of one pass.
+    """The nodes that one pass changed in a rewrite.
 
     Attributes:
         rewrite: Name of the pass.
@@ -99,7 +99,7 @@ class GraphStats:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rewritten:
-    """A finished rewrite.
+    """The result of a rewrite: changes, graph counts, and the compared outputs.
 
     Attributes:
         path: The file; None if it was not written.
@@ -221,7 +221,7 @@ def rewrite_file(
 
 @dataclass(slots=True, kw_only=True)
 class _ComparedRun:
-    """Runs passes in steps, and compares the outputs after each step with those before it.
+    """Runs passes in steps, and compares the model's outputs after each step with those before.
 
     Attributes:
         model: The graph; passes change it.
@@ -250,7 +250,7 @@ class _ComparedRun:
     uncompared: tuple[str, ...] = ()
 
     def step(self, name: str, rewrites: Sequence[Rewrite]) -> None:
-        """Run passes until nothing changes, and compare the outputs if they changed the graph.
+        """Run passes until nothing changes, and compare the outputs if the graph changed.
 
         Raises:
             RewriteFailed: The result is ill-formed, or computes something else.
@@ -274,7 +274,7 @@ class _ComparedRun:
         self.latest = draft
 
     def save(self, path: Path) -> None:
-        """Write the graph to ``path``."""
+        """Write the rewritten graph to ``path``."""
         save_model(self.model, path, external_weights=self.external_weights)
 
 
@@ -317,7 +317,7 @@ def prepare(model: ir.Model) -> None:
 
 
 def tidy(model: ir.Model) -> None:
-    """Remove nodes and weights without readers."""
+    """Remove nodes and weights of a graph that nothing reads."""
     RemoveUnusedNodesPass()(model)
     NameFixPass()(model)
 
@@ -340,7 +340,7 @@ def _exact(rewrites: Sequence[Rewrite]) -> list[Rewrite]:
 
 
 def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
-    """Run passes in rounds until a round changes nothing, and return their changes in order."""
+    """Run passes in rounds until no round changes the graph, and return all changes in order."""
     changes: list[Change] = []
     for _ in range(_MOST_ROUNDS):
         changed = False
@@ -362,7 +362,7 @@ def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
 
 
 def _merged(changes: Sequence[Change]) -> list[Change]:
-    """Join the changes of the same pass in several rounds."""
+    """Join the changes that the same pass made in several rounds."""
     merged: dict[str, Change] = {}
     for change in changes:
         known = merged.get(change.rewrite)
@@ -385,7 +385,7 @@ def _load(source: Path, opset: int | None) -> ir.Model:
 
 
 def _check_form(file: Path, changes: Sequence[Change]) -> None:
-    """Raise if ONNX's own checker rejects the file or its shapes."""
+    """Raise if ONNX's own checker rejects a model file or its shapes."""
     try:
         onnx.checker.check_model(file, full_check=True)
     except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:

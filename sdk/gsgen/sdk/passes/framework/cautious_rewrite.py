@@ -37,10 +37,10 @@ class CautiousRewrite(Rewrite):
         self.refusals: list[Refusal] = []
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rewrite ``model`` in place; :attr:`refusals` then lists the unchanged nodes."""
+        """Rewrite ``model`` in place, and record the unchanged nodes in :attr:`refusals`."""
         self.refusals = []
         return super().call(model)
 
     def refuse(self, item: ir.Node | ir.Value, reason: str) -> None:
-        """Record that a node, an output or a weight stays unchanged."""
+        """Record that a node, an output or a weight stays unchanged, with the reason."""
         self.refusals.append(Refusal(self.name, describe_item(item), reason))

@@ -13,7 +13,7 @@ from gsgen.sdk.passes.framework.value_facts import fixed_shape
 
 
 class Blocked(Exception):
-    """A node prevents a static shape."""
+    """Raised where a node prevents a static shape of masked rows."""
 
     def __init__(self, node: ir.Node, reason: str, masks: frozenset["Mask"]) -> None:
         super().__init__(reason)
@@ -22,7 +22,7 @@ class Blocked(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Mask:
-    """A mask tensor; K of its elements are true.
+    """A boolean mask tensor of a graph; K of its elements are true.
 
     Attributes:
         root: The tensor, of any numeric dtype; nonzero elements are true.
@@ -38,17 +38,17 @@ class Mask:
 
     @property
     def unrepeated(self) -> "Mask":
-        """The mask without its repetition, which keeps the same rows."""
+        """The mask before it was repeated for each column, which keeps the same rows."""
         return Mask(self.root, self.dims, parent=self.parent)
 
     @property
     def chain(self) -> "tuple[Mask, ...]":
-        """The mask and all masks among whose rows it selects."""
+        """The mask and its parent masks, where a mask selects among the rows of its parent."""
         return (self.unrepeated, *(self.parent.chain if self.parent is not None else ()))
 
     @property
     def size(self) -> int:
-        """The number of elements."""
+        """The number of elements of the mask."""
         return prod(self.dims)
 
 
@@ -67,7 +67,7 @@ class Index:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A tensor with K rows, represented by the drafted tensor with all N rows.
+    """A tensor with the K kept rows of a mask, represented by a drafted tensor with all N rows.
 
     Attributes:
         mask: The mask that selects the K rows.
@@ -84,7 +84,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """Integers of the form a + b · K.
+    """Integers of the form a + b · K, where K is the number of rows that a mask keeps.
 
     Attributes:
         mask: The mask with K true elements.
@@ -101,7 +101,7 @@ class Linear:
 
 @dataclass(frozen=True, slots=True)
 class Filler:
-    """``capacity`` − K equal filler rows along the first axis.
+    """Equal filler rows along the first axis, ``capacity`` − K of them.
 
     Attributes:
         mask: The mask with K true elements.
@@ -118,7 +118,7 @@ Fact = Index | Rows | Linear | Filler
 
 
 def read_mask(value: ir.Value | None) -> Mask | None:
-    """Return the mask that ``value`` holds, ignoring casts, flattening and repetition."""
+    """Return the boolean mask behind casts, flattening and repetition of ``value``."""
     root = _truth_source(value)
     dims = fixed_shape(root)
     if root is None or dims is None:
@@ -143,7 +143,7 @@ def read_mask(value: ir.Value | None) -> Mask | None:
 
 
 def _truth_source(value: ir.Value | None) -> ir.Value | None:
-    """Return the tensor with the same truth values, before casts and reshapes."""
+    """Return the tensor before casts and reshapes that keep each element's truth value."""
     while value is not None:
         producer = value.producer()
         source = producer.inputs[0] if producer is not None and producer.inputs else None

@@ -37,11 +37,11 @@ class FreezeDimensions(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "FreezeDimensions | None":
-        """Return the rewrite if the target has sizes."""
+        """Return the rewrite if the user gave sizes of symbolic dimensions."""
         return cls(target.sizes) if target.sizes else None
 
     def rewrite(self, model: ir.Model) -> None:
-        """Replace each symbolic dimension that has a size.
+        """Replace each symbolic dimension for which the user gave a size.
 
         Raises:
             UnknownName: No dimension has this name.
