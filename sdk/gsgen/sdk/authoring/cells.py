@@ -58,7 +58,7 @@ class Cells:
 def expect_shape(
     where: str, value: Tensor | None, *shapes: tuple[int, ...], hint: str = ""
 ) -> None:
-    """Raise if a tensor has none of the ``shapes``; an absent tensor is allowed.
+    """Raise if the shape of a tensor is none of the allowed ``shapes``; None as a tensor passes.
 
     Raises:
         GeneratorInvalid: The tensor has another shape.
@@ -73,7 +73,7 @@ def expect_shape(
 def expect_spread(
     scale: Tensor | None, rotation: Tensor | None, covariance: Tensor | None, where: str
 ) -> None:
-    """Raise unless either scale and rotation or covariance are present.
+    """Raise unless Gaussians have either scale and rotation or covariances.
 
     Raises:
         GeneratorInvalid: Both alternatives are present, or none of them, or only half of one.

@@ -34,7 +34,7 @@ CELLS = "cells"
 
 
 def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
-    """Return the names of an exported model's outputs, in graph order."""
+    """Return the ONNX output names of an exported model, in graph order."""
     appearance = manifest.outputs.appearance
     assert appearance is not None
     names = (GAUSSIANS, appearance.name, COUNT)
@@ -42,7 +42,7 @@ def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
 
 
 def check_whole_cells(capacity: int, per_cell: int) -> None:
-    """Raise if a capacity is not a multiple of ``per_cell``, the number of rows of a cell.
+    """Raise if a capacity in rows is not a multiple of ``per_cell``, the rows of each cell.
 
     Raises:
         GeneratorInvalid: The capacity ends within a cell.
@@ -57,7 +57,7 @@ def check_whole_cells(capacity: int, per_cell: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """Dtype and capacity of packed outputs.
+    """The dtype of packed outputs and their capacity in rows.
 
     Attributes:
         dtype: float32 or float16, for all outputs except the count.
@@ -116,7 +116,7 @@ class PackedGenerator(nn.Module):
         return torch.nn.functional.pad(gaussians.rgb, (0, 1), value=1.0)
 
     def _cells(self, gaussians: Gaussians, cells: Cells) -> Float[Tensor, "c 10"]:
-        """Pack cells; cells without a live Gaussian get visibility 0."""
+        """Pack the cells of Gaussians; cells without a live Gaussian get visibility 0."""
         n, c = gaussians.position.shape[0], cells.position.shape[0]
         per_cell = n // c
         check_whole_cells(self.packed.capacity, per_cell)

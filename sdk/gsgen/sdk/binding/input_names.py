@@ -36,7 +36,7 @@ class InputNames:
         )
 
     def find(self, word: str) -> str:
-        """Return the name of the input that ``word`` names; tensor names take precedence over roles.
+        """Return the input that a tensor name or a role refers to; tensor names take precedence.
 
         Raises:
             UnknownName: No input has this name or role.

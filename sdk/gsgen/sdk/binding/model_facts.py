@@ -41,15 +41,15 @@ class ModelFacts:
 
     @cached_property
     def graph(self) -> Graph:
-        """The graph, which is read at its first use, to explain a fault."""
+        """The model's graph, which is read at its first use, to explain a fault."""
         return read_graph(self.file)
 
     def output_origin(self, output: str) -> str:
-        """Return the operator that an output comes from, as text."""
+        """Return name and operator of the node that computes an output, as text."""
         return output_origin(self.graph, output)
 
     def input_binding(self, spec: TensorSpec, sizes: Mapping[str, int]) -> InputBinding:
-        """Return an input with its declaration in the manifest.
+        """Return a model's input with its declaration in the manifest.
 
         Raises:
             SizeUnknown: A dimension has no size.
@@ -66,7 +66,7 @@ class ModelFacts:
         )
 
     def sizes(self, sizes: Mapping[str, int]) -> dict[str, int]:
-        """Return the known sizes of open dimensions: from ``sizes``, else as declared.
+        """Return the sizes of symbolic dimensions: from ``sizes``, else from the manifest.
 
         Raises:
             UnknownName: A size names no open dimension.
@@ -85,7 +85,7 @@ class ModelFacts:
         return declared | dict(sizes)
 
     def probes(self, ports: Iterable[InputBinding]) -> list[Tensors]:
-        """Return two different sets of inputs: probes of the manifest, else random numbers."""
+        """Return two different sets of test inputs: probes of the manifest, else random numbers."""
         entries = list(ports)
         if self.manifest is not None and set(self._declared) == {p.name for p in entries}:
             shapes = {port.name: port.shape for port in entries}
@@ -100,7 +100,7 @@ class ModelFacts:
         return {i.name: i for i in self.manifest.inputs} if self.manifest else {}
 
     def open_dimensions(self) -> Iterator[tuple[str, int | None]]:
-        """Yield the open dimensions of all inputs with their declared sizes.
+        """Yield the symbolic dimensions of all inputs with the sizes that the manifest declares.
 
         A dimension without a symbol is called ``NAME[AXIS]``.
         """

@@ -75,7 +75,7 @@ def wrong_outputs(
 
 
 def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
-    """Return whether two arrays agree within the tolerance where ``a`` is finite."""
+    """Return whether two arrays agree within a tolerance wherever ``a`` is finite."""
     if a.shape != b.shape or a.dtype != b.dtype:
         return False
     if _same_bits(a, b):
@@ -88,7 +88,7 @@ def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
 
 
 def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference where ``a`` is finite; infinity if ``b`` is not finite there."""
+    """Return the largest difference of two arrays; infinity if only ``a`` is finite somewhere."""
     if a.shape != b.shape:
         return float("inf")
     x, y = a.astype(np.float64), b.astype(np.float64)

@@ -1,4 +1,4 @@
-"""Opens a session and verifies its capture; if the capture is wrong, opens it without capture.
+"""Opens a session and verifies its graph capture; after a fault, opens it without capture.
 
 Capture records kernels and not buffer copies, so a captured model may repeat its first frame
 forever without an error. Therefore, before the first frame, two different inputs are computed
@@ -42,7 +42,7 @@ class WarmSession:
 
 
 def warm_up(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
-    """Open a session that computes correct frames, with capture if possible.
+    """Open a session that computes correct frames, with graph capture if possible.
 
     If a provider that was chosen automatically fails, the CPU is used instead.
 

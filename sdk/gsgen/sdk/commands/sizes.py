@@ -8,7 +8,7 @@ from gsgen.contract.errors import ConfigInvalid
 
 
 def sizes_of(entries: Iterable[str] | None, option: str) -> dict[str, int]:
-    """Parse entries SYMBOL=SIZE, and return symbol → size.
+    """Parse options SYMBOL=SIZE into a dict from symbolic dimension to size.
 
     Args:
         entries: The option's values; None if it was not used.

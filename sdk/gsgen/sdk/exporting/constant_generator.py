@@ -1,4 +1,4 @@
-"""Export a scene that does not change as a generator without inputs; torch is not needed.
+"""Exports a scene that does not change as a generator without inputs; torch is not needed.
 
 The graph holds weights alone. Each output ends on a Mul by one, so that capture and replay have a
 kernel to record.
@@ -81,7 +81,7 @@ class ConstantRows:
 
     @property
     def degree(self) -> int | None:
-        """The SH degree, or None for RGB."""
+        """The SH degree of the appearance, or None for RGB."""
         return degree_of(self.appearance.shape[1] // 3) if self.space == "sh" else None
 
     @property
@@ -91,7 +91,7 @@ class ConstantRows:
 
 
 class ConstantSource(ABC):
-    """A scene that does not change, and that can be packed in either dtype.
+    """A scene that does not change, and can be packed as float32 or float16.
 
     Attributes:
         family: The manifest's word for the kind of generator.
@@ -101,7 +101,7 @@ class ConstantSource(ABC):
 
     @abstractmethod
     def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:
-        """Return the scene's packed rows.
+        """Return the scene's Gaussians in packed rows.
 
         Args:
             dtype: The dtype of the rows; the source's own if absent.
@@ -128,7 +128,7 @@ class ExportedConstant(ExportResult):
 
     @property
     def contents(self) -> str:
-        """The origin of the rows and their dtype."""
+        """A short description of the model: the origin of the Gaussians and their dtype."""
         return f"{self.rows.description}, {self.rows.dtype}"
 
 
@@ -306,7 +306,7 @@ def _save(model: ModelProto, path: Path) -> None:
 
 
 def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
-    """Run the model once and compare the bits of its outputs."""
+    """Run the exported model once, and raise unless its outputs have the source's bits."""
     limits = Limits().for_model(sum(value.nbytes for value in outputs.values()))
     with execute(path, list(outputs), [Probe(label="no inputs", inputs={})], limits) as execution:
         if execution.fault is not None:

@@ -26,7 +26,7 @@ _MARGIN = 0.02
 
 
 def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
-    """Run ``generator`` once, without gradients.
+    """Run ``generator`` once in eager torch, without gradients.
 
     Raises:
         GeneratorInvalid: ``forward`` raised, or did not return Gaussians.
@@ -51,7 +51,7 @@ def _tensors(probe: Probe) -> list[Tensor]:
 
 
 def call_module(module: nn.Module, tensors: list[Tensor]) -> Any:
-    """Call ``module`` without gradients, and return its result.
+    """Call a torch module without gradients, and return its result.
 
     Raises:
         GeneratorInvalid: ``forward`` raised; the error names the line of the user's code.
@@ -80,7 +80,7 @@ def _reference(generator: GaussianGenerator, probe: Probe, output: Any) -> Refer
 
 
 def _refuse_negative(scale: np.ndarray) -> None:
-    """Refuse scales that are mostly negative: logarithms, squared, would pass as huge Gaussians.
+    """Raise if most scales are negative: squared logarithms would pass as huge Gaussians.
 
     Single negative scales are accepted: methods that add an offset to a scale
     (Deformable-3D-Gaussians) have them, and draw their squares.

@@ -51,7 +51,7 @@ class Suspects:
 def diagnose(
     suspects: Suspects, manifest: GeneratorManifest, references: list[Reference], run: Run
 ) -> tuple[str, str]:
-    """Return the reason for a difference, as a part of a sentence, and a hint.
+    """Return the reason why a model differs from torch, as a part of a sentence, and a hint.
 
     Args:
         suspects: The possible causes.

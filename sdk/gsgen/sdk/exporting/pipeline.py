@@ -1,4 +1,4 @@
-"""The last steps of every export: save a draft, verify it, validate it, and move it into place."""
+"""The last steps of every export: save the model as a draft, verify, validate and move the file."""
 
 __all__ = ["OPSET", "Dtype", "ExportResult", "Progress", "check_contract", "silent", "write_export"]
 
@@ -26,12 +26,12 @@ OPSET = SAFEST_OPSET
 
 
 def silent(_: str) -> None:
-    """Ignore a progress message."""
+    """Ignore a progress message of an export."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportResult(ABC):
-    """A finished export.
+    """The path, report and figures of a finished export.
 
     Attributes:
         path: The model file.
@@ -50,12 +50,12 @@ class ExportResult(ABC):
     @property
     @abstractmethod
     def dtype(self) -> Dtype:
-        """The dtype of the outputs."""
+        """The dtype of the exported model's outputs."""
 
     @property
     @abstractmethod
     def contents(self) -> str:
-        """A short description of the model's outputs."""
+        """A short description of the exported model's outputs."""
 
 
 def write_export(
@@ -68,7 +68,7 @@ def write_export(
     progress: Progress,
     must_conform: bool = True,
 ) -> "tuple[_Verified, Report]":
-    """Save, verify and validate a draft, and move it to ``path`` if all of that succeeds.
+    """Save a model as a draft, verify and validate the file, and move it to ``path`` at success.
 
     Args:
         path: The model file.
@@ -102,7 +102,7 @@ def check_contract(
     *,
     must_conform: bool = True,
 ) -> "Report":
-    """Validate ``draft``, and return the report as one on ``path``.
+    """Validate an exported file before it is moved, and return the report for its final ``path``.
 
     Raises:
         ExportRejected: The model breaks a rule and ``must_conform``; the error carries the report.

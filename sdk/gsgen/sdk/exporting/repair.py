@@ -1,4 +1,4 @@
-"""Repair a model: only faults with one right answer, each repair validated and listed."""
+"""Repairs a model: only faults with one right answer, each repair validated and listed."""
 
 __all__ = ["Repair", "RepairRequest", "RepairResult", "repair"]
 
@@ -53,7 +53,7 @@ class RepairRequest:
 
 @dataclass(frozen=True, slots=True)
 class Repair:
-    """One change, and the id of the rule that requires it."""
+    """One change that repairs a model, and the id of the rule that requires it."""
 
     description: str
     rule: str
@@ -166,7 +166,7 @@ def _own_manifest(subject: InspectedModel) -> GeneratorManifest:
 def _steps(
     subject: InspectedModel, manifest: GeneratorManifest, broken: set[str], request: RepairRequest
 ) -> tuple[Steps, GeneratorManifest]:
-    """Return the changes to make, in order, and the manifest of the result."""
+    """Return the repairs of a model in order, and the manifest of the repaired model."""
     steps: Steps = []
     outputs = manifest.outputs
     rows, color, count = outputs.gaussians, outputs.appearance, outputs.count

@@ -1,4 +1,4 @@
-"""The SH degree to store: packed rows must fill words, and some consumers read one degree alone."""
+"""Chooses the SH degree to store: packed rows must fill words, and some viewers read one degree."""
 
 __all__ = ["REQUIRED_DEGREES", "stored_degree"]
 

@@ -36,7 +36,7 @@ def trace_generator(
     opset: int,
     hazards: Sequence[Hazard] = (),
 ) -> ir.Model:
-    """Trace a packed generator, and return the graph.
+    """Trace a generator with packed outputs, and return its ONNX graph.
 
     Args:
         packed: The module.
@@ -55,7 +55,7 @@ def trace_generator(
 
 @dataclass(frozen=True, slots=True)
 class TensorNames:
-    """The names of a graph's inputs, outputs and open sizes.
+    """The names of a graph's inputs, outputs and symbolic dimensions.
 
     Attributes:
         inputs: In the order of the module's arguments.
@@ -117,7 +117,7 @@ def trace_module(
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress torch's messages on operators, failed attempts and graphs."""
+    """Suppress torch's messages about operators, failed attempts and graphs during tracing."""
     level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -130,7 +130,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> ExportFailed:
-    """Return an error with torch's reason, the line of the user's code, and a hint."""
+    """Return an error of tracing with torch's reason, the line of the user's code, and a hint."""
     root: BaseException = error
     while root.__cause__ is not None:
         root = root.__cause__

@@ -1,4 +1,4 @@
-"""Verify an exported draft: its outputs agree with eager torch, and no frame depends on another."""
+"""Verifies an exported file: its outputs agree with torch, and frames are independent."""
 
 __all__ = ["check_memory", "check_parity", "run_exported"]
 
@@ -38,7 +38,7 @@ def check_parity(
     allowed: Tolerances | None = None,
     roundings: int = 1,
 ) -> Parity:
-    """Compare the model with eager torch, at the contract's probes and far from them.
+    """Compare an exported model with eager torch, at the contract's test inputs and far from them.
 
     Args:
         path: The model file.
@@ -84,7 +84,7 @@ def _neighbours(
     outputs: list[ModelOutput],
     tolerances: Tolerances,
 ) -> dict[int, list[Reference]]:
-    """Run torch at slightly changed inputs of each probe at which the model differs."""
+    """Run torch at slightly changed inputs wherever the exported model differs from torch."""
     differing = [
         index
         for index, (reference, output) in enumerate(zip(references, outputs, strict=True))
@@ -97,7 +97,7 @@ def _neighbours(
 
 
 def _nudged(probe: Probe) -> Iterator[Probe]:
-    """Yield pairs of probes on opposite sides of ``probe``, their floats moved a little."""
+    """Yield pairs of inputs on opposite sides of ``probe``, with each float moved slightly."""
     rng = np.random.default_rng(0)
     for _ in range(_PAIRS):
         signs = {name: rng.choice([-1, 1], array.shape) for name, array in probe.inputs.items()}
@@ -127,7 +127,7 @@ def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[M
 def run_exported(
     path: Path, names: Sequence[str], probes: Sequence[Probe]
 ) -> list[dict[str, np.ndarray]]:
-    """Run an exported model, and return its outputs by name for each probe.
+    """Run an exported model for each set of test inputs, and return its outputs by name.
 
     Raises:
         ParityFailed: ONNX Runtime cannot run it.

@@ -97,7 +97,7 @@ def image_to_float16(
 
 
 class _Measure:
-    """Measures how far rounding changes the output image."""
+    """Measures how far rounding to float16 changes the image of a post-process model."""
 
     def __init__(self, model: ir.Model, probes: Sequence[Probe]) -> None:
         self._model, self._probes = InstrumentedModel(model), probes
@@ -105,7 +105,7 @@ class _Measure:
         self.rebase()
 
     def rebase(self) -> None:
-        """Take the outputs with the weights stored so far as the new reference."""
+        """Take the images computed with the weights stored so far as the new reference."""
         self._expected = [self._output_image(probe, (), self.stored) for probe in self._probes]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
@@ -142,7 +142,7 @@ class _Measure:
 
 
 def _halve_input(graph: ir.Graph, name: str) -> None:
-    """Make an input float16, and cast it to float32 for the graph."""
+    """Make a graph input float16, and cast it to float32 for the readers in the graph."""
     value = next(graph_input for graph_input in graph.inputs if graph_input.name == name)
     node = ir.node("Cast", [value], attributes={"to": FLOAT.value})
     widened = node.outputs[0]

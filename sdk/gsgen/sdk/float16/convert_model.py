@@ -58,7 +58,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Float16Result:
-    """A finished conversion.
+    """Counts, errors and path of a finished conversion to float16.
 
     Attributes:
         path: The file; None if it was not written.
@@ -160,7 +160,7 @@ def to_float16(
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[ir.Model, Float16Result]:
-    """Return a float16 copy of ``model``, and the result of the search; see :func:`write_float16`.
+    """Return a float16 copy of ``model``, and the nodes and tables that stay float32.
 
     Args:
         model: A prepared graph in float32.
@@ -227,7 +227,7 @@ def to_float16(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Choice:
-    """The nodes that compute in float32, and the tables that are stored in 16 bits.
+    """The nodes that compute in float32, and the weight tables that are stored in 16 bits.
 
     Attributes:
         retained: Nodes that compute in float32, with reasons.
@@ -243,12 +243,12 @@ class _Choice:
 
     @property
     def retained_names(self) -> set[str]:
-        """Names of the nodes that compute in float32."""
+        """The names of the nodes that compute in float32."""
         return {entry.node for entry in self.retained}
 
 
 class _Search:
-    """Searches for nodes and tables that can be rounded to float16 together.
+    """Searches for nodes and weight tables that can be rounded to float16 together.
 
     Attributes:
         nodes: The nodes that can compute in float16.
@@ -326,7 +326,7 @@ def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
 def _convert(
     model: ir.Model, manifest: GeneratorManifest, choice: _Choice, *, outputs: bool
 ) -> None:
-    """Convert ``model`` in place, and embed the manifest of the result."""
+    """Convert a generator to float16 in place, and embed its new manifest."""
     ToFloat16(
         choice.retained_names, outputs=outputs, stored=choice.stored, unstepped=choice.unstepped
     )(model)

@@ -1,4 +1,4 @@
-"""A model that rounds selected nodes and tables to float16, with another selection in every run."""
+"""A model that rounds selected nodes and weights to float16, with another selection in each run."""
 
 __all__ = ["FLAGS", "GUARD_ELEMENTS", "InstrumentedModel", "tables"]
 
@@ -88,18 +88,18 @@ class InstrumentedModel:
         return _run(self._session, self._names, session_inputs)
 
     def _halved(self, name: str) -> HalfTable:
-        """Return a table stored in 16 bits a number."""
+        """Return a weight table stored in 16 bits a number."""
         if name not in self._halves:
             in_steps = self.weights.index(name) not in self.unstepped
             self._halves[name] = half_table(self._tables[name], in_steps=in_steps)
         return self._halves[name]
 
     def is_in_steps(self, table: int) -> bool:
-        """Return whether a table is stored in even steps rather than as float16."""
+        """Return whether a weight table is stored in even steps rather than as float16."""
         return self._halved(self.weights[table]).step is not None
 
     def store_unstepped(self, tables: Collection[int]) -> None:
-        """Store these tables as float16, and the others in the form that is closer."""
+        """Store the given weight tables as float16, and all others in the form that is closer."""
         for table in self.unstepped ^ frozenset(tables):
             self._halves.pop(self.weights[table], None)
         self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})
@@ -120,7 +120,7 @@ class InstrumentedModel:
 
 @dataclass(frozen=True, slots=True)
 class _CachedConstants:
-    """The tables and the results of constant nodes for one selection of stored tables."""
+    """Cached weight tables and results of constant nodes, for one selection of stored tables."""
 
     key: bytes
     arrays: Mapping[str, np.ndarray]
@@ -152,7 +152,7 @@ def _run(session: Any, names: list[str], arrays: Mapping[str, np.ndarray]) -> di
 
 
 def _feed_tables(model: ir.Model, names: Sequence[str]) -> None:
-    """Turn tables into inputs, so that each run can round them."""
+    """Turn weight tables into graph inputs, so that each run can round them."""
     for name in names:
         value = model.graph.initializers.pop(name, None)
         if value is not None:

@@ -1,4 +1,4 @@
-"""Decides which tables and nodes stay float32: costly ones, guards, and islands between them."""
+"""Decides which weight tables and nodes stay float32: costly ones, ε guards, and isolated nodes."""
 
 __all__ = ["RetainedFloat32", "choose_tables", "epsilon_guards", "merge_islands", "retained_nodes"]
 
@@ -41,7 +41,7 @@ class RetainedFloat32:
 
 
 def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
-    """Find tables to store in 16 bits a number: large tables first, since they save the most.
+    """Choose weight tables to store in 16 bits: large tables first, since they save the most.
 
     A table whose even steps are too coarse is tried as float16, which rounds small numbers less.
 
@@ -140,7 +140,7 @@ def retained_nodes(
 def merge_islands(
     boundary: Boundary, nodes: Sequence[ir.Node], retained: Sequence[RetainedFloat32]
 ) -> list[RetainedFloat32]:
-    """Return further nodes to retain in float32, because that saves Casts."""
+    """Return further nodes to retain in float32 because that saves Casts around them."""
     keep = {entry.node for entry in retained}
     added: list[RetainedFloat32] = []
     while True:

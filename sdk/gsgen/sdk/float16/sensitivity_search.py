@@ -1,4 +1,4 @@
-"""Search for many units that can be quantized together, within a budget of measurements."""
+"""Searches for many nodes or tables that can be quantized together, with few measurements."""
 
 __all__ = ["Search", "Sensitivity", "max_quantizable"]
 
@@ -11,7 +11,7 @@ _HARMLESS = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """The error of quantizing some units, and no others.
+    """The output error of quantizing some nodes or tables, and no others.
 
     Attributes:
         units: Indices of the units, neighbours in the graph.
@@ -26,7 +26,7 @@ class Sensitivity:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The result of a search.
+    """The quantized nodes or tables that a sensitivity search chose, and the measured errors.
 
     Attributes:
         quantized: Indices of the units that can be quantized together.

@@ -1,4 +1,4 @@
-"""Store tables of weights in 16 bits a number: as float16, or in even steps for each column.
+"""Stores weight tables in 16 bits a number: as float16, or in even steps for each column.
 
 Float16 rounds every number to 11 significant bits. 65,536 even steps between the smallest and the
 largest number of a column are finer for numbers that fill the range: positions in a scene,
@@ -47,7 +47,7 @@ class HalfTable:
 
     @property
     def decoded(self) -> Float32[np.ndarray, "..."]:
-        """The float32 numbers that the graph computes from the stored ones."""
+        """The float32 numbers that the graph computes from the stored 16-bit numbers."""
         numbers = self.numbers.astype(np.float32)
         if self.step is None or self.start is None:
             return numbers
@@ -55,7 +55,7 @@ class HalfTable:
 
 
 def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> HalfTable:
-    """Store a table in the form that is closer to it, or as float16 without ``in_steps``.
+    """Store a weight table as float16 or in even steps, whichever is closer to float32.
 
     Float16 suits sizes from very small to large: even steps may be closer by the mean square, but
     make the small numbers zero.
@@ -72,7 +72,7 @@ def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> H
 
 
 def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
-    """Store a table in even steps; None if float16 is as close, by the mean square."""
+    """Store a weight table in even steps; None if float16 is as close, by the mean square."""
     axis = _axis_of_steps(array)
     start, width = _range(array, axis)
     step = (width / _STEPS).astype(np.float32)
@@ -107,7 +107,7 @@ def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
 def _range(
     array: Float32[np.ndarray, "..."], axis: int | None
 ) -> tuple[Float32[np.ndarray, " k"], np.ndarray]:
-    """Return the smallest number at each position of ``axis``, and the width of the range there."""
+    """Return minimum and width of the value range at each position of ``axis``."""
     other_axes = tuple(k for k in range(array.ndim) if k != axis)
     least = np.atleast_1d(array.min(axis=other_axes))
     return least, np.atleast_1d(array.max(axis=other_axes)).astype(np.float64) - least
@@ -129,5 +129,5 @@ def _blocks(shape: tuple[int, int, int]) -> Iterator[Block]:
 
 
 def _error(table: HalfTable, array: Float32[np.ndarray, "..."]) -> float:
-    """Return the sum of squared errors of the decoded table."""
+    """Return the sum of squared errors of a decoded weight table."""
     return float(np.square(table.decoded - array, dtype=np.float64).sum())

@@ -14,7 +14,7 @@ _LONGEST = 500
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """The execution provider of one node.
+    """Name and operator of a graph node, and the execution provider that runs it.
 
     Attributes:
         provider: The execution provider that runs the node.
@@ -28,7 +28,7 @@ class Node:
 
 
 def node_placement(session: Any) -> tuple[Node, ...]:
-    """Return the placement of every node of a session.
+    """Return the execution provider of every node of an ONNX Runtime session.
 
     The session needs ``session.record_ep_graph_assignment_info``. Before ONNX Runtime 1.24, the
     result is empty.

@@ -42,7 +42,7 @@ MEMORY: dict[Provider, str] = {"cpu": "cpu", "webgpu": "gpu", "cuda": "cuda"}
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The chosen provider and the reason for the choice.
+    """The chosen execution provider and the reason for the choice.
 
     Attributes:
         provider: The provider's name.
@@ -58,7 +58,7 @@ class Choice:
 
     @property
     def device(self) -> str:
-        """The device that computes, as text."""
+        """The name of the device that computes, as text."""
         if self.adapter is None:
             return {"cpu": "CPU", "cuda": "CUDA device 0"}[self.provider]
         if not self.adapter.hardware:
@@ -68,7 +68,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionOptions:
-    """Options for opening a session.
+    """Options for opening an ONNX Runtime session.
 
     Attributes:
         choice: The provider.
@@ -85,12 +85,12 @@ class SessionOptions:
     stop: Stop | None = None
 
     def without_capture(self) -> "SessionOptions":
-        """Return these options for a session without capture and replay."""
+        """Copy the session options, with graph capture and replay turned off."""
         return replace(self, capture=False)
 
     @property
     def provider_options(self) -> dict[str, str]:
-        """The options of the provider, by the names of its documentation."""
+        """The options of the execution provider, named as in ONNX Runtime's documentation."""
         if self.choice.provider == "webgpu":
             # With capture, int64 is computed on the GPU anyway; without, it must be enabled.
             return {"enableGraphCapture": "1"} if self.capture else {"enableInt64": "1"}
@@ -100,7 +100,7 @@ class SessionOptions:
 
 
 def installed_providers() -> list[Provider]:
-    """Return the providers that are installed, even if no device is available for them."""
+    """Return the installed execution providers, even if no device is available for them."""
     providers: list[Provider] = ["cpu"]
     if find_spec(PACKAGE) is not None:
         providers.append("webgpu")
@@ -108,7 +108,7 @@ def installed_providers() -> list[Provider]:
 
 
 def choose_provider(name: str = "auto") -> Choice:
-    """Return the provider called ``name``, or with ``auto`` the fastest available one.
+    """Return the execution provider called ``name``, or with ``auto`` the fastest available one.
 
     Raises:
         UnknownName: No provider has this name.

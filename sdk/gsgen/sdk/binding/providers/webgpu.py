@@ -37,7 +37,7 @@ class AdapterMissing(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Adapter:
-    """A device that the provider can open.
+    """A GPU that ONNX Runtime's WebGPU provider can open.
 
     Attributes:
         device: ONNX Runtime's handle.
@@ -53,7 +53,7 @@ class Adapter:
 
 
 def find_adapter() -> Adapter:
-    """Return the best device of the provider, registering the provider at the first call.
+    """Return the best GPU for ONNX Runtime's WebGPU provider; register the provider first.
 
     Software drivers are allowed unless the environment variable
     ``ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER`` is 0 before the first call.
