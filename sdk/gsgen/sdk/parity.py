@@ -44,18 +44,12 @@ _TYPICAL = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The expected outputs of a model for one set of inputs, unpacked; at export, those of torch.
+    """The expected outputs of a model for one set of inputs, unpacked; at export, those of torch."""
 
-    Attributes:
-        probe: The inputs.
-        gaussians: The Gaussians; those of torch are neither packed nor cast.
-        count: Number of live rows.
-        cells: The cells of the Gaussians, all with the same number of them.
-    """
-
-    probe: Probe
-    gaussians: layout.DecodedGaussians
-    count: int
+    probe: Probe  # the inputs
+    gaussians: layout.DecodedGaussians  # the Gaussians; those of torch are neither packed nor cast
+    count: int  # number of live rows
+    # the cells of the Gaussians, all with the same number of them
     cells: layout.Cells | None = None
 
     @property
@@ -68,54 +62,34 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class ModelOutput:
-    """The packed outputs of a model for one set of inputs.
+    """The packed outputs of a model for one set of inputs."""
 
-    Attributes:
-        rows: Packed Gaussians, [N, 10].
-        color: SH or RGB, [N, C].
-        count: Number of live rows.
-        cells: Packed cells, [N / K, 10]; None if the model has no cells.
-    """
-
-    rows: np.ndarray
-    color: np.ndarray
-    count: int
-    cells: np.ndarray | None = None
+    rows: np.ndarray  # packed Gaussians, [N, 10]
+    color: np.ndarray  # SH or RGB, [N, C]
+    count: int  # number of live rows
+    cells: np.ndarray | None = None  # packed cells, [N / K, 10]; None if the model has no cells
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldParity:
-    """The largest error in one field of a Gaussian, such as its position.
+    """The largest error in one field of a Gaussian, such as its position."""
 
-    Attributes:
-        field: ``position``, ``covariance``, ``opacity`` or ``appearance``; for cells
-            ``cell position``, ``cell covariance`` or ``cell visibility``.
-        error: The largest error, in the field's unit.
-        excess: The error divided by the tolerance; above 1, the comparison fails.
-        probe: Label of the probe with this error.
-        row: Index of the Gaussian, or of the cell.
-    """
-
+    # ``position``, ``covariance``, ``opacity`` or ``appearance``; for cells ``cell position``,
+    # ``cell covariance`` or ``cell visibility``
     field: str
-    error: float
-    excess: float
-    probe: str
-    row: int
+    error: float  # the largest error, in the field's unit
+    excess: float  # the error divided by the tolerance; above 1, the comparison fails
+    probe: str  # label of the probe with this error
+    row: int  # index of the Gaussian, or of the cell
 
 
 @dataclass(frozen=True, slots=True)
 class Parity:
-    """The result of a comparison of two models: the largest error of each field, over all inputs.
+    """The result of a comparison of two models: the largest error of each field, over all inputs."""
 
-    Attributes:
-        fields: One entry a field.
-        probes: Number of compared probes.
-        rows_at_threshold: Number of rows that match the expected rows of slightly changed inputs
-            instead.
-    """
-
-    fields: tuple[FieldParity, ...]
-    probes: int
+    fields: tuple[FieldParity, ...]  # one entry a field
+    probes: int  # number of compared probes
+    # number of rows that match the expected rows of slightly changed inputs instead
     rows_at_threshold: int = 0
 
     @property

@@ -53,26 +53,19 @@ _CHANNELS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorCloud:
-    """A point cloud of N anchors, each of which decodes to K Gaussians.
+    """A point cloud of N anchors, each of which decodes to K Gaussians."""
 
-    Attributes:
-        position: Centres of the anchors.
-        offset: Offset of each Gaussian, in units of the anchor's first three scales.
-        feature: Feature vectors, which the networks decode.
-        log_scale: Logarithms of the scale of offsets (3) and of the Gaussians' scale (3).
-        rotation: Quaternions (w, x, y, z); only the prefilter uses them.
-        level: Octree level, from 0; absent in Scaffold-GS.
-        extra_level: A learnt shift of the level that belongs to a distance.
-        info: Numbers of the scene in the first rows of a column: voxel size, distance, …
-    """
-
-    position: Float[Tensor, "n 3"]
+    position: Float[Tensor, "n 3"]  # centres of the anchors
+    # offset of each Gaussian, in units of the anchor's first three scales
     offset: Float[Tensor, "n k 3"]
-    feature: Float[Tensor, "n f"]
+    feature: Float[Tensor, "n f"]  # feature vectors, which the networks decode
+    # logarithms of the scale of offsets (3) and of the Gaussians' scale (3)
     log_scale: Float[Tensor, "n 6"]
-    rotation: Float[Tensor, "n 4"]
-    level: Float[Tensor, " n"] | None = None
+    rotation: Float[Tensor, "n 4"]  # quaternions (w, x, y, z); only the prefilter uses them
+    level: Float[Tensor, " n"] | None = None  # octree level, from 0; absent in Scaffold-GS
+    # A learnt shift of the level that belongs to a distance
     extra_level: Float[Tensor, " n"] | None = None
+    # numbers of the scene in the first rows of a column: voxel size, distance, …
     info: Float[Tensor, " n"] | None = None
 
     def __len__(self) -> int:
@@ -91,61 +84,37 @@ class AnchorCloud:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mlp:
-    """The weights of a network of two layers with ReLU between them, as (out, in) matrices.
+    """The weights of a network of two layers with ReLU between them, as (out, in) matrices."""
 
-    Attributes:
-        hidden: Weight of the first layer, [F, in].
-        hidden_bias: Bias of the first layer.
-        out: Weight of the second layer, [out, F].
-        out_bias: Bias of the second layer.
-        distance: Whether the distance is one of the inputs.
-    """
-
-    hidden: Float[Tensor, "f i"]
-    hidden_bias: Float[Tensor, " f"]
-    out: Float[Tensor, "o f"]
-    out_bias: Float[Tensor, " o"]
-    distance: bool = False
+    hidden: Float[Tensor, "f i"]  # weight of the first layer, [F, in]
+    hidden_bias: Float[Tensor, " f"]  # bias of the first layer
+    out: Float[Tensor, "o f"]  # weight of the second layer, [out, F]
+    out_bias: Float[Tensor, " o"]  # bias of the second layer
+    distance: bool = False  # whether the distance is one of the inputs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorNets:
-    """The decoding networks of a checkpoint of Scaffold-GS, Octree-GS or Duplex-GS.
+    """The decoding networks of a checkpoint of Scaffold-GS, Octree-GS or Duplex-GS."""
 
-    Attributes:
-        opacity: [feature, direction, (distance), (level)] → K.
-        covariance: Same inputs → 7 K.
-        color: Same inputs and an appearance → 3 K.
-        bank: [direction, …] → 3 weights of the feature bank, if there is one.
-        embedding: Appearance of each training camera, [cameras, D].
-        level: Whether the level is one of the inputs.
-    """
-
-    opacity: Mlp
-    covariance: Mlp
-    color: Mlp
-    bank: Mlp | None = None
+    opacity: Mlp  # [feature, direction, (distance), (level)] → K
+    covariance: Mlp  # same inputs → 7 K
+    color: Mlp  # same inputs and an appearance → 3 K
+    bank: Mlp | None = None  # [direction, …] → 3 weights of the feature bank, if there is one
+    # appearance of each training camera, [cameras, D]
     embedding: Float[Tensor, "cameras d"] | None = None
-    level: bool = False
+    level: bool = False  # whether the level is one of the inputs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorCheckpoint:
-    """The anchors, networks and training options of an anchor checkpoint.
+    """The anchors, networks and training options of an anchor checkpoint."""
 
-    Attributes:
-        folder: Folder of the training run.
-        iteration: Number of the iteration.
-        cfg: Options of the training run.
-        cloud: The anchors.
-        nets: The networks.
-    """
-
-    folder: Path
-    iteration: int
-    cfg: CfgArgs
+    folder: Path  # folder of the training run
+    iteration: int  # number of the iteration
+    cfg: CfgArgs  # options of the training run
     cloud: AnchorCloud
-    nets: AnchorNets
+    nets: AnchorNets  # the networks
 
 
 def read_anchors(

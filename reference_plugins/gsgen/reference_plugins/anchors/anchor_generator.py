@@ -24,25 +24,16 @@ MIN_SQUARED_DISTANCE = 1e-12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decoding:
-    """The anchors that are decoded for a frame, with their decoded values.
+    """The anchors that are decoded for a frame, with their decoded values."""
 
-    Attributes:
-        camera: World→camera matrix in column order.
-        views: Direction and distance of each anchor.
-        anchor: Centres of the anchors.
-        position: Centres of the Gaussians, as x y z triples side by side.
-        decoded: Outputs of the networks.
-        visible: Visible share of each anchor, 0 to 1; 1 for all if absent.
-        rows: Row numbers of the anchors; all in order if absent.
-    """
-
-    camera: Float[Tensor, "4 4"]
-    views: AnchorViews
-    anchor: Float[Tensor, "n 3"]
-    position: Float[Tensor, "n k3"]
-    decoded: Decoded
+    camera: Float[Tensor, "4 4"]  # World→camera matrix in column order
+    views: AnchorViews  # direction and distance of each anchor
+    anchor: Float[Tensor, "n 3"]  # centres of the anchors
+    position: Float[Tensor, "n k3"]  # centres of the Gaussians, as x y z triples side by side
+    decoded: Decoded  # outputs of the networks
+    # visible share of each anchor, 0 to 1; 1 for all if absent
     visible: Float[Tensor, "n 1"] | None = None
-    rows: Int[Tensor, " n"] | None = None
+    rows: Int[Tensor, " n"] | None = None  # row numbers of the anchors; all in order if absent
 
     def of(self, table: Tensor) -> Tensor:
         """Return the rows of ``table`` that belong to the decoded anchors."""

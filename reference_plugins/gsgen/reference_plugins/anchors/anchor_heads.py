@@ -21,34 +21,22 @@ _COVARIANCE = 7
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """The attributes that networks decoded for N anchors with K Gaussians each.
+    """The attributes that networks decoded for N anchors with K Gaussians each."""
 
-    Attributes:
-        opacity: tanh of the opacity head, [N, K]; Gaussians of at most 0 are invisible.
-        scale: Three factors of the anchor's scale before the sigmoid, [N, K] each.
-        rotation: w, x, y, z, not normalised, [N, K] each.
-        color: RGB before the sigmoid, [N K, 3].
-    """
-
+    # tanh of the opacity head, [N, K]; Gaussians of at most 0 are invisible
     opacity: Float[Tensor, "n k"]
-    scale: tuple[Tensor, ...]
-    rotation: tuple[Tensor, ...]
-    color: Float[Tensor, "m 3"]
+    scale: tuple[Tensor, ...]  # three factors of the anchor's scale before the sigmoid, [N, K] each
+    rotation: tuple[Tensor, ...]  # w, x, y, z, not normalised, [N, K] each
+    color: Float[Tensor, "m 3"]  # RGB before the sigmoid, [N K, 3]
 
 
 @dataclass(frozen=True, slots=True)
 class AnchorViews:
-    """Direction and distance of N anchors from the camera, and the appearance.
+    """Direction and distance of N anchors from the camera, and the appearance."""
 
-    Attributes:
-        direction: Unit vectors from the camera, [N, 3].
-        distance: Distances from the camera, [N, 1].
-        appearance_id: Number of the appearance, if there are several.
-    """
-
-    direction: Float[Tensor, "n 3"]
-    distance: Float[Tensor, "n 1"]
-    appearance_id: Int[Tensor, "1"] | None = None
+    direction: Float[Tensor, "n 3"]  # unit vectors from the camera, [N, 3]
+    distance: Float[Tensor, "n 1"]  # distances from the camera, [N, 1]
+    appearance_id: Int[Tensor, "1"] | None = None  # number of the appearance, if there are several
 
 
 class _Layers(nn.Module):

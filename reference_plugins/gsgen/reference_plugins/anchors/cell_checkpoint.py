@@ -54,34 +54,22 @@ _MIN_BACKGROUND = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Weighting:
-    """The parameters of Duplex-GS' weighted blending.
+    """The parameters of Duplex-GS' weighted blending."""
 
-    Attributes:
-        sigma: The depth at which a weight falls to 0.
-        background: Weight of the background: ReLU of the stored number, plus 0.1.
-        grade: Divisor of opacities in the transmittance.
-        depth: Whether weights fall with depth.
-    """
-
-    sigma: float
-    background: float
-    grade: float
-    depth: bool
+    sigma: float  # the depth at which a weight falls to 0
+    background: float  # weight of the background: ReLU of the stored number, plus 0.1
+    grade: float  # divisor of opacities in the transmittance
+    depth: bool  # whether weights fall with depth
 
 
 @dataclass(frozen=True, slots=True)
 class CellCheckpoint:
-    """The contents of a Duplex-GS checkpoint.
+    """The contents of a Duplex-GS checkpoint."""
 
-    Attributes:
-        anchors: The cells as anchors, with the cell's size as both scales.
-        visibility: SH coefficients of each cell's visibility before the sigmoid, [N, K].
-        weighting: Weights of the method's renderer.
-    """
-
-    anchors: AnchorCheckpoint
+    anchors: AnchorCheckpoint  # the cells as anchors, with the cell's size as both scales
+    # SH coefficients of each cell's visibility before the sigmoid, [N, K]
     visibility: Float[Tensor, "n k"]
-    weighting: Weighting
+    weighting: Weighting  # weights of the method's renderer
 
 
 def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:

@@ -38,21 +38,13 @@ _NEVER = -1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """The levels of detail of an anchor checkpoint, and the distances where they change.
+    """The levels of detail of an anchor checkpoint, and the distances where they change."""
 
-    Attributes:
-        mode: Rounding of levels, one of ``MODES``.
-        fork: Ratio of the cell sizes of a level and the next finer one.
-        voxel: Edge of a cell of level 0.
-        standard: The distance that belongs to level 0.
-        top: The finest level.
-    """
-
-    mode: str
-    fork: float
-    voxel: float
-    standard: float
-    top: int
+    mode: str  # rounding of levels, one of ``MODES``
+    fork: float  # ratio of the cell sizes of a level and the next finer one
+    voxel: float  # edge of a cell of level 0
+    standard: float  # the distance that belongs to level 0
+    top: int  # the finest level
 
     @classmethod
     def of(cls, checkpoint: AnchorCheckpoint) -> "Levels":

@@ -24,15 +24,12 @@ _EXTENT = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Options that select which anchors a frame decodes.
+    """Options that select which anchors a frame decodes."""
 
-    Attributes:
-        cull: ``none`` keeps anchors out of view; ``frustum`` hides those whose Gaussians cannot
-            reach into the image; ``published`` those that the published renderer skips.
-        anchors: Largest number of visible anchors to decode, in order; all if absent.
-    """
-
+    # ``none`` keeps anchors out of view; ``frustum`` hides those whose Gaussians cannot reach into
+    # the image; ``published`` those that the published renderer skips
     cull: Cull = "none"
+    # largest number of visible anchors to decode, in order; all if absent
     anchors: int | None = None
 
 

@@ -25,33 +25,20 @@ _HUES = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorOptions:
-    """Sizes and options of a synthetic anchor checkpoint.
+    """Sizes and options of a synthetic anchor checkpoint."""
 
-    Attributes:
-        anchors: Number of anchors.
-        per_anchor: Gaussians of an anchor.
-        width: Length of a feature vector, a multiple of 4.
-        bank: Mix features of three resolutions by a feature bank.
-        distance: Whether the distance is an input of the opacity, covariance and colour networks.
-        level: Whether the level is an input of all networks (Octree-GS).
-        cameras: Training cameras, each with an appearance.
-        appearance: Length of an appearance vector; 0 for no appearances.
-        united: Write all networks to one file of state dicts.
-        iteration: Number of the iteration.
-        seed: Seed of all random numbers.
-    """
-
-    anchors: int = 64
-    per_anchor: int = 5
-    width: int = 16
-    bank: bool = False
+    anchors: int = 64  # number of anchors
+    per_anchor: int = 5  # Gaussians of an anchor
+    width: int = 16  # length of a feature vector, a multiple of 4
+    bank: bool = False  # mix features of three resolutions by a feature bank
+    # whether the distance is an input of the opacity, covariance and colour networks
     distance: tuple[bool, bool, bool] = (False, False, False)
-    level: bool = False
-    cameras: int = 0
-    appearance: int = 0
-    united: bool = False
-    iteration: int = 30000
-    seed: int = 0
+    level: bool = False  # whether the level is an input of all networks (Octree-GS)
+    cameras: int = 0  # training cameras, each with an appearance
+    appearance: int = 0  # length of an appearance vector; 0 for no appearances
+    united: bool = False  # write all networks to one file of state dicts
+    iteration: int = 30000  # number of the iteration
+    seed: int = 0  # seed of all random numbers
 
 
 def write_scaffold(folder: Path, options: AnchorOptions = AnchorOptions()) -> Path:

@@ -28,26 +28,17 @@ _HANDS = ("hands_meanl", "hands_meanr")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """A skinned body model of V vertices and J joints, in float64.
-
-    Attributes:
-        path: The file.
-        template: Vertices of the rest pose, [V, 3].
-        shape_dirs: Vertex offsets per shape coefficient, [V, 3, S].
-        pose_dirs: Vertex offsets per entry of the joints' R − I without the root, [V, 3, 9(J−1)].
-        weights: Skinning weight of each joint for each vertex, [V, J].
-        regressor: Matrix from vertices to joint positions, [J, V].
-        parents: The parent of each joint; −1 for the root.
-        hand_mean: Mean pose of both hands in SMPL-X, [90], if the file has one.
-    """
+    """A skinned body model of V vertices and J joints, in float64."""
 
     path: Path
-    template: Float[np.ndarray, "v 3"]
-    shape_dirs: Float[np.ndarray, "v 3 s"]
+    template: Float[np.ndarray, "v 3"]  # vertices of the rest pose, [V, 3]
+    shape_dirs: Float[np.ndarray, "v 3 s"]  # vertex offsets per shape coefficient, [V, 3, S]
+    # vertex offsets per entry of the joints' R − I without the root, [V, 3, 9(J−1)]
     pose_dirs: Float[np.ndarray, "v 3 p"]
-    weights: Float[np.ndarray, "v j"]
-    regressor: Float[np.ndarray, "j v"]
-    parents: tuple[int, ...]
+    weights: Float[np.ndarray, "v j"]  # skinning weight of each joint for each vertex, [V, J]
+    regressor: Float[np.ndarray, "j v"]  # matrix from vertices to joint positions, [J, V]
+    parents: tuple[int, ...]  # the parent of each joint; −1 for the root
+    # mean pose of both hands in SMPL-X, [90], if the file has one
     hand_mean: Float[np.ndarray, "90"] | None = None
 
     @property

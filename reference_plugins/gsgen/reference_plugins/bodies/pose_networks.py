@@ -31,15 +31,10 @@ SKIP = 3
 
 @dataclass(frozen=True, slots=True)
 class PoseNets:
-    """Layers of the networks that correct joint rotations and skinning weights.
+    """Layers of the networks that correct joint rotations and skinning weights."""
 
-    Attributes:
-        pose: Three layers, from 3(J−1) axis-angles to as many.
-        weights: Five layers, from an encoded point to J offsets.
-    """
-
-    pose: tuple[Layer, ...]
-    weights: tuple[Layer, ...]
+    pose: tuple[Layer, ...]  # three layers, from 3(J−1) axis-angles to as many
+    weights: tuple[Layer, ...]  # five layers, from an encoded point to J offsets
 
 
 def read_pose_nets(

@@ -59,35 +59,21 @@ _REACH = 0.06  # metres over which a bone's skinning weight falls off
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PersonOptions:
-    """Options of a synthetic training run of a person.
+    """Options of a synthetic training run of a person."""
 
-    Attributes:
-        count: Number of Gaussians.
-        kind: ``smpl`` or ``smplx``.
-        vertices: Number of vertices of the body model.
-        shapes: Number of its shape coefficients.
-        nets: Networks correct joints and weights (GauHuman's ``motion_offset_flag``).
-        hands: The body model of SMPL-X has a mean pose of the hands.
-        degree: Degree of the spherical harmonics.
-        npz: The body model is an ``.npz``, not a ``.pkl``. SMPL-X always is.
-        width: Width of the networks; 128 in the published code.
-        resolution: Cells of R3-Avatar's planes along x, y, z and t.
-        channels: Channels of each plane.
-        seed: Seed of all noise.
-    """
-
-    count: int = 60
-    kind: str = "smpl"
-    vertices: int = 150
-    shapes: int = 10
-    nets: bool = False
-    hands: bool = False
-    degree: int = 3
-    npz: bool = False
-    width: int = 16
+    count: int = 60  # number of Gaussians
+    kind: str = "smpl"  # ``smpl`` or ``smplx``
+    vertices: int = 150  # number of vertices of the body model
+    shapes: int = 10  # number of its shape coefficients
+    nets: bool = False  # networks correct joints and weights (GauHuman's ``motion_offset_flag``)
+    hands: bool = False  # the body model of SMPL-X has a mean pose of the hands
+    degree: int = 3  # degree of the spherical harmonics
+    npz: bool = False  # The body model is an ``.npz``, not a ``.pkl``. SMPL-X always is.
+    width: int = 16  # width of the networks; 128 in the published code
+    # cells of R3-Avatar's planes along x, y, z and t
     resolution: tuple[int, int, int, int] = (6, 5, 7, 8)
-    channels: int = 4
-    seed: int = 0
+    channels: int = 4  # channels of each plane
+    seed: int = 0  # seed of all noise
 
     @property
     def joints(self) -> int:

@@ -34,23 +34,17 @@ Layer = tuple[Tensor, Tensor]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deformation:
-    """The layers of the network that deforms Gaussians over time.
+    """The layers of the network that deforms Gaussians over time."""
 
-    Attributes:
-        layers: Layers as (weight, bias); the first takes the encoded point and time.
-        skip: Index of the layer that takes these inputs again, before its hidden inputs.
-        time: Two further layers for the encoded time, in scenes of Blender.
-        warp: The translation; with six degrees of freedom the axis and the moment of a screw.
-        rotation: The change of the quaternion, which is added.
-        scaling: The change of the scale, which is added.
-    """
-
+    # layers as (weight, bias); the first takes the encoded point and time
     layers: tuple[Layer, ...]
-    skip: int
+    skip: int  # index of the layer that takes these inputs again, before its hidden inputs
+    # two further layers for the encoded time, in scenes of Blender
     time: tuple[Layer, Layer] | None
+    # the translation; with six degrees of freedom the axis and the moment of a screw
     warp: tuple[Layer] | tuple[Layer, Layer]
-    rotation: Layer
-    scaling: Layer
+    rotation: Layer  # the change of the quaternion, which is added
+    scaling: Layer  # the change of the scale, which is added
 
     @property
     def has_six_degrees(self) -> bool:
@@ -60,21 +54,13 @@ class Deformation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeformationCheckpoint:
-    """The Gaussians and the network of a Deformable-3D-Gaussians checkpoint.
+    """The Gaussians and the network of a Deformable-3D-Gaussians checkpoint."""
 
-    Attributes:
-        folder: Folder of the training run.
-        iteration: Number of the iteration.
-        cfg: Options of the training run.
-        canonical: The canonical Gaussians.
-        net: The deformation network.
-    """
-
-    folder: Path
-    iteration: int
-    cfg: CfgArgs
-    canonical: Canonical
-    net: Deformation
+    folder: Path  # folder of the training run
+    iteration: int  # number of the iteration
+    cfg: CfgArgs  # options of the training run
+    canonical: Canonical  # the canonical Gaussians
+    net: Deformation  # the deformation network
 
     @property
     def operations(self) -> int:

@@ -38,17 +38,11 @@ Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 @dataclass(frozen=True, slots=True)
 class Flags:
-    """The parts of the 4DGaussians networks that are active.
+    """The parts of the 4DGaussians networks that are active."""
 
-    Attributes:
-        active: Names of the active heads, in the order of ``HEADS``.
-        apply_rotation: Multiply the rotation by the change, instead of adding it.
-        mask: Factor of the canonical values: ``static_mlp``, ``empty_voxel`` or empty.
-    """
-
-    active: tuple[str, ...]
-    apply_rotation: bool
-    mask: str
+    active: tuple[str, ...]  # names of the active heads, in the order of ``HEADS``
+    apply_rotation: bool  # multiply the rotation by the change, instead of adding it
+    mask: str  # factor of the canonical values: ``static_mlp``, ``empty_voxel`` or empty
 
     @classmethod
     def of(cls, cfg: CfgArgs) -> "Flags":
@@ -82,45 +76,30 @@ class Flags:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneNets:
-    """The hexplane of 4DGaussians and the networks behind it.
+    """The hexplane of 4DGaussians and the networks behind it."""
 
-    Attributes:
-        aabb: Box of the planes; the first row is the upper corner.
-        grids: For each resolution six planes [C, second axis, first axis], of the axes
-            xy xz xt yz yt zt.
-        feature: Layers behind the planes, with ReLU between them.
-        heads: For each active head two layers, with ReLU before each.
-        static: Two layers of the mask of static parts, if there is one.
-        voxels: Voxel grid [x, y, z] with its lower and upper corner, if there is one.
-    """
-
-    aabb: Float[Tensor, "2 3"]
+    aabb: Float[Tensor, "2 3"]  # box of the planes; the first row is the upper corner
+    # for each resolution six planes [C, second axis, first axis], of the axes xy xz xt yz yt zt
     grids: tuple[tuple[Tensor, ...], ...]
-    feature: tuple[Layer, ...]
+    feature: tuple[Layer, ...]  # layers behind the planes, with ReLU between them
+    # for each active head two layers, with ReLU before each
     heads: Mapping[str, tuple[Layer, Layer]]
+    # two layers of the mask of static parts, if there is one
     static: tuple[Layer, Layer] | None = None
+    # voxel grid [x, y, z] with its lower and upper corner, if there is one
     voxels: tuple[Tensor, Tensor, Tensor] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneCheckpoint:
-    """The Gaussians, hexplane and networks of a 4DGaussians checkpoint.
+    """The Gaussians, hexplane and networks of a 4DGaussians checkpoint."""
 
-    Attributes:
-        folder: Folder of the training run.
-        iteration: Number of the iteration.
-        cfg: Options of the training run.
-        flags: The active parts of the networks.
-        canonical: The canonical Gaussians.
-        nets: The hexplane and its networks.
-    """
-
-    folder: Path
-    iteration: int
-    cfg: CfgArgs
-    flags: Flags
-    canonical: Canonical
-    nets: HexPlaneNets
+    folder: Path  # folder of the training run
+    iteration: int  # number of the iteration
+    cfg: CfgArgs  # options of the training run
+    flags: Flags  # the active parts of the networks
+    canonical: Canonical  # the canonical Gaussians
+    nets: HexPlaneNets  # the hexplane and its networks
 
     def describe(self) -> str:
         """Return the sizes and the active networks of a 4DGaussians checkpoint as one line."""

@@ -60,38 +60,24 @@ _UNSUPPORTED = {
 
 @dataclass(slots=True)
 class Pair:
-    """The two low-rank matrices that change one layer, and their scale.
+    """The two low-rank matrices that change one layer, and their scale."""
 
-    Attributes:
-        down: A, [r, i] or [r, i, h, w].
-        up: B, [o, r] or [o, r, 1, 1].
-        alpha: α of the layer, if the file has it.
-    """
-
-    down: Tensor | None = None
-    up: Tensor | None = None
-    alpha: float | None = None
+    down: Tensor | None = None  # A, [r, i] or [r, i, h, w]
+    up: Tensor | None = None  # B, [o, r] or [o, r, 1, 1]
+    alpha: float | None = None  # α of the layer, if the file has it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adapter:
-    """The contents of a LoRA file: a pair of matrices for each changed layer.
-
-    Attributes:
-        path: The file.
-        pairs: Name of a layer in the file → its change.
-        text: Names of tensors of text encoders, which are not part of these networks.
-        alpha: α of layers without their own; their rank by default.
-        alphas: Suffix of a layer's name → α.
-        by_root: α is divided by √r, not by r (Kalajdzievski 2023, "rsLoRA").
-    """
+    """The contents of a LoRA file: a pair of matrices for each changed layer."""
 
     path: Path
-    pairs: Mapping[str, Pair]
+    pairs: Mapping[str, Pair]  # name of a layer in the file → its change
+    # names of tensors of text encoders, which are not part of these networks
     text: tuple[str, ...] = ()
-    alpha: float | None = None
-    alphas: Mapping[str, float] = field(default_factory=dict)
-    by_root: bool = False
+    alpha: float | None = None  # α of layers without their own; their rank by default
+    alphas: Mapping[str, float] = field(default_factory=dict)  # suffix of a layer's name → α
+    by_root: bool = False  # α is divided by √r, not by r (Kalajdzievski 2023, "rsLoRA")
 
     def share(self, layer: str, pair: Pair, rank: int) -> float:
         """Return the factor α/r that scales the change of a layer."""

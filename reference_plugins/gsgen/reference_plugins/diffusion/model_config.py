@@ -17,15 +17,10 @@ _MOST_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
-    """The options of one network, from a ``config.json`` of diffusers.
-
-    Attributes:
-        path: The file.
-        values: Option → JSON value.
-    """
+    """The options of one network, from a ``config.json`` of diffusers."""
 
     path: Path
-    values: Mapping[str, Any]
+    values: Mapping[str, Any]  # option → JSON value
 
     def option_error(self, name: str, problem: str) -> CheckpointInvalid:
         """Return an error about the value of a network option, to be raised by the caller."""

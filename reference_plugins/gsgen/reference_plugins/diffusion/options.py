@@ -42,15 +42,10 @@ _REQUIRED = {
 
 @dataclass(frozen=True, slots=True)
 class VectorOptions:
-    """Shape of the vector that SDXL adds to the embedded time: prompt and image sizes.
+    """Shape of the vector that SDXL adds to the embedded time: prompt and image sizes."""
 
-    Attributes:
-        length: Length of the vector: the pooled prompt, then features of each size.
-        features: Number of sines and cosines for one size.
-    """
-
-    length: int
-    features: int
+    length: int  # length of the vector: the pooled prompt, then features of each size
+    features: int  # number of sines and cosines for one size
 
     @classmethod
     def of(cls, config: ModelConfig) -> "VectorOptions | None":
@@ -71,58 +66,33 @@ class VectorOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UNetOptions:
-    """The shape of a U-Net.
+    """The shape of a U-Net."""
 
-    Attributes:
-        inputs: Channels of the image.
-        outputs: Channels of the result.
-        channels: Channels of each level, finest first.
-        down: Attention after the residual blocks of each level on the way down: empty for no
-            attention, ``image`` for self-attention, or ``context`` for a transformer.
-        middle: The same for the middle block; None without a middle block.
-        up: The same on the way up, coarsest first.
-        layers: Residual blocks of each level.
-        heads: Heads of attention of each level.
-        depth: Transformer blocks of each level.
-        context: Length of a conditioning vector; None without conditioning.
-        groups: Groups of every norm.
-        eps: Epsilon of the norms of residual blocks.
-        shrink: Divisor of the sums in the middle block.
-        shifts: Time scales and shifts norms.
-        linear: Transformers project by linear layers.
-        padding: Padding of the convolutions of stride 2.
-        kernels: Kernel sizes of the first and the last convolution.
-        flip: Cosines of the time come before its sines.
-        shift: Number subtracted from the number of frequencies.
-        centre: The image is converted from 0 … 1 to −1 … 1 first.
-        attends: The middle block has attention.
-        sample: Height and width of training samples, if known.
-        vector: Options of the vector that is added to the embedded time, if any.
-    """
-
-    inputs: int
-    outputs: int
-    channels: tuple[int, ...]
+    inputs: int  # channels of the image
+    outputs: int  # channels of the result
+    channels: tuple[int, ...]  # channels of each level, finest first
+    # attention after the residual blocks of each level on the way down: empty for no attention,
+    # ``image`` for self-attention, or ``context`` for a transformer
     down: tuple[str, ...]
-    middle: str | None
-    up: tuple[str, ...]
-    layers: int
-    heads: tuple[int, ...]
-    depth: tuple[int, ...]
-    context: int | None
-    groups: int
-    eps: float
-    shrink: float
-    shifts: bool
-    linear: bool
-    padding: int
-    kernels: tuple[int, int]
-    flip: bool
-    shift: float
-    centre: bool
-    attends: bool
-    sample: tuple[int, int] | None
-    vector: VectorOptions | None
+    middle: str | None  # the same for the middle block; None without a middle block
+    up: tuple[str, ...]  # the same on the way up, coarsest first
+    layers: int  # residual blocks of each level
+    heads: tuple[int, ...]  # heads of attention of each level
+    depth: tuple[int, ...]  # transformer blocks of each level
+    context: int | None  # length of a conditioning vector; None without conditioning
+    groups: int  # groups of every norm
+    eps: float  # epsilon of the norms of residual blocks
+    shrink: float  # divisor of the sums in the middle block
+    shifts: bool  # time scales and shifts norms
+    linear: bool  # transformers project by linear layers
+    padding: int  # padding of the convolutions of stride 2
+    kernels: tuple[int, int]  # kernel sizes of the first and the last convolution
+    flip: bool  # cosines of the time come before its sines
+    shift: float  # number subtracted from the number of frequencies
+    centre: bool  # the image is converted from 0 … 1 to −1 … 1 first
+    attends: bool  # the middle block has attention
+    sample: tuple[int, int] | None  # height and width of training samples, if known
+    vector: VectorOptions | None  # options of the vector that is added to the embedded time, if any
 
     @property
     def stride(self) -> int:
@@ -212,33 +182,21 @@ def _heads_per_level(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutoencoderOptions:
-    """The shape of an autoencoder (AutoencoderKL).
+    """The shape of an autoencoder (AutoencoderKL)."""
 
-    Attributes:
-        inputs: Channels of the image.
-        outputs: Channels of the decoded image.
-        latent: Channels of the latent.
-        channels: Channels of each level, finest first.
-        layers: Residual blocks of each level of the encoder; the decoder has one more.
-        groups: Groups of every norm.
-        scale: Factor of the latent that the U-Net receives.
-        shift: Number subtracted from the latent before scaling.
-        attends: The middle block has attention.
-        quantised: Whether a 1×1 convolution precedes the latent, and whether one follows it.
-        skips: Factor of the skip connections, which lead the input of each encoder level through
-            a 1×1 convolution to the decoder (Difix); None without them.
-    """
-
-    inputs: int
-    outputs: int
-    latent: int
-    channels: tuple[int, ...]
-    layers: int
-    groups: int
-    scale: float
-    shift: float
-    attends: bool
+    inputs: int  # channels of the image
+    outputs: int  # channels of the decoded image
+    latent: int  # channels of the latent
+    channels: tuple[int, ...]  # channels of each level, finest first
+    layers: int  # residual blocks of each level of the encoder; the decoder has one more
+    groups: int  # groups of every norm
+    scale: float  # factor of the latent that the U-Net receives
+    shift: float  # number subtracted from the latent before scaling
+    attends: bool  # the middle block has attention
+    # whether a 1×1 convolution precedes the latent, and whether one follows it
     quantised: tuple[bool, bool]
+    # factor of the skip connections, which lead the input of each encoder level through a 1×1
+    # convolution to the decoder (Difix); None without them
     skips: float | None = None
 
     @property

@@ -31,21 +31,13 @@ Share = Tensor | float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """Options of the denoising step of a diffusion network.
-
-    Attributes:
-        timestep: The timestep.
-        timestep_is_input: The timestep is an input, and ``timestep`` its default.
-        size: Height and width of images; None for any size.
-        is_unit_range: Images of the model are 0 … 1, not −1 … 1.
-        returns_prediction: The result is the network's prediction, not the clean image.
-    """
+    """Options of the denoising step of a diffusion network."""
 
     timestep: float
-    timestep_is_input: bool = False
-    size: tuple[int, int] | None = None
-    is_unit_range: bool = False
-    returns_prediction: bool = False
+    timestep_is_input: bool = False  # the timestep is an input, and ``timestep`` its default
+    size: tuple[int, int] | None = None  # height and width of images; None for any size
+    is_unit_range: bool = False  # images of the model are 0 … 1, not −1 … 1
+    returns_prediction: bool = False  # the result is the network's prediction, not the clean image
 
 
 @final

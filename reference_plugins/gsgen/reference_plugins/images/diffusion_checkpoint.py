@@ -45,38 +45,24 @@ _LARGEST_BETA = 0.999
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """The noise schedule that a diffusion network was trained with.
+    """The noise schedule that a diffusion network was trained with."""
 
-    Attributes:
-        signal: ᾱ of each timestep: the remaining share of the image's variance, float64.
-        prediction: The quantity that the network predicts.
-    """
-
+    # ᾱ of each timestep: the remaining share of the image's variance, float64
     signal: Float[Tensor, " steps"]
-    prediction: Prediction
+    prediction: Prediction  # the quantity that the network predicts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffusionCheckpoint:
-    """The networks and the noise schedule of one diffusion checkpoint.
+    """The networks and the noise schedule of one diffusion checkpoint."""
 
-    Attributes:
-        folder: The folder that was read.
-        unet: The U-Net, its weights loaded.
-        autoencoder: The autoencoder; None if the U-Net works on pixels.
-        noise: The noise schedule; None if the folder has none.
-        digest: SHA-256 of the concatenated weight files.
-        added: Descriptions of the LoRAs that were merged.
-        warnings: Descriptions of tensors that have no effect.
-    """
-
-    folder: Path
-    unet: UNet
-    autoencoder: Autoencoder | None
-    noise: Noise | None
-    digest: str
-    added: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    folder: Path  # the folder that was read
+    unet: UNet  # the U-Net, its weights loaded
+    autoencoder: Autoencoder | None  # the autoencoder; None if the U-Net works on pixels
+    noise: Noise | None  # the noise schedule; None if the folder has none
+    digest: str  # SHA-256 of the concatenated weight files
+    added: tuple[str, ...] = ()  # descriptions of the LoRAs that were merged
+    warnings: tuple[str, ...] = ()  # descriptions of tensors that have no effect
 
     @property
     def stride(self) -> int:

@@ -28,15 +28,11 @@ _PARTS = ("state_dict_unet", "state_dict_vae")
 
 @dataclass(frozen=True, slots=True)
 class Difix:
-    """Tensors of Difix that replace or extend the weights of U-Net and autoencoder.
+    """Tensors of Difix that replace or extend the weights of U-Net and autoencoder."""
 
-    Attributes:
-        unet: Tensors of the U-Net by name, including those of a LoRA.
-        vae: Tensors of the autoencoder, likewise.
-    """
-
+    # tensors of the U-Net by name, including those of a LoRA
     unet: Mapping[str, Any] = field(default_factory=dict)
-    vae: Mapping[str, Any] = field(default_factory=dict)
+    vae: Mapping[str, Any] = field(default_factory=dict)  # tensors of the autoencoder, likewise
 
 
 def read_difix(path: Path) -> Difix:

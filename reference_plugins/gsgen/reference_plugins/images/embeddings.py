@@ -25,17 +25,12 @@ _TIME_IDS = ("time_ids", "add_time_ids")
 
 @dataclass(frozen=True, slots=True)
 class Embeddings:
-    """The text embeddings of a prompt.
+    """The text embeddings of a prompt."""
 
-    Attributes:
-        context: A vector for each token.
-        pooled: A vector for the whole prompt, if the network takes one (SDXL).
-        time_ids: Sizes of the image for SDXL, if the file has them.
-    """
-
-    context: Float[Tensor, "1 m d"] | None = None
+    context: Float[Tensor, "1 m d"] | None = None  # A vector for each token
+    # A vector for the whole prompt, if the network takes one (SDXL)
     pooled: Float[Tensor, "1 p"] | None = None
-    time_ids: tuple[float, ...] | None = None
+    time_ids: tuple[float, ...] | None = None  # sizes of the image for SDXL, if the file has them
 
     def describe(self) -> str:
         """Describe the arrays of a prompt's embeddings in one line: shapes and sizes."""

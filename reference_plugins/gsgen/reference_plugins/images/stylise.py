@@ -23,15 +23,10 @@ _STRIDE = 4
 
 @dataclass(frozen=True, slots=True)
 class StyliseOptions:
-    """The shape of the style transfer network: widths and number of blocks.
+    """The shape of the style transfer network: widths and number of blocks."""
 
-    Attributes:
-        channels: Channels of the first convolution; each of the next two doubles them.
-        blocks: Residual blocks at a quarter of the size.
-    """
-
-    channels: int = 16
-    blocks: int = 3
+    channels: int = 16  # channels of the first convolution; each of the next two doubles them
+    blocks: int = 3  # residual blocks at a quarter of the size
 
 
 class _Block(nn.Module):

@@ -18,22 +18,14 @@ from gsgen.reference_plugins.loading.folder import required_file
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Canonical:
-    """N canonical Gaussians of a deformation before activation, float32.
+    """N canonical Gaussians of a deformation before activation, float32."""
 
-    Attributes:
-        position: Centres.
-        rotation: Quaternions (w, x, y, z), not normalised.
-        log_scale: Logarithms of the standard deviations.
-        logit_opacity: Opacity before the sigmoid.
-        sh: SH coefficients of red, green and blue.
-        stored: SH degree of the file, if ``sh`` was cut to the highest degree of renderers.
-    """
-
-    position: Float[Tensor, "n 3"]
-    rotation: Float[Tensor, "n 4"]
-    log_scale: Float[Tensor, "n 3"]
-    logit_opacity: Float[Tensor, "n 1"]
-    sh: Float[Tensor, "n k 3"]
+    position: Float[Tensor, "n 3"]  # centres
+    rotation: Float[Tensor, "n 4"]  # quaternions (w, x, y, z), not normalised
+    log_scale: Float[Tensor, "n 3"]  # logarithms of the standard deviations
+    logit_opacity: Float[Tensor, "n 1"]  # opacity before the sigmoid
+    sh: Float[Tensor, "n k 3"]  # SH coefficients of red, green and blue
+    # SH degree of the file, if ``sh`` was cut to the highest degree of renderers
     stored: int | None = None
 
     def __len__(self) -> int:

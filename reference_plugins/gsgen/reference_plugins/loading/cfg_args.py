@@ -46,17 +46,11 @@ class Printed:
 
 @dataclass(frozen=True, slots=True)
 class CfgArgs:
-    """The options of one training run, read from ``cfg_args``.
-
-    Attributes:
-        path: The file.
-        values: Option → literal, or :class:`Printed`; empty if the file is absent.
-        present: Whether the file exists.
-    """
+    """The options of one training run, read from ``cfg_args``."""
 
     path: Path
-    values: dict[str, Any]
-    present: bool = True
+    values: dict[str, Any]  # option → literal, or :class:`Printed`; empty if the file is absent
+    present: bool = True  # whether the file exists
 
     def flag(self, name: str, *, default: bool = False) -> bool:
         """Return a boolean training option."""

@@ -34,23 +34,14 @@ _LEVELS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GauHumanCheckpoint:
-    """A trained avatar of GauHuman, without poses.
+    """A trained avatar of GauHuman, without poses."""
 
-    Attributes:
-        folder: The training run.
-        iteration: The training iteration.
-        cfg: Options of the training run.
-        canonical: The Gaussians in the big pose.
-        body: The body model.
-        nets: Networks that correct joints and weights; None if they were not trained.
-    """
-
-    folder: Path
-    iteration: int
-    cfg: CfgArgs
-    canonical: Canonical
-    body: Body
-    nets: PoseNets | None
+    folder: Path  # the training run
+    iteration: int  # the training iteration
+    cfg: CfgArgs  # options of the training run
+    canonical: Canonical  # the Gaussians in the big pose
+    body: Body  # the body model
+    nets: PoseNets | None  # networks that correct joints and weights; None if they were not trained
 
     def describe(self) -> str:
         """Describe the checkpoint in one line: Gaussians, networks and body model."""

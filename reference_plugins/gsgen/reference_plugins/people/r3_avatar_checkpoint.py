@@ -75,31 +75,19 @@ class _Shell(Inert):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class R3Checkpoint:
-    """A trained avatar of R3-Avatar, without poses.
-
-    Attributes:
-        path: The file.
-        cfg: Options of the training run.
-        canonical: The Gaussians; their opacity, rotation and scale are replaced by the decoder's.
-        aabb: Lower and upper corner of the hexplane.
-        grids: Sets of six planes [C, h, w], one for each resolution.
-        inner: Hidden layers of the decoder.
-        heads: Output layers of the decoder, by attribute.
-        nets: Networks that correct joints and weights.
-        body: The body model.
-        origin: The pose id at which time is 0.
-    """
+    """A trained avatar of R3-Avatar, without poses."""
 
     path: Path
-    cfg: CfgArgs
+    cfg: CfgArgs  # options of the training run
+    # the Gaussians; their opacity, rotation and scale are replaced by the decoder's
     canonical: Canonical
-    aabb: Float[Tensor, "2 3"]
-    grids: tuple[tuple[Tensor, ...], ...]
-    inner: tuple[Layer, ...]
-    heads: Mapping[str, Layer]
-    nets: PoseNets
-    body: Body
-    origin: int
+    aabb: Float[Tensor, "2 3"]  # lower and upper corner of the hexplane
+    grids: tuple[tuple[Tensor, ...], ...]  # sets of six planes [C, h, w], one for each resolution
+    inner: tuple[Layer, ...]  # hidden layers of the decoder
+    heads: Mapping[str, Layer]  # output layers of the decoder, by attribute
+    nets: PoseNets  # networks that correct joints and weights
+    body: Body  # the body model
+    origin: int  # the pose id at which time is 0
 
     def describe(self) -> str:
         """Describe the checkpoint in one line: Gaussians, planes, time and body model."""

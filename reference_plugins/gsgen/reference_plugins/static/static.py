@@ -33,24 +33,18 @@ _UP = np.array([[0.0, -1.0, 0.0]])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticScene(ConstantSource):
-    """The content of a splat file, and the options of its export.
-
-    Attributes:
-        content: Splats, points, or packed rows.
-        opacity: Opacity of bare points, in (0, 1].
-        appearance: Whether packed rows with three channels hold SH or RGB; RGB if absent.
-        sh_degree: SH degree to cut or pad to; that of the file if absent.
-        color_space: Color space; that of the file if absent, or sRGB.
-        antialias: Antialiasing of the training; that of the file if absent, or classic.
-    """
+    """The content of a splat file, and the options of its export."""
 
     family: ClassVar[str | None] = "static"
 
-    content: Splats | PointCloud | PackedRows
-    opacity: float = INITIAL_OPACITY
+    content: Splats | PointCloud | PackedRows  # splats, points, or packed rows
+    opacity: float = INITIAL_OPACITY  # opacity of bare points, in (0, 1]
+    # whether packed rows with three channels hold SH or RGB; RGB if absent
     appearance: Literal["sh", "rgb"] | None = None
-    sh_degree: int | None = None
+    sh_degree: int | None = None  # SH degree to cut or pad to; that of the file if absent
+    # color space; that of the file if absent, or sRGB
     color_space: Literal["srgb", "linear"] | None = None
+    # antialiasing of the training; that of the file if absent, or classic
     antialias: Literal["classic", "mip"] | None = None
 
     def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:

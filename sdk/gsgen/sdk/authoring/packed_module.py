@@ -57,15 +57,10 @@ def check_whole_cells(capacity: int, per_cell: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """The dtype of packed outputs and their capacity in rows.
+    """The dtype of packed outputs and their capacity in rows."""
 
-    Attributes:
-        dtype: float32 or float16, for all outputs except the count.
-        capacity: Number of rows of the outputs; rows after the Gaussians are zero.
-    """
-
-    dtype: torch.dtype
-    capacity: int
+    dtype: torch.dtype  # float32 or float16, for all outputs except the count
+    capacity: int  # number of rows of the outputs; rows after the Gaussians are zero
 
 
 class PackedGenerator(nn.Module):

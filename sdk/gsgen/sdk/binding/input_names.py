@@ -12,17 +12,11 @@ from gsgen.sdk.binding.providers.errors import InputInvalid
 
 @dataclass(frozen=True, slots=True)
 class InputNames:
-    """The names and roles of the inputs of one model.
+    """The names and roles of the inputs of one model."""
 
-    Attributes:
-        tensors: Names of the input tensors.
-        roles: Role → names of the tensors that have it.
-        where: Name of the model in errors.
-    """
-
-    tensors: frozenset[str]
-    roles: dict[str, tuple[str, ...]]
-    where: str
+    tensors: frozenset[str]  # names of the input tensors
+    roles: dict[str, tuple[str, ...]]  # role → names of the tensors that have it
+    where: str  # name of the model in errors
 
     @classmethod
     def of(cls, ports: Iterable[InputBinding], where: str) -> "InputNames":

@@ -27,17 +27,11 @@ Tensors = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class ModelFacts:
-    """A model file and its manifest.
+    """A model file and its manifest."""
 
-    Attributes:
-        path: The ONNX file.
-        file: The file's structure.
-        manifest: The meaning of its tensors; None without a manifest.
-    """
-
-    path: Path
-    file: ModelFile
-    manifest: Manifest | None
+    path: Path  # the ONNX file
+    file: ModelFile  # the file's structure
+    manifest: Manifest | None  # the meaning of its tensors; None without a manifest
 
     @cached_property
     def graph(self) -> Graph:

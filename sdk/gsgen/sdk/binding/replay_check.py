@@ -36,15 +36,10 @@ _CULPRITS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class WrongReplay:
-    """An output whose replays differ from a run without capture.
+    """An output whose replays differ from a run without capture."""
 
-    Attributes:
-        output: The output, as a location.
-        actual: How its replays differ, and the operator that computes it.
-    """
-
-    output: str
-    actual: str
+    output: str  # the output, as a location
+    actual: str  # how its replays differ, and the operator that computes it
 
 
 def wrong_outputs(

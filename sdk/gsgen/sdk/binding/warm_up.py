@@ -22,23 +22,14 @@ from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WarmSession:
-    """A bound session that has run at least once.
+    """A bound session that has run at least once."""
 
-    Attributes:
-        choice: The chosen provider.
-        bound: The session and its buffers.
-        ports: Input name → binding.
-        nodes: The execution provider of each node.
-        captured: Whether frames are replayed.
-        cause: The reason why they are not; empty if they are, or if capture is off.
-    """
-
-    choice: Choice
-    bound: BoundSession
-    ports: Mapping[str, InputBinding]
-    nodes: tuple[Node, ...]
-    captured: bool
-    cause: str = ""
+    choice: Choice  # the chosen provider
+    bound: BoundSession  # the session and its buffers
+    ports: Mapping[str, InputBinding]  # input name → binding
+    nodes: tuple[Node, ...]  # the execution provider of each node
+    captured: bool  # whether frames are replayed
+    cause: str = ""  # the reason why they are not; empty if they are, or if capture is off
 
 
 def warm_up(sources: ModelFacts, opening: SessionOptions) -> WarmSession:

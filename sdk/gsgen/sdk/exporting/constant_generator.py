@@ -57,26 +57,17 @@ _OUTPUT_NAMES = {"sh": "color_sh", "rgb": "color_rgb"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConstantRows:
-    """Packed Gaussians of a scene that does not change.
+    """Packed Gaussians of a scene that does not change."""
 
-    Attributes:
-        rows: Packed Gaussians, float32 or float16 [N, 10].
-        appearance: SH or RGB, float32 or float16 [N, C].
-        space: Whether ``appearance`` holds SH or RGB.
-        description: The origin of the rows, such as "500 splats of SH degree 3".
-        color_space: Color space of the appearance.
-        antialias: The antialiasing that the scene was trained with.
-        notes: Changes that the user should know of, a sentence each.
-        passes_through: Whether the rows are the user's own, written even if they break rules.
-    """
-
-    rows: Float[np.ndarray, "n 10"]
-    appearance: Float[np.ndarray, "n c"]
-    space: Literal["sh", "rgb"]
-    description: str
-    color_space: Literal["srgb", "linear"] = "srgb"
+    rows: Float[np.ndarray, "n 10"]  # packed Gaussians, float32 or float16 [N, 10]
+    appearance: Float[np.ndarray, "n c"]  # SH or RGB, float32 or float16 [N, C]
+    space: Literal["sh", "rgb"]  # whether ``appearance`` holds SH or RGB
+    description: str  # the origin of the rows, such as "500 splats of SH degree 3"
+    color_space: Literal["srgb", "linear"] = "srgb"  # color space of the appearance
+    # the antialiasing that the scene was trained with
     antialias: Literal["classic", "mip"] = "classic"
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # changes that the user should know of, a sentence each
+    # whether the rows are the user's own, written even if they break rules
     passes_through: bool = False
 
     @property
@@ -91,13 +82,9 @@ class ConstantRows:
 
 
 class ConstantSource(ABC):
-    """A scene that does not change, and can be packed as float32 or float16.
+    """A scene that does not change, and can be packed as float32 or float16."""
 
-    Attributes:
-        family: The manifest's word for the kind of generator.
-    """
-
-    family: ClassVar[str | None] = None
+    family: ClassVar[str | None] = None  # the manifest's word for the kind of generator
 
     @abstractmethod
     def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:
@@ -111,15 +98,10 @@ class ConstantSource(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportedConstant(ExportResult):
-    """A finished export of a scene that does not change.
+    """A finished export of a scene that does not change."""
 
-    Attributes:
-        manifest: The embedded manifest.
-        rows: The exported rows.
-    """
-
-    manifest: GeneratorManifest
-    rows: ConstantRows
+    manifest: GeneratorManifest  # the embedded manifest
+    rows: ConstantRows  # the exported rows
 
     @property
     def dtype(self) -> Dtype:

@@ -238,19 +238,12 @@ def _export(
 
 @dataclass(frozen=True, slots=True)
 class _Description:
-    """Declarations of a generator module, and the results of its runs in eager torch.
+    """Declarations of a generator module, and the results of its runs in eager torch."""
 
-    Attributes:
-        manifest: The manifest to embed.
-        references: Results at the contract's probes, and at probes far from them.
-        example: The inputs to trace with.
-        watch: The hazards of the first run.
-    """
-
-    manifest: GeneratorManifest
-    references: list[Reference]
-    example: Probe
-    watch: Watch
+    manifest: GeneratorManifest  # the manifest to embed
+    references: list[Reference]  # results at the contract's probes, and at probes far from them
+    example: Probe  # the inputs to trace with
+    watch: Watch  # the hazards of the first run
 
 
 def _describe(

@@ -33,19 +33,12 @@ _UNKNOWN = (
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """The possible causes of a difference between an exported model and torch.
+    """The possible causes of a difference between an exported model and torch."""
 
-    Attributes:
-        generator: The module.
-        traced: The inputs that it was traced with.
-        hazards: Operations in it that tracing cannot follow.
-        rewritten: Whether the graph was rewritten.
-    """
-
-    generator: GaussianGenerator
-    traced: Probe
-    hazards: Sequence[Hazard]
-    rewritten: bool
+    generator: GaussianGenerator  # the module
+    traced: Probe  # the inputs that it was traced with
+    hazards: Sequence[Hazard]  # operations in it that tracing cannot follow
+    rewritten: bool  # whether the graph was rewritten
 
 
 def diagnose(

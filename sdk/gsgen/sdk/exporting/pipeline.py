@@ -31,21 +31,14 @@ def silent(_: str) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportResult(ABC):
-    """The path, report and figures of a finished export.
-
-    Attributes:
-        path: The model file.
-        report: The validator's report on it.
-        parity: How closely it agrees with eager torch; None if no torch module was exported.
-        changes: The rewrites of the graph.
-        notes: Further facts for the user, a sentence each.
-    """
+    """The path, report and figures of a finished export."""
 
     path: Path
-    report: "Report"
+    report: "Report"  # the validator's report on it
+    # how closely it agrees with eager torch; None if no torch module was exported
     parity: "Parity | None" = None
-    changes: "tuple[Change, ...]" = ()
-    notes: tuple[str, ...] = ()
+    changes: "tuple[Change, ...]" = ()  # the rewrites of the graph
+    notes: tuple[str, ...] = ()  # further facts for the user, a sentence each
 
     @property
     @abstractmethod

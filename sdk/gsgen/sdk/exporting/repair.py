@@ -36,18 +36,12 @@ from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
 @dataclass(frozen=True, slots=True)
 class RepairRequest:
-    """Facts that the model does not contain, and repairs that are made only on request.
+    """Facts that the model does not contain, and repairs that are made only on request."""
 
-    Attributes:
-        sizes: Symbolic dimension → its size.
-        manifest: The manifest to embed; the model's own if absent.
-        rename: Whether to give the outputs the names that viewers look for.
-        channel_major: Whether the SH are stored channel by channel, so that they are reordered.
-    """
-
-    sizes: Mapping[str, int] = field(default_factory=dict)
-    manifest: GeneratorManifest | None = None
-    rename: bool = False
+    sizes: Mapping[str, int] = field(default_factory=dict)  # symbolic dimension → its size
+    manifest: GeneratorManifest | None = None  # the manifest to embed; the model's own if absent
+    rename: bool = False  # whether to give the outputs the names that viewers look for
+    # whether the SH are stored channel by channel, so that they are reordered
     channel_major: bool = False
 
 
@@ -61,17 +55,11 @@ class Repair:
 
 @dataclass(frozen=True, slots=True)
 class RepairResult:
-    """The repairs of a model, and its reports before and after them.
+    """The repairs of a model, and its reports before and after them."""
 
-    Attributes:
-        repairs: The changes, in order.
-        before: The report on the source.
-        after: The report on the repaired model.
-    """
-
-    repairs: tuple[Repair, ...]
-    before: Report
-    after: Report
+    repairs: tuple[Repair, ...]  # the changes, in order
+    before: Report  # the report on the source
+    after: Report  # the report on the repaired model
 
 
 def repair(

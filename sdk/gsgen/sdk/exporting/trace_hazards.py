@@ -70,15 +70,10 @@ _TAINT = "_gsgen_of_an_input"
 
 @dataclass(frozen=True, slots=True)
 class Hazard:
-    """An operation of a user's module that tracing cannot follow.
+    """An operation of a user's module that tracing cannot follow."""
 
-    Attributes:
-        kind: The kind of operation.
-        where: ``file:line (code)``; where an attribute is set, its name stands in front.
-    """
-
-    kind: Kind
-    where: str
+    kind: Kind  # the kind of operation
+    where: str  # ``file:line (code)``; where an attribute is set, its name stands in front
 
     @property
     def description(self) -> str:

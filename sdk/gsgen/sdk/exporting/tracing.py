@@ -55,16 +55,11 @@ def trace_generator(
 
 @dataclass(frozen=True, slots=True)
 class TensorNames:
-    """The names of a graph's inputs, outputs and symbolic dimensions.
+    """The names of a graph's inputs, outputs and symbolic dimensions."""
 
-    Attributes:
-        inputs: In the order of the module's arguments.
-        outputs: In the order of its results.
-        dynamic: For each argument, axis → the name of its size; all sizes are fixed if absent.
-    """
-
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]  # in the order of the module's arguments
+    outputs: tuple[str, ...]  # in the order of its results
+    # for each argument, axis → the name of its size; all sizes are fixed if absent
     dynamic: tuple[dict[int, Any], ...] | None = None
 
 

@@ -39,19 +39,12 @@ _BUDGET = 24
 
 @dataclass(frozen=True, slots=True)
 class Float16ImageResult:
-    """Counts of the nodes and weights of a post-process model that became float16.
+    """Counts of the nodes and weights of a post-process model that became float16."""
 
-    Attributes:
-        computed: Number of nodes that compute in float16.
-        retained: Number of nodes that could, but compute in float32.
-        stored: Number of weights that are stored in float16.
-        retained_weights: Names of the weights that are stored in float32.
-    """
-
-    computed: int
-    retained: int
-    stored: int
-    retained_weights: tuple[str, ...]
+    computed: int  # number of nodes that compute in float16
+    retained: int  # number of nodes that could, but compute in float32
+    stored: int  # number of weights that are stored in float16
+    retained_weights: tuple[str, ...]  # names of the weights that are stored in float32
 
 
 def image_to_float16(

@@ -227,19 +227,12 @@ def to_float16(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Choice:
-    """The nodes that compute in float32, and the weight tables that are stored in 16 bits.
+    """The nodes that compute in float32, and the weight tables that are stored in 16 bits."""
 
-    Attributes:
-        retained: Nodes that compute in float32, with reasons.
-        retained_weights: Tables that are stored in float32, with reasons.
-        stored: Names of the tables that are stored in 16 bits a number.
-        unstepped: Names of those that are stored as float16, not in even steps.
-    """
-
-    retained: tuple[RetainedFloat32, ...]
-    retained_weights: tuple[RetainedFloat32, ...]
-    stored: frozenset[str]
-    unstepped: frozenset[str]
+    retained: tuple[RetainedFloat32, ...]  # nodes that compute in float32, with reasons
+    retained_weights: tuple[RetainedFloat32, ...]  # tables that are stored in float32, with reasons
+    stored: frozenset[str]  # names of the tables that are stored in 16 bits a number
+    unstepped: frozenset[str]  # names of those that are stored as float16, not in even steps
 
     @property
     def retained_names(self) -> set[str]:

@@ -11,32 +11,21 @@ _HARMLESS = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """The output error of quantizing some nodes or tables, and no others.
+    """The output error of quantizing some nodes or tables, and no others."""
 
-    Attributes:
-        units: Indices of the units, neighbours in the graph.
-        excess: The error as a share of the tolerance.
-        field: The field with the largest error.
-    """
-
-    units: tuple[int, ...]
-    excess: float
-    field: str
+    units: tuple[int, ...]  # indices of the units, neighbours in the graph
+    excess: float  # the error as a share of the tolerance
+    field: str  # the field with the largest error
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The quantized nodes or tables that a sensitivity search chose, and the measured errors.
+    """The quantized nodes or tables that a sensitivity search chose, and the measured errors."""
 
-    Attributes:
-        quantized: Indices of the units that can be quantized together.
-        retained: The other units, in groups, each with its error if quantized alone.
-        measured: Number of measured choices.
-    """
-
-    quantized: frozenset[int]
+    quantized: frozenset[int]  # indices of the units that can be quantized together
+    # the other units, in groups, each with its error if quantized alone
     retained: tuple[Sensitivity, ...]
-    measured: int
+    measured: int  # number of measured choices
 
 
 Measure = Callable[[Collection[int]], tuple[float, str]]

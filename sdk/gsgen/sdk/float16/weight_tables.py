@@ -32,17 +32,13 @@ Block = tuple[slice, slice, slice]
 
 @dataclass(frozen=True, slots=True)
 class HalfTable:
-    """A table of weights, stored in 16 bits a number.
+    """A table of weights, stored in 16 bits a number."""
 
-    Attributes:
-        numbers: float16, or the steps as uint16; of the table's shape.
-        step: Size of a step, float32 [columns], [] for all, or of another axis, such as [rows, 1];
-            None with float16.
-        start: The number of step 0, of the same shape as ``step``.
-    """
-
-    numbers: np.ndarray
+    numbers: np.ndarray  # float16, or the steps as uint16; of the table's shape
+    # size of a step, float32 [columns], [] for all, or of another axis, such as [rows, 1]; None
+    # with float16
     step: Float32[np.ndarray, "..."] | None = None
+    # the number of step 0, of the same shape as ``step``
     start: Float32[np.ndarray, "..."] | None = None
 
     @property

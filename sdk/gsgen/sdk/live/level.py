@@ -35,17 +35,11 @@ Event = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class EarlyStop:
-    """The reason why a session ended before the last frame.
+    """The reason why a session ended before the last frame."""
 
-    Attributes:
-        phase: ``plain`` or ``captured``.
-        frame: Number of the frame; -1 during the creation of the session.
-        message: ONNX Runtime's message, or how the process ended.
-    """
-
-    phase: str
-    frame: int
-    message: str
+    phase: str  # ``plain`` or ``captured``
+    frame: int  # number of the frame; -1 during the creation of the session
+    message: str  # ONNX Runtime's message, or how the process ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,23 +61,15 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Live:
-    """The results of running a model in the WebGPU provider.
-
-    Attributes:
-        subject: The model.
-        adapter: The adapter that it ran on.
-        nodes: Execution provider of each node without capture; None without a session.
-        accepted: Whether ONNX Runtime accepted to capture the model.
-        stop: The reason for an early end, if any.
-        frames: All frames; the first one was captured, the others were replayed.
-    """
+    """The results of running a model in the WebGPU provider."""
 
     subject: InspectedModel
-    adapter: str
+    adapter: str  # the adapter that it ran on
+    # execution provider of each node without capture; None without a session
     nodes: tuple[Node, ...] | None
-    accepted: bool
-    stop: EarlyStop | None
-    frames: tuple[Frame, ...]
+    accepted: bool  # whether ONNX Runtime accepted to capture the model
+    stop: EarlyStop | None  # the reason for an early end, if any
+    frames: tuple[Frame, ...]  # all frames; the first one was captured, the others were replayed
 
     @property
     def refusal(self) -> str:

@@ -27,30 +27,18 @@ OPSETS = (16, 23)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportRequest:
-    """The options of one run of `gsgen export`.
-
-    Attributes:
-        output: The model file.
-        name: Name in the manifest; the file's stem if absent.
-        dtype: The dtype of the outputs, and with float16 of weights, too; the source's own if
-            absent.
-        capacity: Rows of the outputs; as many as there are Gaussians if absent.
-        opset: ONNX operator set.
-        target: The consumer to rewrite and validate for.
-        level: The last level of the validation.
-        rewrite: Whether to rewrite the graph for runtimes.
-        report: The file for a JSON report on the export; not written if absent.
-    """
+    """The options of one run of `gsgen export`."""
 
     output: Path
-    name: str | None = None
+    name: str | None = None  # name in the manifest; the file's stem if absent
+    # the dtype of the outputs, and with float16 of weights, too; the source's own if absent
     dtype: Literal["float32", "float16"] | None = None
-    capacity: int | None = None
-    opset: int = OPSET
-    target: str = "core"
-    level: str = "behaviour"
-    rewrite: bool = True
-    report: Path | None = None
+    capacity: int | None = None  # rows of the outputs; as many as there are Gaussians if absent
+    opset: int = OPSET  # ONNX operator set
+    target: str = "core"  # the consumer to rewrite and validate for
+    level: str = "behaviour"  # the last level of the validation
+    rewrite: bool = True  # whether to rewrite the graph for runtimes
+    report: Path | None = None  # the file for a JSON report on the export; not written if absent
 
     def __post_init__(self) -> None:
         """Raise if the report of an export would overwrite a model file.

@@ -24,21 +24,14 @@ _SCHEMA = "gsgen-export/1"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """The result of `gsgen export`, or the error that stopped it.
+    """The result of `gsgen export`, or the error that stopped it."""
 
-    Attributes:
-        written: Whether the model file was written.
-        report: The validator's report, if the model was validated.
-        parity: How closely the model agrees with torch, if the two were compared.
-        changes: The rewrites of the graph.
-        error: The error that stopped the export.
-    """
-
-    written: bool
-    report: "Report | None" = None
+    written: bool  # whether the model file was written
+    report: "Report | None" = None  # the validator's report, if the model was validated
+    # how closely the model agrees with torch, if the two were compared
     parity: "Parity | None" = None
-    changes: "tuple[Change, ...]" = ()
-    error: GsgenError | None = None
+    changes: "tuple[Change, ...]" = ()  # the rewrites of the graph
+    error: GsgenError | None = None  # the error that stopped the export
 
 
 def write_report(path: Path, request: ExportRequest, source: str, outcome: Outcome) -> None:

@@ -22,15 +22,10 @@ _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 @dataclass(frozen=True, slots=True)
 class Factory:
-    """A user's callable that returns a generator, or a finished generator.
+    """A user's callable that returns a generator, or a finished generator."""
 
-    Attributes:
-        target: ``module:name``, as the user typed it.
-        make: The class, function or finished generator.
-    """
-
-    target: str
-    make: Any
+    target: str  # ``module:name``, as the user typed it
+    make: Any  # the class, function or finished generator
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:

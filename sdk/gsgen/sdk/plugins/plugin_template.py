@@ -38,17 +38,11 @@ _FILES = {
 
 @dataclass(frozen=True, slots=True)
 class PluginPackage:
-    """Paths and names of a new plugin's package, which was written from the template.
+    """Paths and names of a new plugin's package, which was written from the template."""
 
-    Attributes:
-        folder: The folder of the package.
-        package: Its import name.
-        files: All files, relative to the folder, sorted.
-    """
-
-    folder: Path
-    package: str
-    files: tuple[Path, ...]
+    folder: Path  # the folder of the package
+    package: str  # its import name
+    files: tuple[Path, ...]  # all files, relative to the folder, sorted
 
 
 def write_plugin_package(name: str, into: Path) -> PluginPackage:

@@ -28,31 +28,20 @@ _EPSILON = {"float16": 2.0**-10, "float32": 2.0**-22, "float64": 2.0**-50}
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The largest difference of one output after a rewrite.
+    """The largest difference of one output after a rewrite."""
 
-    Attributes:
-        output: Its name.
-        largest: The largest absolute difference.
-        allowed: The allowed difference.
-        probe: Label of the probe with the largest difference.
-    """
-
-    output: str
-    largest: float
-    allowed: float
-    probe: str
+    output: str  # its name
+    largest: float  # the largest absolute difference
+    allowed: float  # the allowed difference
+    probe: str  # label of the probe with the largest difference
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The differences of all outputs of two models for the same inputs.
+    """The differences of all outputs of two models for the same inputs."""
 
-    Attributes:
-        differences: The largest difference of each output that differs.
-        uncompared: Outputs without a finite number at any probe, so that no change can be seen.
-    """
-
-    differences: tuple[Difference, ...]
+    differences: tuple[Difference, ...]  # the largest difference of each output that differs
+    # outputs without a finite number at any probe, so that no change can be seen
     uncompared: tuple[str, ...]
 
 

@@ -67,58 +67,37 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """The nodes that one pass changed in a rewrite.
+    """The nodes that one pass changed in a rewrite."""
 
-    Attributes:
-        rewrite: Name of the pass.
-        exactness: The allowed change of outputs.
-        nodes: Names of the rewritten nodes, in order, over all rounds.
-    """
-
-    rewrite: str
-    exactness: ErrorBudget
-    nodes: tuple[str, ...]
+    rewrite: str  # name of the pass
+    exactness: ErrorBudget  # the allowed change of outputs
+    nodes: tuple[str, ...]  # names of the rewritten nodes, in order, over all rounds
 
 
 @dataclass(frozen=True, slots=True)
 class GraphStats:
-    """Counts of a graph's nodes, and the nodes that a target does not capture.
+    """Counts of a graph's nodes, and the nodes that a target does not capture."""
 
-    Attributes:
-        nodes: Number of nodes of the main graph.
-        opset: The operator set.
-        uncaptured: Nodes that a release of the target is known not to capture, with reasons.
-        unmeasured: Nodes for which no measurement exists.
-    """
-
-    nodes: int
-    opset: int
+    nodes: int  # number of nodes of the main graph
+    opset: int  # the operator set
+    # nodes that a release of the target is known not to capture, with reasons
     uncaptured: tuple[str, ...]
-    unmeasured: tuple[str, ...] = ()
+    unmeasured: tuple[str, ...] = ()  # nodes for which no measurement exists
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rewritten:
-    """The result of a rewrite: changes, graph counts, and the compared outputs.
+    """The result of a rewrite: changes, graph counts, and the compared outputs."""
 
-    Attributes:
-        path: The file; None if it was not written.
-        changes: The changes of each pass; empty if no pass applied.
-        before: Counts of the source.
-        after: Counts of the result.
-        probes: Number of probes at which the two were compared.
-        differences: The largest difference of each output whose bits changed.
-        refusals: Nodes that passes left unchanged, because they could not prove the change correct.
-        uncompared: Outputs without a finite number at any probe, so that no change can be seen.
-    """
-
-    path: Path | None
-    changes: tuple[Change, ...]
-    before: GraphStats
-    after: GraphStats
-    probes: int
-    differences: tuple[Difference, ...]
+    path: Path | None  # the file; None if it was not written
+    changes: tuple[Change, ...]  # the changes of each pass; empty if no pass applied
+    before: GraphStats  # counts of the source
+    after: GraphStats  # counts of the result
+    probes: int  # number of probes at which the two were compared
+    differences: tuple[Difference, ...]  # the largest difference of each output whose bits changed
+    # nodes that passes left unchanged, because they could not prove the change correct
     refusals: tuple[Refusal, ...] = ()
+    # outputs without a finite number at any probe, so that no change can be seen
     uncompared: tuple[str, ...] = ()
 
 
@@ -221,33 +200,19 @@ def rewrite_file(
 
 @dataclass(slots=True, kw_only=True)
 class _ComparedRun:
-    """Runs passes in steps, and compares the model's outputs after each step with those before.
+    """Runs passes in steps, and compares the model's outputs after each step with those before."""
 
-    Attributes:
-        model: The graph; passes change it.
-        folder: Folder of the drafts.
-        latest: The file of the latest step.
-        outputs: Names of the outputs to compare.
-        probes: Inputs to compare at.
-        limits: Time and memory for running a draft.
-        external_weights: Whether drafts store weights in a second file.
-        progress: Called with a message when a step begins.
-        changes: The changes of all steps.
-        differences: The differences of all steps.
-        uncompared: Outputs without a finite number in the latest step.
-    """
-
-    model: ir.Model
-    folder: Path
-    latest: Path
-    outputs: Sequence[str]
-    probes: Sequence[Probe]
-    limits: Limits
-    external_weights: bool
-    progress: Progress
-    changes: list[Change] = field(default_factory=list)
-    differences: list[Difference] = field(default_factory=list)
-    uncompared: tuple[str, ...] = ()
+    model: ir.Model  # the graph; passes change it
+    folder: Path  # folder of the drafts
+    latest: Path  # the file of the latest step
+    outputs: Sequence[str]  # names of the outputs to compare
+    probes: Sequence[Probe]  # inputs to compare at
+    limits: Limits  # time and memory for running a draft
+    external_weights: bool  # whether drafts store weights in a second file
+    progress: Progress  # called with a message when a step begins
+    changes: list[Change] = field(default_factory=list)  # the changes of all steps
+    differences: list[Difference] = field(default_factory=list)  # the differences of all steps
+    uncompared: tuple[str, ...] = ()  # outputs without a finite number in the latest step
 
     def step(self, name: str, rewrites: Sequence[Rewrite]) -> None:
         """Run passes until nothing changes, and compare the outputs if the graph changed.

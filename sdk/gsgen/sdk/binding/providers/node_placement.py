@@ -14,17 +14,11 @@ _LONGEST = 500
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """Name and operator of a graph node, and the execution provider that runs it.
+    """Name and operator of a graph node, and the execution provider that runs it."""
 
-    Attributes:
-        provider: The execution provider that runs the node.
-        operator: The node's operator.
-        name: The node's name; empty if the model gives none.
-    """
-
-    provider: str
-    operator: str
-    name: str
+    provider: str  # the execution provider that runs the node
+    operator: str  # the node's operator
+    name: str  # the node's name; empty if the model gives none
 
 
 def node_placement(session: Any) -> tuple[Node, ...]:

@@ -42,19 +42,12 @@ MEMORY: dict[Provider, str] = {"cpu": "cpu", "webgpu": "gpu", "cuda": "cuda"}
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The chosen execution provider and the reason for the choice.
+    """The chosen execution provider and the reason for the choice."""
 
-    Attributes:
-        provider: The provider's name.
-        reason: The reason, one sentence.
-        adapter: The device, if the provider is WebGPU.
-        is_requested: The caller requested this provider, so no other may replace it.
-    """
-
-    provider: Provider
-    reason: str
-    adapter: Adapter | None = None
-    is_requested: bool = False
+    provider: Provider  # the provider's name
+    reason: str  # the reason, one sentence
+    adapter: Adapter | None = None  # the device, if the provider is WebGPU
+    is_requested: bool = False  # the caller requested this provider, so no other may replace it
 
     @property
     def device(self) -> str:
@@ -68,21 +61,13 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionOptions:
-    """Options for opening an ONNX Runtime session.
+    """Options for opening an ONNX Runtime session."""
 
-    Attributes:
-        choice: The provider.
-        capture: Record commands once and replay them.
-        sizes: Symbol → size of a dimension.
-        threads: Threads of the CPU provider; 0 lets ONNX Runtime decide.
-        stop: Cancels the session's runs; optional.
-    """
-
-    choice: Choice
-    capture: bool = False
-    sizes: Mapping[str, int] = field(default_factory=dict)
-    threads: int = 0
-    stop: Stop | None = None
+    choice: Choice  # the provider
+    capture: bool = False  # record commands once and replay them
+    sizes: Mapping[str, int] = field(default_factory=dict)  # symbol → size of a dimension
+    threads: int = 0  # threads of the CPU provider; 0 lets ONNX Runtime decide
+    stop: Stop | None = None  # cancels the session's runs; optional
 
     def without_capture(self) -> "SessionOptions":
         """Copy the session options, with graph capture and replay turned off."""

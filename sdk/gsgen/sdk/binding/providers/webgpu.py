@@ -37,19 +37,12 @@ class AdapterMissing(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Adapter:
-    """A GPU that ONNX Runtime's WebGPU provider can open.
+    """A GPU that ONNX Runtime's WebGPU provider can open."""
 
-    Attributes:
-        device: ONNX Runtime's handle.
-        name: The driver's name for the device; may be empty.
-        version: Version of the provider.
-        hardware: Whether it is a GPU, not a software driver.
-    """
-
-    device: Any
-    name: str
-    version: str
-    hardware: bool
+    device: Any  # ONNX Runtime's handle
+    name: str  # the driver's name for the device; may be empty
+    version: str  # version of the provider
+    hardware: bool  # whether it is a GPU, not a software driver
 
 
 def find_adapter() -> Adapter:

@@ -41,19 +41,12 @@ SAFE_WIDTH = 7
 
 @dataclass(frozen=True, slots=True)
 class ErrorBudget:
-    """The largest allowed difference of outputs after a rewrite; by default no bit may differ.
+    """The largest allowed difference of outputs after a rewrite; by default no bit may differ."""
 
-    Attributes:
-        relative: Allowed error, relative to the largest number in the output's tensor.
-        absolute: Allowed error in addition.
-        repairs_nonfinite: A value that was NaN or infinite may become any number.
-        pads: Rows of zeros may follow the rows of an output.
-    """
-
-    relative: float = 0.0
-    absolute: float = 0.0
-    repairs_nonfinite: bool = False
-    pads: bool = False
+    relative: float = 0.0  # allowed error, relative to the largest number in the output's tensor
+    absolute: float = 0.0  # allowed error in addition
+    repairs_nonfinite: bool = False  # A value that was NaN or infinite may become any number
+    pads: bool = False  # rows of zeros may follow the rows of an output
 
     @property
     def bits(self) -> bool:
@@ -83,24 +76,17 @@ BITS = ErrorBudget()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewriteTarget:
-    """The runtime that a model is rewritten for, and its known limits.
+    """The runtime that a model is rewritten for, and its known limits."""
 
-    Attributes:
-        target: The consumer.
-        tables: Operators that its releases have kernels for. For a target that names no
-            releases, all known tables.
-        limits: Its limits, such as ``concat_inputs``; without named releases, the lowest known.
-        manifest: The model's manifest, if it has one.
-        opset: Requested operator set; None if the kernels decide.
-        sizes: Symbolic dimension → its fixed size.
-    """
-
-    target: Target
+    target: Target  # the consumer
+    # Operators that its releases have kernels for. For a target that names no releases, all known
+    # tables.
     tables: tuple[OperatorTable, ...] = ()
+    # its limits, such as ``concat_inputs``; without named releases, the lowest known
     limits: Mapping[str, int] = field(default_factory=dict)
-    manifest: Manifest | None = None
-    opset: int | None = None
-    sizes: Mapping[str, int] = field(default_factory=dict)
+    manifest: Manifest | None = None  # the model's manifest, if it has one
+    opset: int | None = None  # requested operator set; None if the kernels decide
+    sizes: Mapping[str, int] = field(default_factory=dict)  # symbolic dimension → its fixed size
 
     @classmethod
     def of(

@@ -12,17 +12,11 @@ from gsgen.sdk.passes.framework.base import Rewrite, describe_item
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A node, weight or output that a rewrite left unchanged, and the missing precondition.
+    """A node, weight or output that a rewrite left unchanged, and the missing precondition."""
 
-    Attributes:
-        rewrite: Name of the rewrite.
-        where: Name of the node, weight or output; a node with its operator.
-        reason: The precondition that could not be proven.
-    """
-
-    rewrite: str
-    where: str
-    reason: str
+    rewrite: str  # name of the rewrite
+    where: str  # name of the node, weight or output; a node with its operator
+    reason: str  # the precondition that could not be proven
 
 
 class CautiousRewrite(Rewrite):

@@ -51,17 +51,11 @@ class SampleByProduct(CautiousRewrite):
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A line of sampled points with one coordinate in common.
+    """A line of sampled points with one coordinate in common."""
 
-    Attributes:
-        fixed: The constant coordinate of each point, [n, 1].
-        common: The common coordinate, one number.
-        common_is_x: Whether the common coordinate is x.
-    """
-
-    fixed: ir.Value
-    common: ir.Value
-    common_is_x: bool
+    fixed: ir.Value  # the constant coordinate of each point, [n, 1]
+    common: ir.Value  # the common coordinate, one number
+    common_is_x: bool  # whether the common coordinate is x
 
 
 def _varying(graph: ir.Graph) -> set[ir.Value]:

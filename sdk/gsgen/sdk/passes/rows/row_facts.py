@@ -22,19 +22,13 @@ class Blocked(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Mask:
-    """A boolean mask tensor of a graph; K of its elements are true.
+    """A boolean mask tensor of a graph; K of its elements are true."""
 
-    Attributes:
-        root: The tensor, of any numeric dtype; nonzero elements are true.
-        dims: Its shape.
-        repeats: Sizes of the axes along which it is repeated: Expand(Unsqueeze(root), …).
-        parent: The mask among whose rows this one selects.
-    """
-
-    root: ir.Value
-    dims: tuple[int, ...]
+    root: ir.Value  # the tensor, of any numeric dtype; nonzero elements are true
+    dims: tuple[int, ...]  # its shape
+    # sizes of the axes along which it is repeated: Expand(Unsqueeze(root), …)
     repeats: tuple[int, ...] = ()
-    parent: "Mask | None" = None
+    parent: "Mask | None" = None  # the mask among whose rows this one selects
 
     @property
     def unrepeated(self) -> "Mask":
@@ -54,64 +48,39 @@ class Mask:
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """The indices of the true elements of a mask, as NonZero returns them.
-
-    Attributes:
-        mask: The mask.
-        form: ``columns`` [axes, K], ``rows`` [K, axes] or ``flat`` [K].
-    """
+    """The indices of the true elements of a mask, as NonZero returns them."""
 
     mask: Mask
-    form: str
+    form: str  # ``columns`` [axes, K], ``rows`` [K, axes] or ``flat`` [K]
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A tensor with the K kept rows of a mask, represented by a drafted tensor with all N rows.
+    """A tensor with the K kept rows of a mask, represented by a drafted tensor with all N rows."""
 
-    Attributes:
-        mask: The mask that selects the K rows.
-        value: The tensor of all N rows.
-        axis: The axis of the rows.
-        flat: Whether the K rows are flattened to one axis.
-    """
-
-    mask: Mask
-    value: ir.Value
-    axis: int
-    flat: bool = False
+    mask: Mask  # the mask that selects the K rows
+    value: ir.Value  # the tensor of all N rows
+    axis: int  # the axis of the rows
+    flat: bool = False  # whether the K rows are flattened to one axis
 
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """Integers of the form a + b · K, where K is the number of rows that a mask keeps.
+    """Integers of the form a + b · K, where K is the number of rows that a mask keeps."""
 
-    Attributes:
-        mask: The mask with K true elements.
-        constant: The numbers a, of any shape.
-        factor: The numbers b.
-        varies: Whether a varying shape provides them, so that they must be recomputed.
-    """
-
-    mask: Mask
-    constant: np.ndarray
-    factor: np.ndarray
-    varies: bool
+    mask: Mask  # the mask with K true elements
+    constant: np.ndarray  # the numbers a, of any shape
+    factor: np.ndarray  # the numbers b
+    varies: bool  # whether a varying shape provides them, so that they must be recomputed
 
 
 @dataclass(frozen=True, slots=True)
 class Filler:
-    """Equal filler rows along the first axis, ``capacity`` − K of them.
+    """Equal filler rows along the first axis, ``capacity`` − K of them."""
 
-    Attributes:
-        mask: The mask with K true elements.
-        capacity: Number of rows, filler included.
-        row: The constant content of a row.
-    """
-
-    mask: Mask
-    capacity: int
-    row: np.ndarray
+    mask: Mask  # the mask with K true elements
+    capacity: int  # number of rows, filler included
+    row: np.ndarray  # the constant content of a row
 
 
 Fact = Index | Rows | Linear | Filler

@@ -14,17 +14,11 @@ _INT, _BOOL = ir.DataType.INT32, ir.DataType.BOOL
 
 @dataclass(frozen=True, slots=True)
 class RowOrder:
-    """The graph values that order the rows of a boolean mask: kept rows first.
+    """The graph values that order the rows of a boolean mask: kept rows first."""
 
-    Attributes:
-        count: Number of kept rows, int32 [1].
-        rows: Indices of the kept rows in ascending order, then zeros; int32 [N].
-        live: True for the first ``count`` elements, bool [N].
-    """
-
-    count: ir.Value
-    rows: ir.Value
-    live: ir.Value
+    count: ir.Value  # number of kept rows, int32 [1]
+    rows: ir.Value  # indices of the kept rows in ascending order, then zeros; int32 [N]
+    live: ir.Value  # true for the first ``count`` elements, bool [N]
 
 
 def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
