@@ -122,13 +122,8 @@ def read_anchors(
 ) -> AnchorCheckpoint:
     """Read a checkpoint of Scaffold-GS or Octree-GS.
 
-    Args:
-        folder: Folder of the training run or of one iteration, or a file in either.
-        iteration: Number of the iteration; the last if absent.
-        octree: The checkpoint is of Octree-GS: anchors have levels.
-
-    Raises:
-        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
+    ``folder`` is the training run, one iteration, or a file in either; without ``iteration``, the
+    last is read. With ``octree``, anchors have levels.
     """
     folder, iteration = within_run(folder, iteration)
     number, iteration_folder = find_iteration(folder, iteration)
@@ -147,11 +142,7 @@ def read_anchors(
 
 
 def require_sizes(cfg: CfgArgs, cloud: AnchorCloud, ply: Path) -> None:
-    """Raise if sizes of the anchors differ from those in the training options.
-
-    Raises:
-        CheckpointInvalid: The PLY and ``cfg_args`` are from different runs.
-    """
+    """Raise if sizes of the anchors differ from those in the training options."""
     for option, actual in (("n_offsets", cloud.per_anchor), ("feat_dim", cloud.width)):
         if cfg.integer(option, actual) != actual:
             message = f"{option} is {cfg.values[option]}, but {ply.name} has {actual}"
@@ -207,14 +198,7 @@ def read_nets(
 ) -> AnchorNets:
     """Read the networks of an anchor checkpoint.
 
-    Args:
-        iteration_folder: The folder of the iteration.
-        cfg: Options of the training run.
-        cloud: The anchors, whose sizes determine the shapes of the networks.
-        octree: The level may be an input of the networks.
-
-    Raises:
-        CheckpointInvalid: A network is missing, or its shapes do not fit the anchors.
+    ``cloud`` determines the shapes of the networks; with ``octree``, the level may be an input.
     """
     states = _states(iteration_folder)
     path, state = states.get("embedding", (iteration_folder, {}))
@@ -352,12 +336,7 @@ def describe_anchors(checkpoint: AnchorCheckpoint) -> str:
 def require_appearance(
     checkpoint: AnchorCheckpoint, appearance: int | None, option: str
 ) -> int | None:
-    """Return ``appearance``, the number of a training camera, if the checkpoint has it.
-
-    Raises:
-        NotInCheckpoint: The checkpoint has fewer appearances, or none; the error names
-            ``option``.
-    """
+    """Return ``appearance``, the number of a training camera, if the checkpoint has it."""
     embedding = checkpoint.nets.embedding
     if appearance is None:
         return None

@@ -122,12 +122,7 @@ class AnchorHeads(nn.Module):
         return rows @ weight.t() + nets.color.hidden_bias
 
     def forward(self, views: AnchorViews, rows: Int[Tensor, " n"] | None = None) -> Decoded:
-        """Decode the features of anchors for one camera.
-
-        Args:
-            views: Direction and distance of each anchor.
-            rows: Row numbers of the anchors; all in order if absent.
-        """
+        """Decode the features of anchors for one camera."""
         feature = self.feature
         levels = [] if self.level is None else [self.level]
         if rows is not None:

@@ -75,12 +75,8 @@ class CellCheckpoint:
 def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
     """Read a checkpoint of Duplex-GS.
 
-    Args:
-        folder: Folder of the training run or of one iteration, or a file in either.
-        iteration: Number of the iteration; the last if absent.
-
-    Raises:
-        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
+    ``folder`` is the training run, one iteration, or a file in either; without ``iteration``, the
+    last is read.
     """
     folder, iteration = within_run(folder, iteration)
     number, iteration_folder = find_iteration(folder, iteration)

@@ -48,11 +48,7 @@ class Levels:
 
     @classmethod
     def of(cls, checkpoint: AnchorCheckpoint) -> "Levels":
-        """Read the levels of detail of an anchor checkpoint.
-
-        Raises:
-            CheckpointInvalid: A number is outside its range.
-        """
+        """Read the levels of detail of an anchor checkpoint."""
         cloud, cfg = checkpoint.cloud, checkpoint.cfg
         assert cloud.level is not None
         assert cloud.info is not None

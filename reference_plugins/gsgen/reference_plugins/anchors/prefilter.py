@@ -56,10 +56,8 @@ class Prefilter(nn.Module):
     ) -> Float[Tensor, "n 1"]:
         """Return 1 for anchors whose ellipsoid touches the image, and 0 for others.
 
-        Args:
-            camera: World→camera, memory order ``column``.
-            proj: Camera→clip; only the two focal lengths are read.
-            viewport: Width and height of the image in pixels.
+        ``camera`` is world→camera in column order; of ``proj``, camera→clip, only the two focal
+        lengths are read; ``viewport`` is in pixels.
         """
         position = self.anchor @ camera[:3, :3] + camera[3:4, :3]
         depth = position[:, 2:3]

@@ -62,13 +62,8 @@ def write_octree(
 ) -> Path:
     """Write a synthetic checkpoint of Octree-GS, and return ``folder``.
 
-    Args:
-        folder: The folder to write.
-        options: Options of all anchor methods.
-        mode: Rounding of levels: round, floor, ceil or progressive.
-        fork: Ratio of the cell sizes of a level and the next finer one.
-        levels: Number of levels.
-        distance: The distance that belongs to level 0.
+    ``mode`` rounds levels: round, floor, ceil or progressive. ``fork`` is the ratio of the cell
+    sizes of two levels, and ``distance`` belongs to level 0.
     """
     rng = np.random.default_rng(options.seed)
     columns = _positions(options) | _levels(options, levels, rng) | _payload(options, rng)
@@ -90,15 +85,8 @@ def write_duplex(
 ) -> Path:
     """Write a synthetic checkpoint of Duplex-GS, and return ``folder``.
 
-    Args:
-        folder: The folder to write.
-        options: Options of all anchor methods.
-        mode: Rounding of levels: round, floor, ceil or progressive.
-        fork: Ratio of the cell sizes of a level and the next finer one.
-        levels: Number of levels.
-        degree: SH degree of the visibility.
-        sigma: The depth at which weights fall to 0.
-        depth: Whether weights fall with depth.
+    ``mode``, ``fork`` and ``levels`` are as in :func:`write_octree`; ``degree`` is the SH degree of
+    the visibility, and weights fall to 0 at the depth ``sigma`` if ``depth``.
     """
     rng = np.random.default_rng(options.seed)
     n = options.anchors

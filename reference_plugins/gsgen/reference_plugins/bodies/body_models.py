@@ -62,13 +62,8 @@ class Body:
 def required_body(requested: Path | None, candidates: Mapping[str, Path], joints: int) -> Path:
     """Return the path of a body model: the requested file, or else the first existing candidate.
 
-    Args:
-        requested: The user's choice, if any.
-        candidates: Label → path at which the training code looks for the file.
-        joints: Number of joints of the body: 24 or 55.
-
-    Raises:
-        CheckpointInvalid: No file exists; the hint tells where to download it.
+    ``candidates`` maps a label to the path at which the training code looks for the file. The hint
+    of the error tells where to download it.
     """
     for path in (requested,) if requested is not None else candidates.values():
         if path.is_file():
@@ -90,11 +85,7 @@ def required_body(requested: Path | None, candidates: Mapping[str, Path], joints
 
 
 def read_body(path: Path, joints: int) -> Body:
-    """Read a body model of ``joints`` joints from a ``.pkl`` or ``.npz``.
-
-    Raises:
-        CheckpointInvalid: The file is damaged, lacks arrays, or holds another body model.
-    """
+    """Read a body model of ``joints`` joints from a ``.pkl`` or ``.npz``."""
     required_body(path, {}, joints)
     read = _arrays(path)
     missing = [name for name in _NEEDED if name not in read]
@@ -121,11 +112,7 @@ def read_body(path: Path, joints: int) -> Body:
 
 
 def joints_of_file(path: Path) -> int:
-    """Return the number of joints of the body model in a file; 0 without a kintree_table.
-
-    Raises:
-        CheckpointInvalid: The file is damaged.
-    """
+    """Return the number of joints of the body model in a file; 0 without a kintree_table."""
     shape = np.shape(_arrays(path).get("kintree_table", ()))
     return int(shape[-1]) if shape else 0
 

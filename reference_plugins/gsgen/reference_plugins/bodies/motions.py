@@ -70,11 +70,7 @@ class Motion:
 
 
 def read_motion(path: Path, joints: int) -> Motion:
-    """Read the motion at ``path`` for a body of ``joints`` joints.
-
-    Raises:
-        CheckpointInvalid: The motion is missing, damaged, or of an unknown format.
-    """
+    """Read the motion at ``path`` for a body of ``joints`` joints."""
     if path.is_dir():
         return _read_folder(path, joints)
     if not path.is_file():

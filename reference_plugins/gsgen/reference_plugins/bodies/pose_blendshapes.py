@@ -42,12 +42,8 @@ class PoseBlendshapes(nn.Module):
     ) -> None:
         """Store the blendshapes of the vertices with the indices ``vertices``.
 
-        Args:
-            body: The body model.
-            vertices: Indices of the vertices in use.
-            shape: Shape coefficients to bake; None if they are an input.
-            nets: Networks that correct joint rotations, if any.
-            add_hands: Add the mean pose of the hands to poses.
+        Without ``shape``, the shape coefficients are an input; ``add_hands`` adds the mean pose of
+        the hands to poses.
         """
         super().__init__()
         mean = body.hand_mean if add_hands else None

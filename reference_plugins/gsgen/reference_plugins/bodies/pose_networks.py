@@ -40,11 +40,7 @@ class PoseNets:
 def read_pose_nets(
     path: Path, pose: Mapping[str, Any], weights: Mapping[str, Any], joints: int
 ) -> PoseNets:
-    """Extract the layers of both correction networks from their state dicts; check the shapes.
-
-    Raises:
-        CheckpointInvalid: A tensor is missing, unexpected or of another shape.
-    """
+    """Extract the layers of both correction networks from their state dicts; check the shapes."""
     turns = 3 * (joints - 1)
     width = _width(pose.get("block_mlps.0.weight"))
     sizes = [(turns, width), (width, width), (width, turns)]

@@ -59,12 +59,7 @@ def _cross(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
 def nearest_rotation(
     matrix: Float[Tensor, "k 3 3 n"], stiff: Float[Tensor, "1 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Return the rotation nearest to each matrix; the identity where ``stiff`` is 1.
-
-    Args:
-        matrix: Matrices close to rotations, such as means of several.
-        stiff: 1 for Gaussians that do not rotate, 0 for all others.
-    """
+    """Return the rotation nearest to each matrix; the identity where ``stiff`` is 1."""
     rows = [row.unbind(dim=1) for row in matrix.unbind(dim=1)]
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
     squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)

@@ -34,12 +34,8 @@ def posed_transforms(
 ) -> Float[Tensor, "k j 3 4"]:
     """Return the rigid transforms of all joints, followed by root rotation and translation.
 
-    Args:
-        turns: Rotation of each joint in its parent's frame.
-        joints: Joint positions in the rest pose; the same for all bodies.
-        parents: The parent of each joint; −1 for the root.
-        turn: Root rotation of each body; None if the root joint's rotation is the only one.
-        shift: Root translation of each body.
+    ``turns`` are in the parent's frame, and ``joints`` in the rest pose. Without ``turn``, the root
+    joint's rotation is the only one.
     """
     bodies, count = turns.shape[:2]
     # All bodies form one forest, so their chains are multiplied in the same rounds.

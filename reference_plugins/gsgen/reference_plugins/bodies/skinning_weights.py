@@ -61,12 +61,9 @@ class BigPoseGaussians(nn.Module):
     ) -> None:
         """Store Gaussians, body vertices and networks as buffers of the module.
 
-        Args:
-            near: Skinning weights of the vertices in use.
-            vertex: Index of the vertex nearest to each Gaussian.
-            transforms: Joint transforms from the rest pose to the big pose.
-            gaussians: Positions, standard deviations and quaternions in the big pose.
-            nets: Networks that correct the weights, if any.
+        ``near`` are skinning weights of the vertices in use, ``vertex`` the index of each
+        Gaussian's nearest one, and ``transforms`` lead from the rest pose to the big pose.
+        ``gaussians`` are positions, standard deviations and quaternions in the big pose.
         """
         super().__init__()
         # Added here and not at the logarithm: exporters remove the addition of so small a number.
@@ -114,13 +111,9 @@ class SurfaceGaussians(nn.Module):
     ) -> None:
         """Store Gaussians and surface points of the body as buffers of the module.
 
-        Args:
-            near: Skinning weights of the vertices in use.
-            vertex: Index of the vertex nearest to each Gaussian.
-            added: Offsets of these vertices for the person's shape.
-            stiff: 1 for vertices whose Gaussians do not rotate.
-            transforms: Joint transforms to the neutral pose.
-            gaussians: Positions, standard deviations and quaternions.
+        ``near``, ``vertex`` and ``gaussians`` are as in :class:`BigPoseGaussians`. ``added`` are
+        offsets of the vertices for the person's shape; ``stiff`` is 1 for vertices whose Gaussians
+        do not rotate.
         """
         super().__init__()
         _register(self, near=near, vertex=vertex, added=added, stiff=stiff[:, None])

@@ -16,11 +16,7 @@ _DOWN, _ELBOW = 1.25, 0.5  # arms hang down, slightly bent
 def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0) -> Path:
     """Write a synthetic motion of two repeated steps in AMASS layout, and return ``path``.
 
-    Args:
-        path: The ``.npz`` to write.
-        frames: Number of frames.
-        width: Numbers of a pose: 66, 72, 156 or 165.
-        seed: Seed of the slight movement of fingers and face.
+    ``width`` is the count of numbers of a pose: 66, 72, 156 or 165.
     """
     rng = np.random.default_rng(seed)
     phase = rng.uniform(0, 2 * np.pi, width)

@@ -80,15 +80,7 @@ class DeformationCheckpoint:
 
 
 def read_deformation(folder: Path, iteration: int | None = None) -> DeformationCheckpoint:
-    """Read a checkpoint of Deformable-3D-Gaussians.
-
-    Args:
-        folder: Folder of the training run or of one iteration, or a file in either.
-        iteration: Number of the iteration; the last if absent.
-
-    Raises:
-        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
-    """
+    """Read a checkpoint of Deformable-3D-Gaussians."""
     folder, iteration = within_run(folder, iteration)
     number, iteration_folder = find_iteration(folder, iteration)
     refuse_other_method("deformable-3dgs", folder, iteration_folder)

@@ -46,11 +46,7 @@ class Flags:
 
     @classmethod
     def of(cls, cfg: CfgArgs) -> "Flags":
-        """Read the active parts of the networks from training options, with published defaults.
-
-        Raises:
-            CheckpointInvalid: An option that never worked in that code, or no active head.
-        """
+        """Read the active parts of the networks from training options, with published defaults."""
         if cfg.flag("no_grid"):
             hint = "The published code fails with it, too."
             raise CheckpointInvalid("no_grid is True", where=str(cfg.path), hint=hint)
@@ -125,12 +121,7 @@ def _sizes(planes: tuple[Tensor, ...]) -> tuple[int, int, int, int]:
 def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckpoint:
     """Read a checkpoint of 4DGaussians.
 
-    Args:
-        folder: Folder of the training run or of one iteration, or a file in either.
-        iteration: Number of the iteration; the last of the fine stage if absent.
-
-    Raises:
-        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
+    Without ``iteration``, the last one of the fine stage is read.
     """
     folder, iteration = within_run(folder, iteration)
     number, iteration_folder = find_iteration(folder, iteration)

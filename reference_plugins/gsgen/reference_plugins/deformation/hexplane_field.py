@@ -153,11 +153,8 @@ class HexPlaneField(nn.Module):
     ) -> None:
         """Store the products of the planes of space at the points, or the planes themselves.
 
-        Args:
-            nets: The planes.
-            position: The points; those outside the box take the values of its border.
-            bake: ``always`` stores products of the planes of space, ``never`` the planes, ``auto``
-                the smaller ones.
+        Points outside the box take the values of its border. ``bake``: ``always`` stores products
+        of the planes of space, ``never`` the planes, ``auto`` the smaller ones.
         """
         super().__init__()
         # The first row of the box is its upper corner, so coordinates are mirrored.

@@ -109,14 +109,8 @@ def write_deformable(
 ) -> Path:
     """Write a synthetic checkpoint of Deformable-3D-Gaussians, and return ``folder``.
 
-    Args:
-        folder: The folder to write.
-        count: Number of Gaussians.
-        blender: Encode time by a network of its own.
-        six_degrees: Move points by screw motions.
-        width: Width of the network; 256 in the published code.
-        sway: Approximate movement of Gaussians; the knot is three units wide.
-        seed: Seed of all random numbers.
+    ``blender`` encodes time by a network of its own, and ``six_degrees`` moves points by screw
+    motions. ``width`` is 256 in the published code; ``sway`` is the approximate movement.
     """
     noise = torch.Generator().manual_seed(seed)
     embedded = 63 + (30 if blender else 21)

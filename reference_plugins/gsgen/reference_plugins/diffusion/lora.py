@@ -93,12 +93,8 @@ class Adapter:
 def read_lora(path: Path) -> Adapter:
     """Read a LoRA file, with the names of its tool.
 
-    Args:
-        path: A safetensors file, a file of ``torch.save``, or the folder of either under the name
-            that peft or diffusers gives it.
-
-    Raises:
-        CheckpointInvalid: The file cannot be read, or holds tensors that are not of a LoRA.
+    ``path`` is a safetensors file, a file of ``torch.save``, or the folder of either under the name
+    that peft or diffusers gives it.
     """
     path = _adapter_file(path)
     safe = is_safetensors(path)
@@ -132,11 +128,7 @@ def _adapter_file(path: Path) -> Path:
 def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], dict[str, Any]]:
     """Separate the LoRA tensors of a state dict from all others.
 
-    Returns:
-        Layer → its change; and all other entries, those of text encoders included.
-
-    Raises:
-        CheckpointInvalid: A value is not a finite tensor, or a layer has two of one kind.
+    Returns layer → its change, and all other entries, those of text encoders included.
     """
     pairs: dict[str, Pair] = {}
     unpaired: dict[str, Any] = {}

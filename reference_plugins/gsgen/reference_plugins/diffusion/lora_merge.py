@@ -20,14 +20,8 @@ from gsgen.reference_plugins.loading.states import first_names
 def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str:
     """Add a LoRA to the layers of networks in place, and return a summary.
 
-    Args:
-        adapter: The LoRA.
-        scale: Factor of its changes.
-        homes: The layers, by each of their names.
-
-    Raises:
-        CheckpointInvalid: A tensor has no layer, no partner, or does not fit its layer's shape.
-            The message lists the first of them; no layer is changed.
+    ``homes`` are the layers by each of their names. The error lists the first tensors without a
+    layer, a partner or a fitting shape; no layer is changed then.
     """
     troubles = [
         f"{name} {trouble}"

@@ -98,15 +98,7 @@ class ModelConfig:
 
 
 def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
-    """Read the options of a network from a ``config.json`` of diffusers.
-
-    Args:
-        folder: The folder of the file.
-        name: Name of the file.
-
-    Raises:
-        CheckpointInvalid: The file is missing, or does not hold a JSON object.
-    """
+    """Read the options of a network from a ``config.json`` of diffusers."""
     path = folder / name
     if not path.is_file():
         near = likely_folders(

@@ -49,11 +49,7 @@ class VectorOptions:
 
     @classmethod
     def of(cls, config: ModelConfig) -> "VectorOptions | None":
-        """Parse the options of SDXL's added vector; None for networks without it.
-
-        Raises:
-            CheckpointInvalid: The network needs another kind of vector.
-        """
+        """Parse the options of SDXL's added vector; None for networks without it."""
         if config.choice("addition_embed_type", (None, "text_time")) is None:
             return None
         length = config.integer("projection_class_embeddings_input_dim", 0)
@@ -101,11 +97,7 @@ class UNetOptions:
 
     @classmethod
     def of(cls, config: ModelConfig) -> "UNetOptions":
-        """Parse the options of a U-Net from a ``config.json`` of diffusers.
-
-        Raises:
-            CheckpointInvalid: The configuration is not of a supported U-Net.
-        """
+        """Parse the options of a U-Net from a ``config.json`` of diffusers."""
         kind = config.choice("_class_name", (_UNCONDITIONAL, _CONDITIONAL))
         for name, values in _REQUIRED.items():
             config.choice(name, values, values[0])
@@ -206,15 +198,7 @@ class AutoencoderOptions:
 
     @classmethod
     def of(cls, config: ModelConfig, *, skips: bool = False) -> "AutoencoderOptions":
-        """Parse the options of an autoencoder from a ``config.json`` of diffusers.
-
-        Args:
-            config: The configuration.
-            skips: The checkpoint has weights for skip connections.
-
-        Raises:
-            CheckpointInvalid: The configuration is not of a supported autoencoder.
-        """
+        """Parse the options of an autoencoder from a ``config.json`` of diffusers."""
         if skips:
             config.choice("ignore_skip", (False,), False)
         config.choice("_class_name", ("AutoencoderKL",))

@@ -27,11 +27,7 @@ def time_features(
 ) -> Float[Tensor, "b width"]:
     """Return sines and cosines of a diffusion timestep (Vaswani et al. 2017, section 3.5).
 
-    Args:
-        moment: The timestep.
-        width: Number of features; must be even.
-        flip: Cosines come first.
-        shift: Number subtracted from the number of frequencies.
+    ``flip`` puts cosines first; ``shift`` is subtracted from the number of frequencies.
     """
     half = width // 2
     exponent = -math.log(_SLOWEST) * torch.arange(half, dtype=torch.float32) / (half - shift)
@@ -47,13 +43,7 @@ def added_vector(
 
     It joins the pooled prompt and the features of each size (Podell et al. 2023, section 2.2).
 
-    Args:
-        pooled: The pooled prompt of the text encoder.
-        time_ids: Original height and width, top and left of the crop, target height and width.
-        options: Options of a U-Net that takes such a vector.
-
-    Raises:
-        ValueError: The vector has another length than the U-Net expects.
+    ``time_ids`` are original height and width, top and left of the crop, target height and width.
     """
     vector = options.vector
     assert vector is not None
@@ -238,11 +228,8 @@ class UNet(nn.Module):
     ) -> Float[Tensor, "b o h w"]:
         """Return the prediction of the U-Net, such as noise.
 
-        Args:
-            image: An image whose sides are multiples of the options' stride.
-            moment: The timestep.
-            context: Conditioning vectors, if the network takes them.
-            vector: The vector that is added to the embedded time, if any (:func:`added_vector`).
+        The sides of ``image`` are multiples of the options' stride; :func:`added_vector` gives
+        ``vector``.
         """
         options = self.options
         features = time_features(

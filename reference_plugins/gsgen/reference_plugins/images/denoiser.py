@@ -62,15 +62,8 @@ class Denoiser(PostProcess):
     ) -> None:
         """Combine the networks of a diffusion checkpoint into one model.
 
-        Args:
-            read: The checkpoint.
-            step: Options of the step.
-            context: Conditioning vectors, if the network takes them.
-            vector: The vector that is added to the embedded time, if the network takes one
-                (:func:`gsgen.reference_plugins.diffusion.unet.added_vector`).
-
-        Raises:
-            ConfigInvalid: The options do not fit the checkpoint.
+        ``context`` are conditioning vectors, and ``vector`` is that of
+        :func:`gsgen.reference_plugins.diffusion.unet.added_vector`, if the network takes them.
         """
         super().__init__()
         _check_step(read, step, context, vector)

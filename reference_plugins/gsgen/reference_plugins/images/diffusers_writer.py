@@ -41,9 +41,7 @@ def write_network(
 def write_schedule(folder: Path, changes: Mapping[str, Any] | None = None) -> None:
     """Write a synthetic noise schedule as ``scheduler/`` into ``folder``.
 
-    Args:
-        folder: The folder of the checkpoint.
-        changes: Options that differ from those of :data:`SCHEDULE`.
+    ``changes`` are options that differ from those of :data:`SCHEDULE`.
     """
     path = folder / "scheduler" / "scheduler_config.json"
     path.parent.mkdir(parents=True, exist_ok=True)

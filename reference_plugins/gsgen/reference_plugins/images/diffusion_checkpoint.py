@@ -104,14 +104,8 @@ def read_diffusion(
 ) -> DiffusionCheckpoint:
     """Read a diffusion checkpoint, and merge LoRAs into its weights.
 
-    Args:
-        folder: The folder of ``unet/``, or of a U-Net alone.
-        vae: The autoencoder's folder; by default ``vae/`` in ``folder``, if it exists.
-        difix: The ``model.pkl`` of Difix, if any.
-        loras: LoRA files with the factor of each.
-
-    Raises:
-        CheckpointInvalid: A file is missing, not supported, or does not fit the others.
+    ``folder`` holds ``unet/``, or is a U-Net alone; ``vae`` is ``vae/`` in it by default. ``loras``
+    are files with the factor of each.
     """
     change = Difix() if difix is None else read_difix(difix)
     unet_folder = folder / "unet" if (folder / "unet").is_dir() else folder

@@ -36,11 +36,7 @@ class Difix:
 
 
 def read_difix(path: Path) -> Difix:
-    """Read a ``model.pkl`` of Difix.
-
-    Raises:
-        CheckpointInvalid: The file cannot be read, or is not of Difix.
-    """
+    """Read a ``model.pkl`` of Difix."""
     hint = "Give the model.pkl of Difix; use --lora FILE for a LoRA alone."
     if is_safetensors(required_file(path, "the model.pkl of Difix")):
         raise CheckpointInvalid("is a safetensors file", where=str(path), hint=hint)
@@ -56,8 +52,7 @@ def read_difix(path: Path) -> Difix:
 def split_fused_lora(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Any], Adapter | None]:
     """Split a state dict that was saved with a LoRA inside, as peft wraps layers.
 
-    Returns:
-        The weights, named as without the LoRA; and the LoRA, if any.
+    Returns the weights, named as without the LoRA, and the LoRA, if any.
     """
     if not any(_BASE in name or ".lora_" in name for name in state):
         return dict(state), None

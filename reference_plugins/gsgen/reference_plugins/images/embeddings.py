@@ -43,14 +43,9 @@ class Embeddings:
 def read_embeddings(path: Path, *, pooled: bool = False) -> Embeddings:
     """Read the text embeddings of a prompt from an npz file.
 
-    Args:
-        path: A file with one array, [1, L, D], of any name.
-        pooled: The file has several arrays, told apart by name: ``prompt_embeds`` [1, L, D],
-            ``pooled_prompt_embeds`` [1, P], and ``time_ids`` to override the image size.
-
-    Raises:
-        CheckpointInvalid: The file cannot be read as npz.
-        ConfigInvalid: An array is missing, unknown, or not of finite numbers.
+    Without ``pooled``, the file has one array [1, L, D] of any name. With it, arrays are told apart
+    by name: ``prompt_embeds`` [1, L, D], ``pooled_prompt_embeds`` [1, P], and ``time_ids`` to
+    override the image size.
     """
     arrays = {name: _numbers(name, array, path) for name, array in read_npz(path).items()}
     if pooled:

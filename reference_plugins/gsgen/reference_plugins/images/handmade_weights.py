@@ -29,12 +29,8 @@ def set_denoising_weights(unet: UNet) -> None:
     The upper level keeps the image, the lower one a blurred copy. The last GroupNorm normalises
     their difference to variance 1, as noise has, and two SiLU clip it at ±1.2.
 
-    Args:
-        unet: A U-Net of 3 input and output channels, two levels of one layer, and 8 channels in
-            4 groups at the upper level.
-
-    Raises:
-        ConfigInvalid: The U-Net has another shape.
+    ``unet`` has 3 input and output channels, two levels of one layer, and 8 channels in 4 groups at
+    the upper level.
     """
     options = unet.options
     shape = (options.inputs, options.outputs, len(options.channels), options.layers)
@@ -66,9 +62,6 @@ def set_outline_weights(network: Stylise) -> None:
 
     Channels hold red, green, blue, brightness, and positive and negative local contrast, each
     standardised by the norms; the last layer combines them.
-
-    Raises:
-        ConfigInvalid: The network has fewer than six channels.
     """
     channels = network.last.in_channels
     if channels < 6:

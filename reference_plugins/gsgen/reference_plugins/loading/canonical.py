@@ -43,11 +43,7 @@ class Canonical:
 
 
 def read_canonical(path: Path) -> Canonical:
-    """Read the canonical Gaussians of a deformation from a 3DGS PLY.
-
-    Raises:
-        CheckpointInvalid: The file is missing or damaged, or holds points without splats.
-    """
+    """Read the canonical Gaussians of a deformation from a 3DGS PLY."""
     required_file(path, "the canonical Gaussians")
     try:
         splats = read_ply(path)

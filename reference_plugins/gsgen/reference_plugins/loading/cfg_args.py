@@ -91,15 +91,7 @@ class CfgArgs:
 
 
 def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
-    """Read the training options from ``cfg_args`` of the training run in ``folder``.
-
-    Args:
-        folder: The output folder of a training run.
-        required: Raise if the file is missing.
-
-    Raises:
-        CheckpointInvalid: The file is required but missing, or not a printed ``Namespace``.
-    """
+    """Read the training options from ``cfg_args`` of the training run in ``folder``."""
     path = folder / _NAME
     if not path.is_file():
         if required:

@@ -12,13 +12,7 @@ from gsgen.sdk.plugins.plugin import installed_plugins
 def refuse_other_method(name: str, run: Path, iteration: Path) -> None:
     """Raise if a training run is certainly of another method than that of a plugin.
 
-    Args:
-        name: Name of the plugin that reads the run.
-        run: The folder of the training run.
-        iteration: The folder of the iteration that is read.
-
-    Raises:
-        CheckpointInvalid: Only other plugins recognise the run; the hint has the command.
+    The hint has the command of the plugin that recognises the run.
     """
     recognising = {
         plugin.name: plugin

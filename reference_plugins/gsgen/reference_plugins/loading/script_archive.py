@@ -51,9 +51,7 @@ def is_script_archive(path: Path) -> bool:
 def read_script_state(path: Path) -> dict[str, Tensor]:
     """Return the parameters and buffers of a TorchScript archive by dotted name.
 
-    Raises:
-        CheckpointInvalid: The file is not a TorchScript archive, or refers to objects other
-            than tensors and modules.
+    The archive may refer to tensors and modules only.
     """
     try:
         with zipfile.ZipFile(path) as archive:

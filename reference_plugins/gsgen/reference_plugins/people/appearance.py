@@ -77,9 +77,7 @@ class Appearance(nn.Module):
     def __init__(self, read: R3Checkpoint, poses: Sequence[int]) -> None:
         """Bake the values of R3-Avatar's hexplane that do not depend on the frame.
 
-        Args:
-            read: The checkpoint.
-            poses: The pose id of each frame; its time is id / origin − 1.
+        The time of a pose is id / origin − 1.
         """
         super().__init__()
         low, high = read.aabb.double()

@@ -57,14 +57,8 @@ def read_gauhuman(
 ) -> GauHumanCheckpoint:
     """Read a checkpoint of GauHuman.
 
-    Args:
-        folder: The folder of a training run, or of one of its iterations.
-        iteration: The training iteration; the last by default.
-        body: The file of the body model; by default, it is searched under ``assets`` in the run
-            and in the folders above it.
-
-    Raises:
-        CheckpointInvalid: A file is missing or damaged, or does not fit the others.
+    ``folder`` is the training run or an iteration. Without ``body``, the body model is searched
+    under ``assets`` in the run and in the folders above it.
     """
     folder, iteration = within_run(folder, iteration)
     number, iteration_folder = find_iteration(folder, iteration)
@@ -84,11 +78,7 @@ def read_gauhuman(
 
 
 def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
-    """Read the body model that a training run used, by its options.
-
-    Raises:
-        CheckpointInvalid: The body model is missing, damaged, or not of the expected kind.
-    """
+    """Read the body model that a training run used, by its options."""
     kind = cfg.word("smpl_type", _kind_of(body))
     if kind not in JOINTS:
         hint = "The published code reads this kind of body, but its model has no branch for it."

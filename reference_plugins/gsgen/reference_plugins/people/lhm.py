@@ -62,12 +62,7 @@ class LHM(GaussianGenerator):
     ) -> None:
         """Transform the Gaussians of an LHM avatar to the neutral pose, in the person's shape.
 
-        Args:
-            read: The checkpoint of the avatar.
-            face: Expression offsets of FLAME; those of SMPL-X by default.
-            expression: Whether the expression is an input.
-            bodies: Number of bodies.
-            bake: Store the baked values, or the tables from which they follow.
+        Without ``face``, expressions are those of SMPL-X; ``bake`` is as in GauHuman.
         """
         super().__init__()
         body, betas = read.body, read.betas.double().numpy()
@@ -115,11 +110,7 @@ class LHM(GaussianGenerator):
         self.register_buffer("number", torch.from_numpy(number))
 
     def forward(self, *tensors: Tensor) -> Gaussians:
-        """Return the posed Gaussians of all bodies, body after body.
-
-        Args:
-            tensors: The values of the declared inputs, in order.
-        """
+        """Return the posed Gaussians of all bodies, body after body."""
         actor, bodies = self.actors.actor_from(tensors), self.actors.bodies
         joints = posed_transforms(
             rotation_matrices(actor.pose), self.joints, self.parents, None, actor.shift

@@ -81,13 +81,8 @@ class Face:
 def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
     """Read an avatar of LHM from a file of its inference code.
 
-    Args:
-        folder: The folder of the ``.pth`` and ``pretrained_models``; or the ``.pth`` itself, in
-            the same folder as ``pretrained_models``.
-        body: The SMPL-X file; by default, it is searched in the folder.
-
-    Raises:
-        CheckpointInvalid: A file is missing or damaged, or does not fit the others.
+    ``folder`` holds the ``.pth`` and ``pretrained_models``, or is the ``.pth`` beside them. Without
+    ``body``, the SMPL-X file is searched there.
     """
     path = _avatar_file(folder)
     home = path.parent
@@ -118,13 +113,8 @@ def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
 def read_face(flame: Path, ids: Path, body: Body) -> Face:
     """Read FLAME's expressions and the SMPL-X vertices that they move.
 
-    Args:
-        flame: ``FLAME_NEUTRAL.pkl`` or an ``.npz`` of the same arrays.
-        ids: ``SMPL-X__FLAME_vertex_ids.npy``.
-        body: The body model that they are applied to.
-
-    Raises:
-        CheckpointInvalid: A file is damaged, or the files do not fit each other.
+    ``flame`` is ``FLAME_NEUTRAL.pkl`` or an ``.npz`` of the same arrays, and ``ids`` is
+    ``SMPL-X__FLAME_vertex_ids.npy``.
     """
     required_file(flame, "FLAME, from https://flame.is.tue.mpg.de after registration")
     required_file(ids, "SMPL-X__FLAME_vertex_ids.npy, which comes with SMPL-X")

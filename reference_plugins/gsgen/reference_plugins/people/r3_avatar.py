@@ -61,14 +61,8 @@ class R3Avatar(GaussianGenerator):
     ) -> None:
         """Bake an R3-Avatar checkpoint, and find the nearest body vertices in every frame.
 
-        Args:
-            read: The checkpoint.
-            poses: The pose id of each frame in the model.
-            shape: Shape coefficients to bake; None if they are an input.
-            rotation: Convention of the root rotation input.
-            bodies: Number of bodies.
-            add_hands: Add the mean pose of SMPL-X's hands to poses.
-            progress: Called after each frame with the number of finished frames.
+        ``poses`` has the pose id of each frame; other options are as in GauHuman. ``progress`` is
+        called with the number of finished frames.
         """
         super().__init__()
         body = read.body
@@ -121,11 +115,7 @@ class R3Avatar(GaussianGenerator):
         return np.stack(vertices).astype(np.int64)
 
     def forward(self, *tensors: Tensor) -> Gaussians:
-        """Return the posed Gaussians of all bodies, body after body.
-
-        Args:
-            tensors: The values of the declared inputs, in order.
-        """
+        """Return the posed Gaussians of all bodies, body after body."""
         actor = self.actors.actor_from(tensors)
         joints, added = self.limbs(actor)
         assert actor.frame is not None

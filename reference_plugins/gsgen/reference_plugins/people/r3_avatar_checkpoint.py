@@ -103,14 +103,8 @@ def read_r3(
 ) -> R3Checkpoint:
     """Read a checkpoint of R3-Avatar.
 
-    Args:
-        folder: The folder of a training run, or its ``chkpntN.pth``.
-        iteration: The training iteration; the last by default.
-        body: The file of the body model; by default, it is searched under ``assets``.
-        dataset: The data set of training; by default, it is guessed from ``cfg_args``.
-
-    Raises:
-        CheckpointInvalid: A file is missing or damaged, or does not fit the others.
+    ``folder`` is the training run, or its ``chkpntN.pth``. Without ``body``, the body model is
+    searched under ``assets``; without ``dataset``, it is guessed from ``cfg_args``.
     """
     path = _checkpoint_file(folder, iteration)
     folder = path.parent
@@ -172,11 +166,7 @@ def _last_iteration_folder(folder: Path) -> Path:
 
 
 def guess_dataset(cfg: CfgArgs) -> str:
-    """Guess the data set of a training run from the path of its data, or from the run's name.
-
-    Raises:
-        CheckpointInvalid: Neither names a known data set.
-    """
+    """Guess the data set of a training run from the path of its data, or from the run's name."""
     source, name = cfg.word("source_path", ""), cfg.word("exp_name", "")
     body = cfg.word("smpl_type", "smpl")
     for mark, dataset in _MARKS.items():

@@ -109,11 +109,7 @@ def _show_progress(frame: int, frames: int) -> None:
 
 
 def parse_pose_ids(text: str) -> list[int]:
-    """Parse a list of pose ids such as ``0-9,17``.
-
-    Raises:
-        ConfigInvalid: ``text`` is not such a list.
-    """
+    """Parse a list of pose ids such as ``0-9,17``."""
     ids: list[int] = []
     for word in text.split(","):
         first, dash, last = word.strip().partition("-")

@@ -76,16 +76,9 @@ def from_content(
 ) -> ConstantRows:
     """Pack the content of a splat file, point cloud or file of packed rows.
 
-    Args:
-        content: Splats, points, or packed rows, which pass through unchanged.
-        dtype: The dtype of the rows; float32, or that of packed rows, if absent.
-        opacity: Opacity of bare points, in (0, 1].
-        appearance: Whether packed rows with three channels hold SH or RGB; RGB if absent.
-        sh_degree: SH degree to cut or pad to. Points get SH if it is present, else RGB. Packed
-            rows keep their own. In float16, degrees 0 and 2 are padded to the next.
-
-    Raises:
-        GsgenError: Packed rows have a number of channels that neither SH nor RGB have.
+    Packed rows pass through unchanged. ``dtype`` is float32, or that of packed rows, by default,
+    and RGB is the default of ``appearance``. Points get SH if ``sh_degree`` is present, else RGB;
+    in float16, degrees 0 and 2 are padded to the next.
     """
     if isinstance(content, PackedRows):
         return _from_rows(content, dtype, appearance)
@@ -185,11 +178,7 @@ def _from_rows(
 
 
 def neighbour_scale(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Return the root mean square distance of each point to its three nearest neighbours.
-
-    Raises:
-        GsgenError: SciPy, which has the search tree, is not installed.
-    """
+    """Return the root mean square distance of each point to its three nearest neighbours."""
     try:
         from scipy.spatial import KDTree
     except ImportError as error:

@@ -24,10 +24,8 @@ def rotation_columns(
 ) -> list[tuple[Tensor, Tensor, Tensor]]:
     """Return the three columns of the rotation matrix R(q), each as planes x, y and z.
 
-    Args:
-        rotation: Planes w, x, y, z of the quaternions, of equal shape.
-        normalise: Divide by |q|². Otherwise R is I − 2(…) of the quaternion as it is, as in the
-            rasteriser of 3DGS.
+    With ``normalise``, |q|² divides. Otherwise R is I − 2(…) of the quaternion as it is, as in the
+    rasteriser of 3DGS.
     """
     factor: Tensor | float = math.sqrt(2.0)
     if normalise:
@@ -49,13 +47,7 @@ def rotation_columns(
 def covariance_planes(
     scale: Sequence[Tensor], rotation: Sequence[Tensor], *, normalise: bool = True
 ) -> list[Tensor]:
-    """Return the planes xx, xy, xz, yy, yz, zz of R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6).
-
-    Args:
-        scale: Planes of the standard deviations along the three axes.
-        rotation: Planes w, x, y, z of the quaternions, of the same shape.
-        normalise: See :func:`rotation_columns`.
-    """
+    """Return the planes xx, xy, xz, yy, yz, zz of R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6)."""
     columns = rotation_columns(rotation, normalise=normalise)
     axes = [[s * r for r in column] for s, column in zip(scale, columns, strict=True)]
     a, b, c = axes

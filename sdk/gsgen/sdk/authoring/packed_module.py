@@ -42,11 +42,7 @@ def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
 
 
 def check_whole_cells(capacity: int, per_cell: int) -> None:
-    """Raise if a capacity in rows is not a multiple of ``per_cell``, the rows of each cell.
-
-    Raises:
-        GeneratorInvalid: The capacity ends within a cell.
-    """
+    """Raise if a capacity in rows is not a multiple of ``per_cell``, the rows of each cell."""
     if capacity % per_cell:
         raise GeneratorInvalid(
             f"{capacity} rows are not a multiple of {per_cell}, the rows of a cell",

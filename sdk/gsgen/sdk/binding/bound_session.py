@@ -60,8 +60,7 @@ class TensorSpec:
     def shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
         """Return the static shape of the tensor; ``sizes`` resolves symbolic dimensions.
 
-        Raises:
-            SizeUnknown: A dimension has no size.
+        Raises :class:`SizeUnknown` for a dimension without a size.
         """
         return tuple(self._size(axis, sizes) for axis in range(len(self.dims)))
 
@@ -83,11 +82,7 @@ class TensorSpec:
 
 
 def tensor_specs(arguments: Any) -> tuple[TensorSpec, ...]:
-    """Return name, dtype and dimensions of each input or output of an ONNX Runtime session.
-
-    Raises:
-        RunFailed: One of them is not a numeric tensor.
-    """
+    """Return name, dtype and dimensions of each input or output of an ONNX Runtime session."""
     tensors = []
     for argument in arguments:
         if argument.type not in _DTYPES:
@@ -118,15 +113,7 @@ class BoundSession:
     ) -> None:
         """Create buffers for all inputs and outputs of the session, and bind them.
 
-        Args:
-            session: ONNX Runtime's session.
-            shapes: Input name → shape.
-            start: Input name → initial value.
-            memory: Location of the buffers: ``cpu``, ``gpu`` or ``cuda``.
-            stop: Ends its runs.
-
-        Raises:
-            RunFailed: An output is too large, or the run that determines output shapes fails.
+        ``shapes`` and ``start`` are by input name; ``memory`` is ``cpu``, ``gpu`` or ``cuda``.
         """
         stop = stop or Stop()
         self.session = session

@@ -76,12 +76,7 @@ Camera = CameraLike | Pinhole | Sequence[Matrix]
 def camera_values(camera: Camera) -> dict[str, np.ndarray]:
     """Return the values of a model's camera inputs by role: view, projection, centre, viewport.
 
-    Args:
-        camera: An object with both matrices or with a view and intrinsics, or the pair
-            (view, projection).
-
-    Raises:
-        InputInvalid: ``camera`` is not one of these.
+    ``camera`` has both matrices, or a view and intrinsics, or is the pair (view, projection).
     """
     view, projection = _matrices(camera)
     world = np.asarray(view, np.float64)

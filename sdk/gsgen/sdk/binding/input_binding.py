@@ -111,9 +111,6 @@ def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
     """Return the default value of an input as the contract defines it for the input's role.
 
     The manifest's specification defines it under "default"; matrices are as in mathematics.
-
-    Raises:
-        InputInvalid: The declared default does not fill ``shape``.
     """
     default = declared.default
     if default is None:

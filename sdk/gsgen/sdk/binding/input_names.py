@@ -32,9 +32,7 @@ class InputNames:
     def find(self, word: str) -> str:
         """Return the input that a tensor name or a role refers to; tensor names take precedence.
 
-        Raises:
-            UnknownName: No input has this name or role.
-            InputInvalid: Several inputs have this role.
+        Raises :class:`InputInvalid` if several inputs have the role.
         """
         if word in self.tensors:
             return word

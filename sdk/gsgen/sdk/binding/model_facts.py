@@ -43,11 +43,7 @@ class ModelFacts:
         return output_origin(self.graph, output)
 
     def input_binding(self, spec: TensorSpec, sizes: Mapping[str, int]) -> InputBinding:
-        """Return a model's input with its declaration in the manifest.
-
-        Raises:
-            SizeUnknown: A dimension has no size.
-        """
+        """Return a model's input with its declaration in the manifest."""
         space = self.manifest.space if isinstance(self.manifest, GeneratorManifest) else None
         order = space.matrix_order if space else "column"
         shape = spec.shape(sizes)
@@ -60,12 +56,7 @@ class ModelFacts:
         )
 
     def sizes(self, sizes: Mapping[str, int]) -> dict[str, int]:
-        """Return the sizes of symbolic dimensions: from ``sizes``, else from the manifest.
-
-        Raises:
-            UnknownName: A size names no open dimension.
-            ConfigInvalid: A size is not positive.
-        """
+        """Return the sizes of symbolic dimensions: from ``sizes``, else from the manifest."""
         opened = dict(self.open_dimensions())
         for name, size in sizes.items():
             if not opened:
@@ -113,12 +104,7 @@ def _random(port: InputBinding, rng: np.random.Generator, top: int) -> np.ndarra
 
 
 def read_model_facts(path: Path, manifest: Manifest | None) -> ModelFacts:
-    """Read a model's structure, and its embedded manifest unless one is passed.
-
-    Raises:
-        ModelUnreadable: The file is not an ONNX model.
-        ManifestInvalid: The embedded manifest cannot be read.
-    """
+    """Read a model's structure, and its embedded manifest unless one is passed."""
     file = open_model(path)
     if manifest is None and file.manifest_text is not None:
         manifest = loads(file.manifest_text)

@@ -36,11 +36,6 @@ def warm_up(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
     """Open a session that computes correct frames, with graph capture if possible.
 
     If a provider that was chosen automatically fails, the CPU is used instead.
-
-    Raises:
-        ProviderUnavailable: The provider cannot be opened.
-        RunFailed: The model does not run on it.
-        SizeUnknown: A dimension has no size.
     """
     choice = opening.choice
     try:

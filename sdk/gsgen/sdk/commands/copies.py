@@ -8,11 +8,7 @@ from gsgen.contract.errors import ConfigInvalid
 
 
 def copy_of(output: Path | None, *, dry_run: bool) -> Path | None:
-    """Return the path of the changed model that a command writes; None for a dry run.
-
-    Raises:
-        ConfigInvalid: The output path is missing.
-    """
+    """Return the path of the changed model that a command writes; None for a dry run."""
     if dry_run:
         return None
     if output is None:

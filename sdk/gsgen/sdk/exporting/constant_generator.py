@@ -90,9 +90,7 @@ class ConstantSource(ABC):
     def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:
         """Return the scene's Gaussians in packed rows.
 
-        Args:
-            dtype: The dtype of the rows; the source's own if absent.
-            target: Name of the consumer, which may read one SH degree alone.
+        Without ``dtype``, the rows have the source's own; ``target`` may read one SH degree alone.
         """
 
 
@@ -169,11 +167,7 @@ def export_constant(
 def constant_manifest(
     packed: ConstantRows, name: str, *, family: str | None, capacity: int | None = None
 ) -> GeneratorManifest:
-    """Return the manifest of a generator that emits ``packed``.
-
-    Raises:
-        ConfigInvalid: The capacity is smaller than the number of rows.
-    """
+    """Return the manifest of a generator that emits ``packed``."""
     count = len(packed.rows)
     total = count if capacity is None else capacity
     if total < count:

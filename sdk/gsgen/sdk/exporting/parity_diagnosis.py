@@ -44,14 +44,7 @@ class Suspects:
 def diagnose(
     suspects: Suspects, manifest: GeneratorManifest, references: list[Reference], run: Run
 ) -> tuple[str, str]:
-    """Return the reason why a model differs from torch, as a part of a sentence, and a hint.
-
-    Args:
-        suspects: The possible causes.
-        manifest: The model's manifest.
-        references: Results of eager torch.
-        run: Runs the exported model.
-    """
+    """Return the reason why a model differs from torch, as a part of a sentence, and a hint."""
     lost_roles = _lost_inputs(suspects, manifest, references, run)
     reason = f"; {' and '.join(lost_roles)} has no effect in the model" if lost_roles else ""
     return reason, _hint(suspects, references)

@@ -63,21 +63,7 @@ def write_export(
 ) -> "tuple[_Verified, Report]":
     """Save a model as a draft, verify and validate the file, and move it to ``path`` at success.
 
-    Args:
-        path: The model file.
-        save: Writes the model to the draft's path.
-        verify: Compares the draft with its reference; raises if the two differ.
-        target: Name of the consumer to validate for.
-        settings: Level, limits and severities of the validation.
-        progress: Called with a message when a step begins.
-        must_conform: Whether a model that breaks a rule is rejected.
-
-    Returns:
-        The result of ``verify``, and the validator's report.
-
-    Raises:
-        ParityFailed: ``verify`` found a difference.
-        ExportRejected: The model breaks a rule; the error carries the report.
+    ``save`` writes the draft; ``verify`` raises if the draft differs from its reference.
     """
     with atomic_write(path) as draft:
         save(draft)
@@ -97,8 +83,7 @@ def check_contract(
 ) -> "Report":
     """Validate an exported file before it is moved, and return the report for its final ``path``.
 
-    Raises:
-        ExportRejected: The model breaks a rule and ``must_conform``; the error carries the report.
+    Raises :class:`ExportRejected`, which carries the report, if the model breaks a rule.
     """
     from gsgen.contract.spec.severity import Level, Severity
     from gsgen.contract.spec.targets import load_target

@@ -75,12 +75,6 @@ def repair(
         target: The copy's path; if None, the copy is repaired and validated, but not written.
         request: Facts that the model does not contain, and optional repairs.
         settings: Settings of both validations.
-
-    Raises:
-        ModelUnreadable: ``source`` is not a readable model.
-        ConfigInvalid: ``target`` would replace the weights of ``source``.
-        UnknownName: A size names a dimension that its inputs and outputs do not have.
-        GsgenError: There is nothing to repair, or the result breaks a rule that ``source`` keeps.
     """
     request, settings = request or RepairRequest(), settings or Settings()
     before = validate(source, settings)

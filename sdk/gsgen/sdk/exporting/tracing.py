@@ -38,15 +38,7 @@ def trace_generator(
 ) -> ir.Model:
     """Trace a generator with packed outputs, and return its ONNX graph.
 
-    Args:
-        packed: The module.
-        example: The inputs to trace it with.
-        manifest: Names the outputs.
-        opset: ONNX operator set.
-        hazards: Operations that tracing cannot follow, to explain an error.
-
-    Raises:
-        ExportFailed: The exporter refused the module; the message names the line of its code.
+    ``hazards`` explain an error.
     """
     names = TensorNames(tuple(example.inputs), output_names(manifest))
     where = type(packed.generator).__name__
@@ -74,16 +66,8 @@ def trace_module(
 ) -> ir.Model:
     """Trace any module with ``torch.onnx.export(dynamo=True)``, and return the graph.
 
-    Args:
-        module: The module to trace.
-        example: The inputs to trace it with.
-        names: Names of inputs and outputs.
-        opset: ONNX operator set.
-        where: The module's name in an error.
-        hazards: Operations that tracing cannot follow, to explain an error.
-
-    Raises:
-        ExportFailed: The exporter refused the module; the message names the line of its code.
+    ``where`` is the module's name in an error, which ``hazards`` explain and which names the line
+    of the user's code.
     """
     arguments = tuple(torch.from_numpy(np.array(value)) for value in example.inputs.values())
     try:

@@ -40,17 +40,8 @@ def check_parity(
 ) -> Parity:
     """Compare an exported model with eager torch, at the contract's test inputs and far from them.
 
-    Args:
-        path: The model file.
-        manifest: Its manifest.
-        references: Results of eager torch.
-        suspects: Possible causes of a difference.
-        progress: Called with a message when a step begins.
-        allowed: The tolerances; the manifest's if absent.
-        roundings: How often the rounding of stored outputs is added to the tolerances.
-
-    Raises:
-        ParityFailed: They differ; the error names the field, the row, and the likely cause.
+    ``allowed`` are the manifest's tolerances by default; the rounding of stored outputs is added to
+    them ``roundings`` times. The error names the field, the row, and the likely cause.
     """
     progress(f"comparing with eager torch at {len(references)} probes")
     outputs = _run(path, manifest, [reference.probe for reference in references])
@@ -127,11 +118,7 @@ def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[M
 def run_exported(
     path: Path, names: Sequence[str], probes: Sequence[Probe]
 ) -> list[dict[str, np.ndarray]]:
-    """Run an exported model for each set of test inputs, and return its outputs by name.
-
-    Raises:
-        ParityFailed: ONNX Runtime cannot run it.
-    """
+    """Run an exported model for each set of test inputs, and return its outputs by name."""
     limits = Limits().for_model(open_model(path).weight_bytes)
     with execute(path, names, probes, limits) as execution:
         if execution.fault is not None:
@@ -149,9 +136,6 @@ def check_memory(generator: GaussianGenerator, watch: Watch, references: list[Re
 
     A value that forward keeps from its first frame stays the same in the model, too, so comparing
     the two does not find it.
-
-    Raises:
-        GeneratorInvalid: The result depends on earlier frames.
     """
     if not watch.changes_module:
         return

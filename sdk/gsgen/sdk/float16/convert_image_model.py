@@ -56,12 +56,8 @@ def image_to_float16(
 ) -> Float16ImageResult:
     """Convert a post-process model to float16 in place.
 
-    Args:
-        model: A model with float32 images.
-        image: Name of the input that becomes float16.
-        probes: Inputs to measure at, with images that float16 can hold.
-        allowed: Tolerance of the result, as a share of its largest value.
-        progress: Called with a message when a step begins.
+    ``image`` names the input that becomes float16. ``probes`` have images that float16 can hold;
+    ``allowed`` is a share of the result's largest value.
     """
     prepare(model)
     measure = _Measure(model, probes)

@@ -40,9 +40,6 @@ class ErrorProbe:
         sizes: Count of numbers in each table.
         stored: Indices of the tables that are stored in 16 bits in the next measurements.
         rounded: The error of storing the outputs alone.
-
-    Raises:
-        RewriteFailed: The outputs are float16 already, or some are not declared.
     """
 
     def __init__(

@@ -45,10 +45,7 @@ def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
 
     A table whose even steps are too coarse is tried as float16, which rounds small numbers less.
 
-    Args:
-        measure: Measures the error of stored tables.
-        budget: Largest number of measurements.
-        allowed: Largest share of the tolerance.
+    ``allowed`` is the largest share of the tolerance.
     """
     # Step 1: large tables, each in the form that is closer.
     measure.model.store_unstepped(())

@@ -43,11 +43,8 @@ def max_quantizable(
     bisection.
     Step 4: each of the other groups is added if the error stays small enough.
 
-    Args:
-        units: Indices of the units, in the order of the graph.
-        measure: Returns the error of quantizing these units, and the field with that error.
-        budget: Largest number of measurements; step 4 ends early beyond it.
-        allowed: The largest error of the result, as a share of the tolerance.
+    ``measure`` returns the error, as a share of the tolerance, and the field that has it.
+    ``budget`` limits its calls; step 4 ends early beyond it.
     """
     count = 0
 

@@ -55,10 +55,6 @@ def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> H
 
     Float16 suits sizes from very small to large: even steps may be closer by the mean square, but
     make the small numbers zero.
-
-    Args:
-        array: Numbers within the range of float16.
-        in_steps: Whether even steps are tried.
     """
     if in_steps and array.size >= LEAST_ELEMENTS:
         steps = _in_steps(array)

@@ -89,12 +89,7 @@ class Live:
 
 @contextmanager
 def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
-    """Run a model in WebGPU; the returned arrays are valid within the ``with`` block.
-
-    Raises:
-        LevelUnavailable: A package, a driver or a feature of the adapter is missing.
-        RuntimeError: ONNX Runtime silently fell back to the CPU.
-    """
+    """Run a model in WebGPU; the returned arrays are valid within the ``with`` block."""
     _need_package()
     runs = _select_runs(trial)
     subject, probes = trial.subject, [trial.plan.probes[run] for run in runs]
@@ -112,11 +107,7 @@ def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
 
 
 def survey(seconds: float = 60) -> dict[str, str]:
-    """Start a child process that returns versions and adapter of the WebGPU provider.
-
-    Raises:
-        LevelUnavailable: A package or a driver is missing.
-    """
+    """Start a child process that returns versions and adapter of the WebGPU provider."""
     _need_package()
     with execute(Path(), [], [], Limits(seconds=seconds), _WORKER, half=False) as execution:
         _raise_if_unavailable(execution)

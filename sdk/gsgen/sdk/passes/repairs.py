@@ -133,11 +133,7 @@ class RenameOutputs(passes.InPlacePass):
         self.names = names
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rename the outputs of a model; inner values with one of the new names get another one.
-
-        Raises:
-            GsgenError: An input or another output already has the new name.
-        """
+        """Rename the outputs of a model; inner values with one of the new names get another one."""
         renames = {old: new for old, new in self.names.items() if old != new}
         graph = model.graph
         ends = {*graph.inputs, *(v for v in graph.outputs if v.name not in renames)}

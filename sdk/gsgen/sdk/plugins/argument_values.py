@@ -18,14 +18,8 @@ _SEQUENCES = (list, tuple, Sequence)
 def convert(text: str, annotation: Any, where: str) -> Any:
     """Convert text from the command line to a value of the declared type ``annotation``.
 
-    Args:
-        text: The text that the user typed.
-        annotation: ``str``, ``int``, ``float``, ``bool``, ``Path``, an Enum, a Literal, a union or
-            a list or tuple of those (separated by commas).
-        where: The option to name in an error, such as ``--arg side``.
-
-    Raises:
-        ConfigInvalid: The text is not a value of that type, or the type has no text form.
+    Types: ``str``, ``int``, ``float``, ``bool``, ``Path``, an Enum, a Literal, a union, or a list
+    or tuple of those (separated by commas). ``where`` names the option in an error.
     """
     try:
         return _converted(text, annotation)

@@ -19,14 +19,7 @@ if TYPE_CHECKING:
 def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
     """Build a module or scene, export it, and print the validator's findings.
 
-    Args:
-        build: Returns the module or scene.
-        request: The options of the export.
-        source: The plugin's name, or ``module:factory``.
-
-    Raises:
-        typer.Exit: With code 1, if it cannot be exported as a model that conforms.
-        GsgenError: Torch is not installed, or an option or input file is invalid.
+    Exits with code 1 if no conforming model can be exported.
     """
     from gsgen.sdk.errors import (
         ExportFailed,

@@ -41,11 +41,7 @@ class ExportRequest:
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
 
     def __post_init__(self) -> None:
-        """Raise if the report of an export would overwrite a model file.
-
-        Raises:
-            ConfigInvalid: The report's path is that of a model.
-        """
+        """Raise if the report of an export would overwrite a model file."""
         if self.report is not None:
             refuse_model(self.report, [self.output])
 
@@ -112,12 +108,8 @@ def with_common_options(
 ) -> Callable[..., None]:
     """Return a typer function with the parameters of ``build`` and every common option.
 
-    Args:
-        build: Returns the module or scene to export; its parameters become arguments and options.
-        run: Called with ``build``, its arguments bound, and the request.
-
-    Raises:
-        TypeError: A parameter of ``build`` has the name of a common option.
+    ``run`` is called with ``build``, its arguments bound, and the request. A parameter of ``build``
+    with the name of a common option is a TypeError.
     """
     parameters = inspect.signature(build).parameters
     conflicts = sorted(set(parameters) & set(_COMMON))

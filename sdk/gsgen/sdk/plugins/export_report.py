@@ -35,17 +35,7 @@ class Outcome:
 
 
 def write_report(path: Path, request: ExportRequest, source: str, outcome: Outcome) -> None:
-    """Write the options of an export and its outcome to a JSON file.
-
-    Args:
-        path: The JSON file.
-        request: The options.
-        source: The plugin's name, or ``module:factory``.
-        outcome: The result or the error.
-
-    Raises:
-        ConfigInvalid: The file cannot be written.
-    """
+    """Write the options of an export and its outcome to a JSON file."""
     document = {
         "schema": _SCHEMA,
         "tool": f"gsgen {version('gsgen')}",

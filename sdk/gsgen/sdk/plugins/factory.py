@@ -39,11 +39,7 @@ class Factory:
         return dict(parameters)
 
     def arguments(self, entries: Sequence[str]) -> dict[str, Any]:
-        """Convert ``KEY=VALUE`` entries to keyword arguments of the declared types.
-
-        Raises:
-            ConfigInvalid: An entry is malformed, has an unknown key, or a value of another type.
-        """
+        """Convert ``KEY=VALUE`` entries to keyword arguments of the declared types."""
         values: dict[str, Any] = {}
         for entry in entries:
             key, sign, text = entry.partition("=")
@@ -59,11 +55,7 @@ class Factory:
         return values
 
     def build(self, arguments: dict[str, Any]) -> Any:
-        """Call a user's factory and return its generator.
-
-        Raises:
-            GsgenError: It raised, or did not return a generator.
-        """
+        """Call a user's factory and return its generator."""
         if not _is_factory(self.make):
             return self.make
         try:
@@ -117,11 +109,7 @@ def is_target(word: str) -> bool:
 
 
 def require_torch() -> None:
-    """Raise if torch is not installed.
-
-    Raises:
-        GsgenError: Torch is not installed.
-    """
+    """Raise if torch is not installed."""
     if find_spec("torch") is None:
         message = "`gsgen export` needs torch, which is not installed"
         raise GsgenError(message, hint="pip install 'gsgen[sdk]'")
@@ -133,11 +121,6 @@ def load_factory(target: str, folder: Path | None = None) -> Factory:
     Args:
         target: ``package.module:factory``, or ``file.py:factory``.
         folder: The folder to search first; the current folder if absent.
-
-    Raises:
-        UnknownName: The module does not exist, or has no such name.
-        ConfigInvalid: The target has another form.
-        GsgenError: Torch is not installed, or the module raised while it was imported.
     """
     require_torch()
     search_folder = folder or Path.cwd()

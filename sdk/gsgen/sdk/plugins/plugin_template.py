@@ -46,11 +46,7 @@ class PluginPackage:
 
 
 def write_plugin_package(name: str, into: Path) -> PluginPackage:
-    """Write the package ``name`` into a folder of that name in ``into``.
-
-    Raises:
-        ConfigInvalid: The name cannot be used, or the folder is not empty or cannot be written.
-    """
+    """Write the package ``name`` into a folder of that name in ``into``."""
     _check_name(name)
     folder, package = into / name, name.replace("-", "_")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

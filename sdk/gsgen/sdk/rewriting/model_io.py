@@ -40,9 +40,6 @@ def refuse_overwriting(source: ModelFile, path: Path) -> None:
     """Raise if saving a copy to ``path`` would overwrite the weights of ``source``.
 
     A renamed model still reads the weight file with its old name.
-
-    Raises:
-        ConfigInvalid: ``path``, or its weight file, is a weight file of ``source``.
     """
     if path.resolve() == source.path.resolve():
         return

@@ -46,11 +46,7 @@ class Comparison:
 
 
 def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe, ...]:
-    """Return the inputs to test a model with: the contract's probes if it has a manifest.
-
-    Raises:
-        RewriteFailed: An input is not a tensor of numbers.
-    """
+    """Return the inputs to test a model with: the contract's probes if it has a manifest."""
     shapes = {tensor.name: _shape(tensor, sizes) for tensor in subject.graph.inputs}
     dtypes = {tensor.name: _dtype(tensor) for tensor in subject.graph.inputs}
     manifest = subject.manifest
@@ -132,17 +128,7 @@ def compare_files(
 ) -> Comparison:
     """Run two model files with the same inputs, and return how far their outputs differ.
 
-    Args:
-        before: The source.
-        after: The rewritten model.
-        outputs: Names of the outputs to compare.
-        probes: Inputs to run both models with.
-        limits: Time and memory for running one model.
-        allowed: Allowed differences.
-        passes: Names of the passes that ran, for an error.
-
-    Raises:
-        RewriteFailed: A model does not run, or an output differs by more than allowed.
+    ``passes`` are the names of the passes that ran, for an error.
     """
     with (
         execute(before, outputs, probes, _room(before, limits)) as old,

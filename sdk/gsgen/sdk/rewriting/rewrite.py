@@ -104,11 +104,7 @@ class Rewritten:
 def rewrite_graph(
     model: ir.Model, goal: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
 ) -> list[Change]:
-    """Run the passes of a target on ``model``, in place, until nothing changes.
-
-    Raises:
-        UnknownName: ``only`` or ``skip`` has the name of an unknown pass.
-    """
+    """Run the passes of a target on ``model``, in place, until nothing changes."""
     rewrites = find_rewrites(goal, only, skip)
     prepare(model)
     changes = _merged([*_settle(model, _exact(rewrites)), *_settle(model, rewrites)])
@@ -215,11 +211,7 @@ class _ComparedRun:
     uncompared: tuple[str, ...] = ()  # outputs without a finite number in the latest step
 
     def step(self, name: str, rewrites: Sequence[Rewrite]) -> None:
-        """Run passes until nothing changes, and compare the outputs if the graph changed.
-
-        Raises:
-            RewriteFailed: The result is ill-formed, or computes something else.
-        """
+        """Run passes until nothing changes, and compare the outputs if the graph changed."""
         self.progress(f"rewriting: {len(rewrites)} passes")
         changes = _settle(self.model, rewrites)
         if not changes:

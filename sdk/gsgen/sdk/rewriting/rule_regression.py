@@ -10,13 +10,7 @@ from gsgen.contract.validation.report import Report
 def refuse_new_violations(before: Report, after: Report, operation: str) -> None:
     """Raise if a changed model breaks a rule of the contract that its source keeps.
 
-    Args:
-        before: The report on the source.
-        after: The report on the result.
-        operation: The participle for an error, such as ``repaired``.
-
-    Raises:
-        GsgenError: The result breaks such a rule.
+    ``operation`` is the participle for an error, such as ``repaired``.
     """
 
     def errors(report: Report) -> set[str]:

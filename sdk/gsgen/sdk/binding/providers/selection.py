@@ -146,9 +146,7 @@ def _has_cuda() -> bool:
 def open_session(model: Path | bytes, opening: SessionOptions) -> Any:
     """Return an ``onnxruntime.InferenceSession`` on the chosen provider, without fallback.
 
-    Raises:
-        ProviderUnavailable: WebGPU finds no adapter.
-        FellBack: ONNX Runtime silently opened the session on the CPU instead.
+    Raises :class:`FellBack` if ONNX Runtime silently opened the session on the CPU instead.
     """
     import onnxruntime
 

@@ -50,9 +50,6 @@ def find_adapter() -> Adapter:
 
     Software drivers are allowed unless the environment variable
     ``ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER`` is 0 before the first call.
-
-    Raises:
-        AdapterMissing: The package or a driver is missing, or ONNX Runtime is too old.
     """
     import onnxruntime
 

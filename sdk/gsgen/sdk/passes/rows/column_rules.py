@@ -69,12 +69,7 @@ def columns_of(
 ) -> list[Columns]:
     """Return the columns of each output of ``node``, computed from the columns of its inputs.
 
-    Args:
-        node: A node for which :func:`works_on_columns` is true.
-        inputs: Its inputs before the rewrite.
-        rows: Number of rows.
-        look: Returns the columns of a tensor with ``rows`` rows.
-        emit: Writes an operator.
+    ``look`` returns the columns of a tensor with ``rows`` rows; ``emit`` writes an operator.
     """
     if is_op(node, *_ELEMENTWISE):
         return [_elementwise(node, inputs, rows, look, emit)]

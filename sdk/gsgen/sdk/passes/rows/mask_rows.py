@@ -122,8 +122,7 @@ class _Attempt:
     def run(self) -> list[ir.Value | None]:
         """Draft all nodes with static shapes, and return the replacement of each graph output.
 
-        Raises:
-            Blocked: A node mixes rows, or its shape would still vary.
+        Raises :class:`Blocked` if a node mixes rows, or its shape would still vary.
         """
         for node in self.graph:
             self._refuse_subgraphs(node)

@@ -41,11 +41,7 @@ class FreezeDimensions(CautiousRewrite):
         return cls(target.sizes) if target.sizes else None
 
     def rewrite(self, model: ir.Model) -> None:
-        """Replace each symbolic dimension for which the user gave a size.
-
-        Raises:
-            UnknownName: No dimension has this name.
-        """
+        """Replace each symbolic dimension for which the user gave a size."""
         names = {dim for value in _values(model) for dim in _symbols(value)}
         ends = {*model.graph.inputs, *model.graph.outputs}
         for name in self.sizes.keys() - names - self._frozen:
