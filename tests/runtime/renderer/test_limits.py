@@ -38,7 +38,7 @@ def test_more_pairs_than_a_binding_holds_is_an_error(
 ) -> None:
     monkeypatch.setattr(renderer.device, "largest_binding", 1 << 18)
     scene = Scene([cloud(3000, size=2.0, depth=(2, 3))])
-    with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* has room for 65,536"):
+    with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* holds at most 65,536"):
         renderer.render(scene, camera(width=120, height=120))
 
 
@@ -47,7 +47,7 @@ def test_more_pairs_than_a_dispatch_has_is_an_error(
 ) -> None:
     monkeypatch.setattr(renderers, "MOST_GROUPS", 30)
     scene = Scene([cloud(3000, size=2.0, depth=(2, 3))])
-    with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* has room for 61,440"):
+    with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* holds at most 61,440"):
         renderer.render(scene, camera(width=120, height=120))
 
 

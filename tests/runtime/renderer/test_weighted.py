@@ -190,7 +190,7 @@ def _columns(renderer: Renderer) -> int:
         ({"depth_range": 0.0}, "numbers above 0"),
         ({"depth_range": float("nan")}, "numbers above 0"),
         ({"divisor": 0.0}, "numbers above 0"),
-        ({"background": -0.1}, "weighs the background -0.1"),
+        ({"background": -0.1}, "has the background weight -0.1"),
     ],
 )
 def test_weights_that_are_none(change: dict[str, float], message: str) -> None:
