@@ -417,8 +417,11 @@ def _with_nan() -> np.ndarray:
         (lambda: MeshData(POINTS, FACE - 1), r"row 0 is \[-1, 0, 1\]"),
         (lambda: MeshData(POINTS, FACE / 1), r"faces: float64 \[1, 3\], expected integers"),
         (lambda: MeshData(POINTS, FACE, POINTS[:2]), r"colors: float32 \[2, 3\]"),
-        (lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2]), "texture: is absent"),
-        (lambda: MeshData(POINTS, FACE, texture=np.zeros((1, 1, 3), np.uint8)), "uv: is absent"),
+        (lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2]), "texture: is None, expected both"),
+        (
+            lambda: MeshData(POINTS, FACE, texture=np.zeros((1, 1, 3), np.uint8)),
+            "uv: is None, expected both",
+        ),
         (
             lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2], texture=np.zeros((1, 1, 3))),
             r"texture: float64 \[1, 1, 3\], expected uint8",

@@ -94,7 +94,7 @@ def test_panoramas_that_are_none_say_why(change: dict[str, object], words: str) 
 
 def test_more_than_a_turn_is_refused() -> None:
     whole = Camera.panorama((0, 0, 0), width=100)
-    with pytest.raises(SceneInvalid, match=r"camera\.fx: .* a turn, but the image is 100 wide"):
+    with pytest.raises(SceneInvalid, match=r"camera\.fx: .* per turn, but the image is 100 wide"):
         Camera(
             whole.view,
             fx=10,
