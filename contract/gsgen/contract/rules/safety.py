@@ -72,11 +72,11 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
     except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
         reason = error.strerror if isinstance(error, OSError) else "links form a cycle"
         return f"cannot be looked up: {reason}", "a file beside the model"
-    if payload and ref.length not in (None, payload):
-        return f"declares a length of {ref.length} bytes for weight {ref.tensor!r}", f"{payload}"
     needed = ref.offset + (payload if ref.length is None else ref.length)
     if needed > size:
         return f"has {size} bytes (weight {ref.tensor!r})", f"at least {needed}"
+    if payload and ref.length not in (None, payload):
+        return f"declares a length of {ref.length} bytes for weight {ref.tensor!r}", f"{payload}"
     return None
 
 

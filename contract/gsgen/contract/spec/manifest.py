@@ -231,7 +231,7 @@ class Tolerances:
 
 @dataclass(frozen=True, slots=True)
 class TestVector:
-    """Inputs and the digest of the outputs that they must give."""
+    """Inputs, and the digest of the outputs that they give."""
 
     inputs: Annotated[str, Hint(text="Which probe, by its label.")]
     expected_sha256: Sha256
@@ -240,7 +240,7 @@ class TestVector:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceImage:
-    """A picture beside the model, and from where the model must look like it; pixels from its corner.
+    """A picture beside the model, and from where the model looks like it; pixels from its corner.
 
     Its camera looks along +z, x is right and y down; colours are over black.
     """

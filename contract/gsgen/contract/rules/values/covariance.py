@@ -125,8 +125,6 @@ def covariance_not_zero(rows: Rows) -> Iterator[Violation]:
     Hint:
         Normalise rotations safely; scale the scene up before float16.
     """
-    if rows.emission.zeros:
-        return  # a frame of zeroed matrices only has to be finite
     yield Violation.rows(
         Location(rows.emission.rows_place, "covariance"),
         rows.drawn & (rows.trace == 0) & (rows.covariance == 0).all(axis=0),

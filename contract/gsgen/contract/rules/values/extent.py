@@ -179,7 +179,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
         them.
     """
     generator = rows.emission.subject.generator
-    if generator is None or generator.bounds is None or rows.emission.zeros:
+    if generator is None or generator.bounds is None:
         return
     low, high = np.asarray([generator.bounds.min, generator.bounds.max], np.float64)
     slack = _OUTSIDE_SLACK * float(np.linalg.norm(high - low))

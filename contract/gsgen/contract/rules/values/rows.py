@@ -62,8 +62,7 @@ def rows_finite(rows: Rows) -> Iterator[Violation]:
         Find the division, logarithm or norm that sees zero, and clamp before it; where float16
         overflows, scale the scene or emit float32. The row and the probe are given.
     """
-    if not rows.emission.zeros:
-        yield from _not_finite(rows, rows.counted, rows.live_rows)
+    yield from _not_finite(rows, rows.counted, rows.live_rows)
 
 
 @rule(
@@ -78,8 +77,7 @@ def padding_finite(rows: Rows) -> Iterator[Violation]:
     Hint:
         Pad with constants, not with arithmetic on live rows: x − x is NaN where x is infinite.
     """
-    if not rows.emission.zeros:
-        yield from _not_finite(rows, ~rows.counted, len(rows) - rows.live_rows)
+    yield from _not_finite(rows, ~rows.counted, len(rows) - rows.live_rows)
 
 
 @rule(
