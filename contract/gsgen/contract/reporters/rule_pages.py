@@ -1,4 +1,4 @@
-"""Documentation of a rule from its declaration: its page, its list entry, its JSON."""
+"""Renders the documentation of a rule from its declaration: page, list entry, JSON."""
 
 __all__ = ["help_path", "index", "page", "to_dict"]
 
@@ -27,7 +27,7 @@ def help_path(rule: Rule) -> str:
 
 
 def page(rule: Rule, registry: Registry) -> str:
-    """Return the Markdown page of ``rule``."""
+    """Return the Markdown documentation page of ``rule``."""
     facts = [
         ("severity", rule.severity.word),
         ("level", rule.level.word),
