@@ -1,4 +1,4 @@
-"""Suites: groups of rules, and the models that each group tests.
+"""Conformance suites: groups of rules, and the models that each group tests.
 
 A rule belongs to the first suite that claims it among those that apply to the model, else to
 ``basic``. So every rule that can fail for a model is in exactly one suite, and ``gsgen validate`` accepts a
@@ -20,7 +20,7 @@ from gsgen.contract.validation.rule import Rule
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """The facts of a manifest that decide which suites apply.
+    """The features that a manifest declares, which decide the conformance suites that apply.
 
     Attributes:
         kind: The kind of model; empty if the manifest cannot be read.
@@ -34,7 +34,7 @@ class Declared:
 
     @classmethod
     def by(cls, subject: InspectedModel) -> "Declared":
-        """Return the facts of the manifest of ``subject``, or of the inferred one."""
+        """Return the features that the manifest (or the inferred manifest) of a model declares."""
         manifest = subject.manifest
         if manifest is None:
             return cls("")
@@ -45,7 +45,7 @@ class Declared:
 
 @dataclass(frozen=True, slots=True)
 class Suite:
-    """A group of rules that are tested together.
+    """A named group of rules that are tested together.
 
     Attributes:
         name: The value of ``--suite``.
@@ -77,7 +77,7 @@ def _of_tensors(rule: Rule) -> bool:
 
 
 _CAPTURE = (
-    *("GO004", "GG003", "GG004", "GG005", "GG006", "GG007", "GG008", "GG009"),
+    *("GO004", "GG003", "GG026", "GG004", "GG005", "GG006", "GG007", "GG008", "GG009"),
     *("GG016", "GG017", "GG018"),
 )
 
@@ -92,19 +92,19 @@ SUITES: tuple[Suite, ...] = (
         "camera",
         "Cameras have the declared form and the expected effect.",
         _takes("view", "projection", "camera_position", "viewport"),
-        _ids("GI001", "GI002", "GI007", "GI008", "GB007", "GB008"),
+        _ids("GI001", "GI002", "GI007", "GI008", "GB007", "GB008", "GV049", "GV050"),
     ),
     Suite(
         "time",
         "Time has the declared form, loops, and reaches every frame.",
         _takes("time", "frame_index"),
-        _ids("GI003", "GM010", "GB004", "GB005", "GB006", "TV108"),
+        _ids("GI003", "GI025", "GM010", "GB004", "GB005", "GB006", "GB030", "TV108"),
     ),
     Suite(
         "avatar",
         "Poses and body shapes, at rest and at their extremes.",
         _takes("pose", "shape", "expression", "root_translation", "root_rotation"),
-        _ids("GI009", "GI010", "GB013"),
+        _ids("GI009", "GI010", "GB013", "GB031", "GB032"),
     ),
     Suite(
         "appearance",
@@ -133,7 +133,7 @@ SUITES: tuple[Suite, ...] = (
 
 
 def find_suite(name: str, where: str = "--suite") -> Suite:
-    """Return the suite called ``name``.
+    """Return the conformance suite called ``name``.
 
     Raises:
         UnknownName: No suite has this name; the hint names the nearest.
@@ -147,7 +147,7 @@ def find_suite(name: str, where: str = "--suite") -> Suite:
 def plan_suites(
     rules: Iterable[Rule], declared: Declared, target: Target
 ) -> dict[str, tuple[Rule, ...]]:
-    """Return the suites that apply to a model with their rules, ``basic`` first.
+    """Return the conformance suites that apply to a model with their rules, ``basic`` first.
 
     Rules of other kinds of models, and of other targets, are left out: they cannot fail.
     """

@@ -1,6 +1,15 @@
-"""Input roles: what a frame input means, and the shape and dtype that this fixes."""
+"""Input roles: the meaning of a frame input, which fixes its shape and dtype."""
 
-__all__ = ["JOINTS", "ROLES", "Role", "Shape", "matching_shape", "role"]
+__all__ = [
+    "CAMERA_ROLES",
+    "IMAGE_CHANNELS",
+    "JOINTS",
+    "ROLES",
+    "Role",
+    "Shape",
+    "matching_shape",
+    "role",
+]
 
 from dataclasses import dataclass
 
@@ -17,7 +26,7 @@ KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Role:
-    """The meaning of one kind of input.
+    """The meaning, shapes and dtype of one kind of frame input, such as ``view`` or ``time``.
 
     Attributes:
         name: The word the manifest uses.
@@ -39,6 +48,12 @@ class Role:
     needs_range: bool = False
     conventions: tuple[str, ...] = ()
 
+
+# The roles whose values follow the camera.
+CAMERA_ROLES = ("view", "projection", "camera_position", "viewport")
+
+# The numbers of channels of an image: RGB, and RGB with alpha.
+IMAGE_CHANNELS = (3, 4)
 
 # The numbers of joints of the body models whose order a convention of `pose` names.
 JOINTS: dict[str, tuple[int, ...]] = {"smpl-axis-angle": (24, 55)}
@@ -166,7 +181,7 @@ ROLES: dict[str, Role] = {
 
 
 def role(name: str) -> Role:
-    """Return the role called ``name``.
+    """Return the input role called ``name``.
 
     Raises:
         UnknownName: No role has that name; the message names the nearest one.
@@ -177,7 +192,7 @@ def role(name: str) -> Role:
 
 
 def matching_shape(entry: Role, dims: Shape) -> Shape | None:
-    """Return the shape of ``entry`` that ``dims`` fits, or None.
+    """Return the shape of the role ``entry`` that ``dims`` fits, or None.
 
     A named size fits any positive number; ``*`` alone fits any shape.
     """

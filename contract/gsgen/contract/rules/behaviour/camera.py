@@ -1,4 +1,4 @@
-"""GI and GB rules of cameras: matrix order, projection sign, and conservative culling."""
+"""Rules of cameras (GI, GB): matrix order, projection sign, and conservative culling."""
 
 from collections.abc import Iterator
 
@@ -34,7 +34,7 @@ _BARE_SHARE = 0.4
     needs=(*REPRODUCIBLE, "GI001", "GM006"),
 )
 def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
-    """The view matrix is read in the memory order that the manifest declares.
+    """The model reads the view matrix in the memory order that the manifest declares.
 
     Why:
         The same sixteen numbers are a matrix or its transpose. Read as the other one, the
@@ -65,7 +65,7 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GI002"),
 )
 def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
-    """Turning the y axis of clip space around changes no output.
+    """Negating the y axis of clip space in the projection matrix changes no output.
 
     Why:
         Some hosts pass a projection with +y up, some with +y down, and a generator has no use for
@@ -163,7 +163,7 @@ def _in_cone(
     needs=("GV025", "GO010", "GO011", "GV016"),
 )
 def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
-    """No camera that sees the bounds gets an empty scene, where others do not.
+    """No camera that sees the declared bounds gets an empty scene, if other cameras do not.
 
     Why:
         All probes look at the middle of the bounds. A count of zero for some of them is culling

@@ -1,4 +1,4 @@
-"""GO rules of graph outputs: each is computed, distinct and declared."""
+"""Rules of graph outputs (GO): each is computed, distinct and declared."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -46,7 +46,7 @@ def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def outputs_are_distinct(subject: InspectedModel) -> Iterator[Violation]:
-    """No tensor is listed as an output twice.
+    """No tensor is listed as a graph output twice.
 
     Why:
         Two buffers are bound to one name. A recorded frame writes one of them, and the other keeps

@@ -11,12 +11,12 @@ from jaxtyping import Bool, Float
 from gsgen.contract.probing.probes import as_tensor
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
+from gsgen.contract.spec.roles import CAMERA_ROLES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM
 from gsgen.contract.validation.rule import rule
 
-_OF_CAMERA = ("view", "projection", "camera_position", "viewport")
 _FEWEST = 4
 # Positions follow the camera if they move by more than the first fraction of their spread, and by
 # less than the second once the camera is undone.
@@ -80,7 +80,7 @@ def _isolated_views(probe_runs: ProbeRuns) -> list[_Seen]:
     indices = [base, *variants] if variants else []
     manifest = probe_runs.subject.manifest
     roles = {entry.role for entry in manifest.inputs} if manifest else set()
-    if not indices and roles <= set(_OF_CAMERA):
+    if not indices and roles <= set(CAMERA_ROLES):
         indices = [index for index in range(plan.values) if not plan.probes[index].zeros]
     seen = (_seen(probe_runs, index) for index in indices)
     return [entry for entry in seen if entry is not None]

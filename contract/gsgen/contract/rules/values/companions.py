@@ -7,13 +7,12 @@ from jaxtyping import Bool, Float
 
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.manifest import PostProcessManifest, TrajectoryManifest
-from gsgen.contract.spec.roles import POST_PROCESS, TRAJECTORY
+from gsgen.contract.spec.roles import IMAGE_CHANNELS, POST_PROCESS, TRAJECTORY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS
 from gsgen.contract.validation.rule import rule
 
-_IMAGE_CHANNELS = (3, 4)
 # An image may leave its range by this fraction of it, in so many of its values.
 _RANGE_SLACK = 0.1
 _OUTLIERS = 0.01
@@ -87,7 +86,7 @@ def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
         value = probe_runs.execution.samples[run.sample].outputs.get(name)
         if value is None:
             continue
-        fits = value.ndim == 4 and value.shape[1] in _IMAGE_CHANNELS
+        fits = value.ndim == 4 and value.shape[1] in IMAGE_CHANNELS
         if not fits or (value.shape[0], *value.shape[2:]) != (shape_in[0], *shape_in[2:]):
             expected = f"the size of the input, {list(shape_in)}, with 3 or 4 channels"
             yield Violation.at(f"output {name}", f"shape {list(value.shape)}", expected)
