@@ -94,6 +94,7 @@ class _Validation:
         self._check_model()
         self._check_runs()
         self._settle_remaining()
+        self.results.withdraw_predictions()
         self._check_report()
         subject, gaussians = self.subject, self.subject.declared_gaussians
         manifest = subject.manifest

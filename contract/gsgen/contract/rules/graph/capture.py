@@ -49,6 +49,7 @@ def _outcomes_text(placement: Placement) -> str:
     kinds=KINDS,
     needs=WELL_FORMED,
     limit=_CAPTURE,
+    settled_by=("GB014", "GB015"),
 )
 def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
     """No tensor's shape depends on the values of a frame's inputs.

@@ -70,7 +70,15 @@ def standard_operators(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-@rule("GG003", "no-control-flow", Severity.WARNING, over="model", fixture="if_node", kinds=KINDS)
+@rule(
+    "GG003",
+    "no-control-flow",
+    Severity.WARNING,
+    over="model",
+    fixture="if_node",
+    kinds=KINDS,
+    settled_by=("GB014",),
+)
 def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
     """The graph has no If, Loop or Scan.
 

@@ -10,7 +10,7 @@ from gsgen.contract.spec.manifest import PostProcessManifest, TrajectoryManifest
 from gsgen.contract.spec.roles import IMAGE_CHANNELS, POST_PROCESS, TRAJECTORY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.gates import MODEL_RUNS
+from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM
 from gsgen.contract.validation.rule import rule
 
 # An image may leave its range by this fraction of it, in so many of its values.
@@ -99,7 +99,7 @@ def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
     Severity.WARNING,
     over="execution",
     fixture="image_in_bytes",
-    needs=("GV045", "GV046"),
+    needs=("GV045", "GV046", *NOT_RANDOM),
     kinds=(POST_PROCESS,),
 )
 def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
