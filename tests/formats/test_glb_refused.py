@@ -123,7 +123,7 @@ def test_sets_of_both_colour_spaces_are_refused(tmp_path):
     other["extensions"][NAME]["colorSpace"] = "lin_rec709_display"
     document["meshes"][0]["primitives"].append(other)
     file.write_bytes(built(document, binary))
-    with pytest.raises(HeaderMalformed, match="sRGB and linear colours"):
+    with pytest.raises(HeaderMalformed, match="primitives with sRGB and with linear colours"):
         read_glb(file)
 
 
