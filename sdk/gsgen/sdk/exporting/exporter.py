@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -40,7 +41,7 @@ from gsgen.sdk.authoring.packed_module import (
     check_whole_cells,
 )
 from gsgen.sdk.errors import GeneratorInvalid
-from gsgen.sdk.exporting.eager_reference import Reference, measure_bounds, run_eager, run_watched
+from gsgen.sdk.exporting.eager_reference import EagerRuns, Reference, measure_bounds, run_watched
 from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
 from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
@@ -196,7 +197,7 @@ def _export(
     if searches:
         prepare(model)
         stride = max(1, len(references) // _HALF_PROBES)
-        probes = [reference.probe for reference in references[::stride]][:_HALF_PROBES]
+        probes = references.probes[::stride][:_HALF_PROBES]
         model, halved = to_float16(
             model,
             manifest,
@@ -248,7 +249,7 @@ class _Description:
     """
 
     manifest: GeneratorManifest
-    references: list[Reference]
+    references: EagerRuns
     example: Probe
     watch: Watch
 
@@ -260,10 +261,10 @@ def _describe(
     _check_inputs(generator)
     # The bounds are not known yet, so the first probes lie around the default bounds.
     draft = _manifest(generator, name, dtype, None, 1, None)
-    first_probe, *later_probes = _probes(draft)
-    start, watch = run_watched(generator, first_probe)
+    first_probes = _probes(draft)
+    start, watch = run_watched(generator, first_probes[0])
     _check_cells(generator, start)
-    first_runs = [start, *(run_eager(generator, probe) for probe in later_probes)]
+    first_runs = EagerRuns(generator, first_probes, [start])
     gaussians = start.gaussians
     rows = capacity if capacity is not None else len(gaussians)
     if rows < len(gaussians):
@@ -280,12 +281,12 @@ def _describe(
         cells = CellsOutput(CELLS, per_cell, dtype)
         draft = replace(draft, outputs=replace(draft.outputs, cells=cells))
     if not generator.inputs:
-        return _Description(draft, first_runs, first_probe, watch)
+        return _Description(draft, first_runs, first_probes[0], watch)
     # Cameras orbit the bounds, so probes are placed a second time, around the measured bounds.
-    references = [run_eager(generator, probe) for probe in _probes(draft)]
-    manifest = replace(draft, bounds=measure_bounds(first_runs + references))
-    far = [run_eager(generator, probe) for probe in _far_probes(manifest)]
-    return _Description(manifest, [*references, *far], references[1].probe, watch)
+    references = EagerRuns(generator, _probes(draft))
+    manifest = replace(draft, bounds=measure_bounds(chain(first_runs, references)))
+    far = EagerRuns(generator, tuple(_far_probes(manifest)))
+    return _Description(manifest, references + far, references.probes[1], watch)
 
 
 def _check_inputs(generator: GaussianGenerator) -> None:
