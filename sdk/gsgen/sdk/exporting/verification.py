@@ -1,4 +1,4 @@
-"""Verify an exported draft: its outputs agree with eager torch, and no frame depends on another."""
+"""Verifies an exported file: its outputs agree with torch, and frames are independent."""
 
 __all__ = ["check_memory", "check_parity", "frame_bytes", "run_exported"]
 
@@ -39,19 +39,10 @@ def check_parity(
     allowed: Tolerances | None = None,
     roundings: int = 1,
 ) -> Parity:
-    """Compare the model with eager torch, at the contract's probes and far from them.
+    """Compare an exported model with eager torch, at the contract's test inputs and far from them.
 
-    Args:
-        path: The model file.
-        manifest: Its manifest.
-        references: Results of eager torch.
-        suspects: Possible causes of a difference.
-        progress: Called with a message when a step begins.
-        allowed: The tolerances; the manifest's if absent.
-        roundings: How often the rounding of stored outputs is added to the tolerances.
-
-    Raises:
-        ParityFailed: They differ; the error names the field, the row, and the likely cause.
+    ``allowed`` are the manifest's tolerances by default; the rounding of stored outputs is added to
+    them ``roundings`` times. The error names the field, the row, and the likely cause.
     """
     tolerances = allowed or manifest.tolerances or Tolerances()
 
@@ -80,14 +71,14 @@ def check_parity(
 
 
 def _told(outputs: Iterable[ModelOutput], total: int, progress: Progress) -> Iterator[ModelOutput]:
-    """Yield ``outputs``, and report the number of each probe."""
+    """Yield the model's outputs, and report the number of each probe as progress."""
     for number, output in enumerate(outputs, start=1):
         progress(f"comparing with eager torch: probe {number} of {total}")
         yield output
 
 
 def _nudged(probe: Probe) -> Iterator[Probe]:
-    """Yield pairs of probes on opposite sides of ``probe``, their floats moved a little."""
+    """Yield pairs of inputs on opposite sides of ``probe``, with each float moved slightly."""
     rng = np.random.default_rng(0)
     for _ in range(_PAIRS):
         signs = {name: rng.choice([-1, 1], array.shape) for name, array in probe.inputs.items()}
@@ -126,11 +117,7 @@ def frame_bytes(manifest: GeneratorManifest) -> int:
 def run_exported(
     path: Path, names: Sequence[str], probes: Sequence[Probe], *, frame_bytes: int
 ) -> Iterator[dict[str, np.ndarray]]:
-    """Run an exported model, and yield its outputs by name for each probe.
-
-    Raises:
-        ParityFailed: ONNX Runtime cannot run it.
-    """
+    """Run an exported model for each set of test inputs, and yield its outputs by name."""
 
     def failure(message: str) -> ParityFailed:
         return ParityFailed(
@@ -146,9 +133,6 @@ def check_memory(generator: GaussianGenerator, watch: Watch, references: EagerRu
 
     A value that forward keeps from its first frame stays the same in the model, too, so comparing
     the two does not find it.
-
-    Raises:
-        GeneratorInvalid: The result depends on earlier frames.
     """
     if not watch.changes_module:
         return
