@@ -1,6 +1,6 @@
 """Verifies an exported file: its outputs agree with torch, and frames are independent."""
 
-__all__ = ["check_memory", "check_parity", "frame_bytes", "run_exported"]
+__all__ = ["check_memory", "check_parity", "run_exported"]
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -11,12 +11,12 @@ import numpy as np
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
-from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.authoring.packed_module import output_names
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
+from gsgen.sdk.exporting.frame_size import frame_bytes
 from gsgen.sdk.exporting.parity_diagnosis import Suspects, diagnose
 from gsgen.sdk.exporting.pipeline import Progress
 from gsgen.sdk.exporting.trace_hazards import Watch
@@ -102,16 +102,6 @@ def _run(path: Path, manifest: GeneratorManifest, probes: Sequence[Probe]) -> It
             int(np.ravel(outputs[count])[0]),
             *(outputs[name] for name in cells),
         )
-
-
-def frame_bytes(manifest: GeneratorManifest) -> int:
-    """Return the size in bytes of the Gaussians of a frame, as the model stores them."""
-    gaussians, appearance = manifest.outputs.gaussians, manifest.outputs.appearance
-    assert gaussians is not None
-    assert appearance is not None
-    channels = 4 if appearance.degree is None else 3 * (appearance.degree + 1) ** 2
-    numbers = gaussians.capacity * (layout.ROW + channels)
-    return numbers * np.dtype(gaussians.dtype).itemsize
 
 
 def run_exported(
