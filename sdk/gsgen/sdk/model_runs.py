@@ -13,7 +13,7 @@ from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.process.limits import Limits
 
 # Bytes of outputs that are kept at once, in memory or in the sandbox's files.
-KEPT_BYTES = 512 << 20
+KEPT_BYTES = 256 << 20
 
 
 def run_in_groups(
