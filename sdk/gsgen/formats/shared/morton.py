@@ -16,7 +16,7 @@ _SPREAD = (
 
 
 def morton_order(position: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
-    """Return the order of the rows of ``position`` along Morton's curve through their box.
+    """Return the order of the rows of ``position`` along Morton's curve in their box.
 
     The box has 1024 cells a side. Rows of the same cell keep their order.
     """
