@@ -1,3 +1,4 @@
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 
 import pytest
@@ -5,12 +6,20 @@ import typer
 from typer.testing import CliRunner
 
 from gsgen.cli.app import build
-from gsgen.contract import _extensions
 from gsgen.contract._extensions import Command
 
 
-def command(value: str) -> Command:
-    return Command("thing", EntryPoint("thing", value, "gsgen.commands"))
+@dataclass(frozen=True, slots=True)
+class IncompleteCommand(Command):
+    absent: tuple[str, ...] = ()
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        return self.absent
+
+
+def command(value: str, missing: tuple[str, ...] = ()) -> Command:
+    return IncompleteCommand("thing", EntryPoint("thing", value, "gsgen.commands"), missing)
 
 
 def test_a_command_that_cannot_be_imported_spoils_only_itself() -> None:
@@ -25,10 +34,9 @@ def test_a_command_that_cannot_be_imported_spoils_only_itself() -> None:
 
 @pytest.mark.parametrize("words", [[], ["a"], ["--option", "b"], ["a", "--flag"]])
 def test_a_command_without_its_extra_takes_any_words_and_says_what_it_needs(
-    monkeypatch: pytest.MonkeyPatch, words: list[str]
+    words: list[str],
 ) -> None:
-    monkeypatch.setattr(_extensions, "_missing", lambda _: ("acme",))
-    ran = CliRunner().invoke(build([command("x:y [extra]")]), ["thing", *words])
+    ran = CliRunner().invoke(build([command("x:y [extra]", ("acme",))]), ["thing", *words])
     assert ran.exit_code == 2
     assert "needs acme, which is not installed: pip install 'gsgen[extra]'" in ran.output
 
