@@ -22,7 +22,7 @@ def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
     "deterministic",
     Severity.ERROR,
     over="runs",
-    fixture="seeded_random",
+    fixture="dropout_by_a_flag",
     needs=(MODEL_RUNS, *NOT_RANDOM),
     kinds=KINDS,
 )
