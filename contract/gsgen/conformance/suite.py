@@ -92,19 +92,19 @@ SUITES: tuple[Suite, ...] = (
         "camera",
         "Cameras have the declared form and the expected effect.",
         _takes("view", "projection", "camera_position", "viewport"),
-        _ids("GI001", "GI002", "GI007", "GI008", "GB007", "GB008", "GV049", "GV050"),
+        _ids("GI001", "GI002", "GI007", "GI008", "GB007", "GB008", "GV059", "GV060"),
     ),
     Suite(
         "time",
         "Time has the declared form, loops, and reaches every frame.",
         _takes("time", "frame_index"),
-        _ids("GI003", "GI025", "GM010", "GB004", "GB005", "GB006", "GB030", "TV108"),
+        _ids("GI003", "GI025", "GM010", "GB004", "GB005", "GB006", "GB040", "TV108"),
     ),
     Suite(
         "avatar",
         "Poses and body shapes, at rest and at their extremes.",
         _takes("pose", "shape", "expression", "root_translation", "root_rotation"),
-        _ids("GI009", "GI010", "GB013", "GB031", "GB032"),
+        _ids("GI009", "GI010", "GB013", "GB041", "GB042"),
     ),
     Suite(
         "appearance",

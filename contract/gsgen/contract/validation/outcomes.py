@@ -144,7 +144,8 @@ class ResultCollector:
         for rule in self.registry.rules.values():
             measured = [self.outcomes.get(id) for id in rule.settled_by]
             holds = all(outcome is not None and outcome.status == "pass" for outcome in measured)
-            if measured and holds and self._counters.pop(rule.id, None):
+            if measured and holds and rule.id in self._counters:
+                del self._counters[rule.id]
                 reason = f"because {' and '.join(rule.settled_by)} hold: level live ran the model"
                 outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
                 self.outcomes[rule.id] = outcome

@@ -98,7 +98,7 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="last_frame_unreachable",
-    needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006", "GB030"),
+    needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006", "GB040"),
 )
 def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     """If the manifest declares frames, each frame gives other outputs than the one before.
@@ -121,7 +121,7 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 @rule(
-    "GB030",
+    "GB040",
     "frames-are-distinct",
     Severity.ERROR,
     over="runs",

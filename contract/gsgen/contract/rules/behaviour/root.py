@@ -42,7 +42,7 @@ def _pairs(behaviour: Behaviour, role: str) -> Iterator[_Pair]:
 
 
 @rule(
-    "GB031",
+    "GB041",
     "root-translation-added",
     Severity.ERROR,
     over="runs",
@@ -83,7 +83,7 @@ def _vector(vector: Float[np.ndarray, "3"]) -> str:
 
 
 @rule(
-    "GB032",
+    "GB042",
     "root-rotation-as-stored",
     Severity.ERROR,
     over="runs",
@@ -118,14 +118,14 @@ def root_rotation_as_stored(behaviour: Behaviour) -> Iterator[Violation]:
 
 def _rotation(value: np.ndarray) -> Float[np.ndarray, "3 3"] | None:
     if value.shape == (3, 3):
-        return value.astype(np.float64)
+        return np.asarray(value, np.float64)
     if value.shape != (3,):
         return None
-    vector = value.astype(np.float64)
+    vector = np.asarray(value, np.float64)
     angle = float(np.linalg.norm(vector))
     axis = vector / angle if angle else vector
     quaternion = np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])
-    return rotation_matrix(quaternion[None])[0]
+    return np.asarray(rotation_matrix(quaternion[None])[0])
 
 
 def _fitted_rotation(

@@ -87,7 +87,7 @@ def _isolated_views(probe_runs: ProbeRuns) -> list[_Seen]:
 
 
 @rule(
-    "GV049",
+    "GV059",
     "rows-in-local-space",
     Severity.ERROR,
     over="execution",
@@ -148,7 +148,7 @@ def _undone(seen: _Seen, space: str) -> Float[np.ndarray, "n 3"] | None:
 
 
 @rule(
-    "GV050",
+    "GV060",
     "camera-looks-along-z",
     Severity.ERROR,
     over="execution",

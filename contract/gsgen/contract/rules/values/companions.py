@@ -31,7 +31,7 @@ def _outputs(probe_runs: ProbeRuns, name: str) -> Iterator[tuple[str, np.ndarray
 
 
 @rule(
-    "GV045",
+    "GV055",
     "companion-outputs-finite",
     Severity.ERROR,
     over="execution",
@@ -58,7 +58,7 @@ def companion_outputs_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 
 @rule(
-    "GV046",
+    "GV056",
     "image-keeps-size",
     Severity.ERROR,
     over="execution",
@@ -94,12 +94,12 @@ def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 
 @rule(
-    "GV047",
+    "GV057",
     "image-within-range",
     Severity.WARNING,
     over="execution",
     fixture="image_in_bytes",
-    needs=("GV045", "GV046", *NOT_RANDOM),
+    needs=("GV055", "GV056", *NOT_RANDOM),
     kinds=(POST_PROCESS,),
 )
 def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
@@ -127,12 +127,12 @@ def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 
 @rule(
-    "GV048",
+    "GV058",
     "uncertainty-not-negative",
     Severity.ERROR,
     over="execution",
     fixture="log_variance_as_deviation",
-    needs=("GV045", "GO019"),
+    needs=("GV055", "GO019"),
     kinds=(TRAJECTORY,),
 )
 def uncertainty_not_negative(probe_runs: ProbeRuns) -> Iterator[Violation]:

@@ -165,7 +165,7 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     Severity.ERROR,
     over="rows",
     fixture="outside_bounds",
-    needs=(*ORDERED_ROWS, "GM009", "GM019", "GV049"),
+    needs=(*ORDERED_ROWS, "GM009", "GM019", "GV059"),
 )
 def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     """The declared bounds contain the centres of 99.9 % of the drawn rows, at every probe.
