@@ -14,6 +14,15 @@ from gsgen.contract.rules.behaviour import camera, determinism, motion, robustne
 from gsgen.contract.rules.graph import capture, graph, integers, naming, replay
 from gsgen.contract.rules.interface import declarations, input_declarations, inputs, manifest
 from gsgen.contract.rules.outputs import capacity, companions, count, graph_outputs, outputs
+from gsgen.contract.rules.pictures import (
+    colors,
+    effects,
+    harmonics,
+    opacities,
+    orientation,
+    sizes,
+    turning,
+)
 from gsgen.contract.rules.targets import limits, visionary, visionary_drawing
 from gsgen.contract.rules.values import appearance, cells, covariance, execution, extent, rows
 from gsgen.contract.spec.roles import KINDS
@@ -42,10 +51,17 @@ FAMILIES = (
     extent,
     appearance,
     cells,
+    sizes,
+    orientation,
+    opacities,
+    colors,
+    harmonics,
     determinism,
     camera,
     motion,
     robustness,
+    turning,
+    effects,
     limits,
     capacity,
     safety,
