@@ -1,4 +1,4 @@
-"""The table of splat formats: the one place that states their names, marks and functions.
+"""The table of splat file formats: names, suffixes, magic bytes, readers and writers.
 
 Help texts, hints, error messages and the documentation read this table. A new format is a module
 that reads it, an entry of the table, and a sample in ``tests/support/splat_files.py``.
@@ -41,7 +41,7 @@ _JSON_MARKS = (b'{"', b"{\n", b"{ ", b"{\r", b"{\t")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Codec:
-    """One splat format.
+    """One file format of splats, with its reader and writer.
 
     Attributes:
         name: The name on a command line.
@@ -172,13 +172,13 @@ CODECS: Final = (
 
 
 def format_titles() -> str:
-    """Return the titles of all formats as an enumeration: ``PLY, …, SPLAT or NPZ``."""
+    """Return the titles of all splat formats as an enumeration: ``PLY, …, SPLAT or NPZ``."""
     *titles, last = (codec.title for codec in CODECS)
     return f"{', '.join(titles)} or {last}"
 
 
 def codec_named(name: str) -> Codec:
-    """Return the format ``name``.
+    """Return the splat format called ``name``.
 
     Raises:
         KeyError: No format has this name.
@@ -187,7 +187,7 @@ def codec_named(name: str) -> Codec:
 
 
 def codec_of_suffix(path: FilePath) -> Codec | None:
-    """Return the format that the longest suffix of ``path`` names, or None."""
+    """Return the splat format of the longest matching suffix of ``path``, or None."""
     name = Path(path).name.lower()
     matches = [
         (len(suffix), codec.name)
@@ -199,7 +199,7 @@ def codec_of_suffix(path: FilePath) -> Codec | None:
 
 
 def recognised(path: FilePath, data: Data) -> Codec | None:
-    """Return the format that the content of a file shows, or None.
+    """Return the splat format that a file's content shows, or None.
 
     Args:
         path: The file, through which the members of an archive are listed.

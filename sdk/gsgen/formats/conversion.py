@@ -22,7 +22,7 @@ __all__ = ["Conversion", "convert"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conversion:
-    """The result of a conversion, with its losses.
+    """The paths, formats, number of splats and losses of a converted file.
 
     Attributes:
         source: The file that was read.
@@ -55,7 +55,7 @@ def convert(
     write: Callable[[FilePath, Splats], None] | None = None,
     step: Callable[[str], None] = lambda words: None,
 ) -> Conversion:
-    """Convert ``source`` to ``target``, then compare the written file with the source.
+    """Convert a splat file to another format, then compare the written file with the source.
 
     Args:
         source: A file that ``open_splats`` reads. Packed rows become splats.

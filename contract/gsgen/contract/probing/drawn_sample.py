@@ -71,7 +71,7 @@ class DrawnSample:
     def spacing(self) -> Float[np.ndarray, " m"]:
         """Mean distance of each measured row to its three nearest neighbours."""
         distance = np.linalg.norm(self.offsets[:, :_SPACING], axis=2).mean(axis=1)
-        return np.maximum(distance, _SMALLEST)
+        return np.asarray(np.maximum(distance, _SMALLEST))
 
     @cached_property
     def _spectrum(self) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 3"]]:
@@ -81,7 +81,7 @@ class DrawnSample:
     @property
     def sigma(self) -> Float[np.ndarray, "m 3"]:
         """Standard deviations of each measured row, the smallest first."""
-        return np.sqrt(self._spectrum[0])
+        return np.asarray(np.sqrt(self._spectrum[0]))
 
     @property
     def axes(self) -> Float[np.ndarray, "m 3 3"]:

@@ -1,6 +1,6 @@
-"""Input roles: what a frame input means, and the shape and dtype that this fixes."""
+"""Input roles: the meaning of a frame input, which fixes its shape and dtype."""
 
-__all__ = ["ROLES", "Role", "Shape", "matching_shape", "role"]
+__all__ = ["CAMERA_ROLES", "ROLES", "Role", "Shape", "matching_shape", "role"]
 
 from dataclasses import dataclass
 
@@ -14,10 +14,13 @@ POST_PROCESS = "post-process"
 TRAJECTORY = "trajectory-predictor"
 KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
 
+# Roles of the camera: they cull, fade and light, and from some places change nothing.
+CAMERA_ROLES = ("view", "projection", "camera_position", "viewport")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Role:
-    """The meaning of one kind of input.
+    """The meaning, shapes and dtype of one kind of frame input, such as ``view`` or ``time``.
 
     Attributes:
         name: The word the manifest uses.
@@ -163,7 +166,7 @@ ROLES: dict[str, Role] = {
 
 
 def role(name: str) -> Role:
-    """Return the role called ``name``.
+    """Return the input role called ``name``.
 
     Raises:
         UnknownName: No role has that name; the message names the nearest one.
@@ -174,7 +177,7 @@ def role(name: str) -> Role:
 
 
 def matching_shape(entry: Role, dims: Shape) -> Shape | None:
-    """Return the shape of ``entry`` that ``dims`` fits, or None.
+    """Return the shape of the role ``entry`` that ``dims`` fits, or None.
 
     A named size fits any positive number; ``*`` alone fits any shape.
     """

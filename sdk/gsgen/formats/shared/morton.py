@@ -8,7 +8,7 @@ _LAST = (1 << _BITS) - 1
 
 
 def morton_order(position: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
-    """Return the order of the rows of ``position`` along Morton's curve through their box.
+    """Return the order of the rows of ``position`` along Morton's curve in their box.
 
     G. M. Morton 1966, "A computer oriented geodetic data base": the bits of the coordinates,
     interleaved, are the index on the curve. Rows of the same cell keep their order.

@@ -1,4 +1,4 @@
-"""Decodes the images of a SOG with Pillow, after a check of their size."""
+"""Decodes the images of a SOG file with Pillow, after a check of their size."""
 
 import warnings
 from io import BytesIO
@@ -13,7 +13,7 @@ Image = UInt8[np.ndarray, "p 4"]
 
 
 def most_pixels(needed: int) -> int:
-    """Return the most pixels of an image for ``needed`` values: writers round sizes up."""
+    """Return the largest number of pixels that an image of ``needed`` values may have."""
     return 2 * needed + (1 << 16)
 
 

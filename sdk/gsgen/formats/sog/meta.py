@@ -1,4 +1,4 @@
-"""Parses the meta.json of a SOG; values are checked when they are read."""
+"""Parses the meta.json of a SOG file; values are checked when they are read."""
 
 import json
 import math
@@ -23,7 +23,7 @@ _BANDS = (1, 2, 3)
 @final
 @dataclass(frozen=True, slots=True)
 class Meta:
-    """The content of a meta.json.
+    """The parsed meta.json of a SOG file.
 
     Attributes:
         data: The parsed file.
@@ -35,7 +35,7 @@ class Meta:
 
     @classmethod
     def parse(cls, content: bytes) -> "Meta":
-        """Parse meta.json.
+        """Parse the meta.json of a SOG file.
 
         Raises:
             NotRecognised: The content is not the JSON object of a SOG.
@@ -58,24 +58,24 @@ class Meta:
         return cls(data, _whole(data.get("count"), f"{META}, count", MOST_SPLATS))
 
     def files(self, group: str, number: int) -> list[str]:
-        """Return the names of the images of ``group``."""
+        """Return the image file names of ``group`` in meta.json."""
         names = self._list(group, "files", number)
         if not all(isinstance(name, str) for name in names):
             self._refuse(group, "files", f"{number} names")
         return names
 
     def triple(self, group: str, key: str) -> Float64[np.ndarray, "3"]:
-        """Return the three finite numbers ``key`` of ``group``."""
+        """Return the three finite numbers ``key`` of ``group`` in meta.json."""
         return np.asarray(self._numbers(group, key, 3), np.float64)
 
     def codebook(self, group: str) -> Float32[np.ndarray, "256"]:
-        """Return the codebook of ``group``: the number for each byte of its image."""
+        """Return the codebook of ``group`` in meta.json: the number for each byte of its image."""
         with np.errstate(over="ignore"):  # the check of values refuses infinity
             numbers = np.array(self._numbers(group, "codebook", _CODES), np.float64)
             return numbers.astype(np.float32)
 
     def palette(self) -> tuple[int, int] | None:
-        """Return the size of the palette of harmonics and their degree; None without harmonics."""
+        """Return the size of the SH palette and its degree; None without harmonics."""
         if self.data.get("shN") is None:
             return None
         group = self._group("shN")

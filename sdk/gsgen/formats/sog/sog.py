@@ -44,7 +44,7 @@ Fetch = Callable[[str, int], bytes]
 
 
 def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
-    """Read the SOG at ``path``: a zip archive, or the meta.json of one that is unpacked.
+    """Read the SOG at ``path``: a zip archive, or the meta.json of an unpacked one.
 
     Args:
         path: The file.
@@ -153,7 +153,7 @@ def _positions(meta: Meta, low: Image, high: Image) -> Float32[np.ndarray, "n 3"
 
 
 def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
-    """Decode quaternions; an invalid tag gives the identity."""
+    """Decode quaternions from SOG pixels; an invalid tag gives the identity."""
     tag = image[:, 3].astype(np.int64) - _QUATERNION_TAG
     smaller = (image[:, :3] / 127.5 - 1) * math.sqrt(0.5)
     rotation = unit(from_largest(np.maximum(tag, 0), smaller))
@@ -162,7 +162,7 @@ def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
 
 
 def _higher(meta: Meta, fetched: Callable[[str, int], bytes]) -> Float32[np.ndarray, "n k 3"]:
-    """Return the harmonics above degree 0, which each splat takes from a palette."""
+    """Return the SH coefficients above degree 0, which each splat takes from a SOG palette."""
     palette = meta.palette()
     if palette is None:
         return np.empty((meta.count, 0, 3), np.float32)

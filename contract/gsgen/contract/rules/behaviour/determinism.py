@@ -1,16 +1,15 @@
-"""GB rules of determinism: outputs depend on the inputs alone, and as `depends_on` declares."""
+"""Rules of determinism (GB): outputs depend only on the inputs, as `depends_on` declares."""
 
 from collections.abc import Iterator
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.run_comparison import Behaviour, Comparison
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.roles import CAMERA_ROLES, KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
-_OF_CAMERA = ("view", "projection", "camera_position", "viewport")
 
 
 def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
@@ -29,7 +28,7 @@ def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
-    """The same inputs twice in a row give the same bits.
+    """Two consecutive runs with the same inputs give the same bits.
 
     Why:
         A still camera would show a flickering picture, and no test could compare results.
@@ -50,7 +49,7 @@ def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def stateless(behaviour: Behaviour) -> Iterator[Violation]:
-    """The same inputs give the same bits, regardless of the runs in between.
+    """The same inputs give the same bits, regardless of other runs in between.
 
     Why:
         Scrubbing back to an earlier time must show the same picture again.
@@ -72,7 +71,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     needs=REPRODUCIBLE,
 )
 def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
-    """Each input changes some output, unless `depends_on` says that it does not.
+    """Each input changes some output, unless `depends_on` declares that it does not.
 
     Why:
         An input without effect was usually turned into a constant when the model was traced: the
@@ -96,7 +95,7 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _zero_changes(behaviour: Behaviour, role: str) -> bool:
-    """Return whether zeros as the role's input change an output: cameras that cull nothing may not."""
+    """Return whether all-zero inputs of a role change an output; zero cameras may cull nothing."""
     zero_runs = [
         run
         for run in behaviour.visits("edges")
@@ -120,7 +119,7 @@ def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
     needs=REPRODUCIBLE,
 )
 def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
-    """Where `depends_on` says that a role changes nothing, no output changes with it.
+    """If `depends_on` declares that a role changes nothing, no output changes with this input.
 
     Why:
         A runtime keeps the result while only such an input changes: the scene stands still, or
@@ -133,7 +132,7 @@ def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
     declared = generator.depends_on if generator else {}
     for role, comparisons in behaviour.varied.items():
         changed = next((c.changed for c in comparisons if c.changed), None)
-        if changed and role not in _OF_CAMERA and not declared.get(role, True):
+        if changed and role not in CAMERA_ROLES and not declared.get(role, True):
             actual = f"output {next(iter(changed))} changes with it"
             yield Violation.at(f"role {role}", actual, "depends_on true")
 
@@ -147,7 +146,7 @@ def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
     needs=REPRODUCIBLE,
 )
 def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
-    """Where `depends_on` says that the camera changes nothing, no output changes with it.
+    """If `depends_on` declares that the camera changes nothing, no output changes with the camera.
 
     Why:
         A runtime runs such a model once and keeps the result while the camera moves: the picture
@@ -159,6 +158,6 @@ def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
     generator = behaviour.subject.generator
     declared = generator.depends_on if generator else {}
     for role, comparisons in behaviour.varied.items():
-        if role in _OF_CAMERA and not declared.get(role, True):
+        if role in CAMERA_ROLES and not declared.get(role, True):
             for comparison in comparisons:
                 yield from _differences(comparison, f"the same at every {role}")

@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.probing.drawn_sample import DrawnSample
-from gsgen.contract.rules.pictures.displayed_colors import SH_DC, SH_OFFSET, displayed_colors
+from gsgen.contract.rules.pictures.displayed_colors import SH_OFFSET, displayed_colors
 from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.spherical_harmonics import SH_DC
 from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
 from gsgen.contract.validation.rule import rule

@@ -1,14 +1,14 @@
 """Colours of a sample as a viewer shows them, without their view-dependent part."""
 
-__all__ = ["SH_DC", "SH_OFFSET", "displayed_colors"]
+__all__ = ["SH_OFFSET", "displayed_colors"]
 
 import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.probing.drawn_sample import DrawnSample
+from gsgen.contract.spec.spherical_harmonics import SH_DC
 
-# The value of the constant basis function, ½ √(1/π), and the offset that viewers add.
-SH_DC = 0.28209479177387814
+# The offset that viewers add to the sum of SH.
 SH_OFFSET = 0.5
 
 

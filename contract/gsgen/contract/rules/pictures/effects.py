@@ -8,6 +8,7 @@ from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.roles import CAMERA_ROLES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.agreement import field_errors
 from gsgen.contract.validation.finding import Violation
@@ -16,8 +17,6 @@ from gsgen.contract.validation.report import Tolerance
 from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.tolerances import effective_tolerances
 
-# A camera culls, fades and lights: from some places it changes nothing.
-_OF_CAMERA = ("view", "projection", "camera_position", "viewport")
 _SERIES = ("time", "frame_index")
 # Instants within the range that must differ from each other, of at least this many.
 _FEWEST_INSTANTS = 3
@@ -52,7 +51,7 @@ def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
         indices = behaviour.trial.plan.variants.get(role, (0, ()))[1]
         declared = subject.generator.depends_on if subject.generator else {}
         changed = any(comparison.changed for comparison in behaviour.varied[role])
-        if role in _OF_CAMERA or not changed or not declared.get(role, True):
+        if role in CAMERA_ROLES or not changed or not declared.get(role, True):
             continue
         base = _outputs(behaviour, behaviour.base)
         variants = [_outputs(behaviour, run) for run in behaviour.runs(indices)]

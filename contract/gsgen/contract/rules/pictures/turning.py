@@ -9,7 +9,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.behaviour_probes import AWAY, TILTED
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
-from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, VARIANCES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
@@ -20,7 +20,6 @@ _FEWEST_ROWS = 8
 # The statistic is the median change of rows: of a colour in 0 to 1, and of a covariance relative
 # to its trace. Right models have 1e-6, from rounding of the matrix; wrong ones 0.05 to 0.6.
 _CHANGED = 0.01
-_TRACE = [4, 7, 9]
 
 
 @rule(
@@ -71,7 +70,7 @@ def _changes(
             )
             yield _possible(base.color_place, "", actual, "the same colours from the same centre")
     a, b = (o.gaussians[rows].astype(float) for o in (base, turned) if o.gaussians is not None)
-    trace = np.maximum(a[:, _TRACE].sum(axis=1), np.finfo(np.float32).tiny)
+    trace = np.maximum(a[:, VARIANCES].sum(axis=1), np.finfo(np.float32).tiny)
     change = np.abs(a[:, COVARIANCE] - b[:, COVARIANCE]).max(axis=1) / trace
     if np.median(change) > _CHANGED:
         actual = (

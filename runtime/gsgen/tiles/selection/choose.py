@@ -1,0 +1,77 @@
+"""The live choice: one option a tile within a budget of bytes, by hulls and a prefix sum."""
+
+__all__ = ["Choice", "choose_options"]
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from gsgen.tiles.selection.hulls import OptionHulls
+
+_MOST_TRIED: Final = 64  # steps after the budget's end: each costs a microsecond
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """One option a tile, and how far it can be from the best.
+
+    Attributes:
+        option: Of each tile; −1 for none.
+        utility: Sum of the chosen options' weighted values.
+        cost: Sum of their costs.
+        bound: No choice within the budget has more utility.
+    """
+
+    option: Int64[np.ndarray, " n"]
+    utility: float
+    cost: float
+    bound: float
+
+    @property
+    def certificate(self) -> float:
+        """Largest share of the best utility that the choice can lack."""
+        return (self.bound - self.utility) / self.bound if self.bound > 0 else 0.0
+
+
+def choose_options(hulls: OptionHulls, weight: Float64[np.ndarray, " n"], budget: float) -> Choice:
+    """Choose an option for each tile so that the weighted value is large within ``budget``.
+
+    The linear relaxation of the multiple-choice knapsack takes steps of the hulls by falling
+    gain for cost (Sinha and Zoltners 1979). Its last, partial step gives the bound; then every
+    later step that still fits is taken whole.
+
+    Args:
+        hulls: Of all tiles.
+        weight: Factor on each tile's values, ≥ 0.
+        budget: The most that the choice may cost.
+    """
+    gain = hulls.value * weight[hulls.tile]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        efficiency = np.where(hulls.cost > 0, gain / hulls.cost, np.inf)
+    # Stable: the steps of a tile stay in their order, also where its weight is 0.
+    order = np.argsort(-efficiency, kind="stable")
+    cost, gain = hulls.cost[order], gain[order]
+    total = np.cumsum(cost)
+    fitting = int(np.searchsorted(total, budget, side="right"))
+    utility, spent = float(gain[:fitting].sum()), float(total[fitting - 1]) if fitting else 0.0
+    bound = utility
+    if fitting < len(order):
+        bound += float(gain[fitting] * (budget - spent) / cost[fitting])
+    taken = np.zeros(len(order), bool)
+    taken[order[:fitting]] = True
+    later = order[fitting:][cost[fitting:] <= budget - spent][:_MOST_TRIED]
+    for step in later.tolist():
+        tile = hulls.tile[step]
+        is_next = step == 0 or hulls.tile[step - 1] != tile or taken[step - 1]
+        if is_next and spent + hulls.cost[step] <= budget:
+            taken[step] = True
+            spent += float(hulls.cost[step])
+            utility += float(hulls.value[step] * weight[tile])
+    option = np.full(hulls.count, -1, np.int64)
+    # Steps ascend within a tile, so that the last one that is assigned is the highest.
+    chosen = np.flatnonzero(taken)
+    option[hulls.tile[chosen]] = hulls.option[chosen]
+    return Choice(option, utility, spent, max(bound, utility))

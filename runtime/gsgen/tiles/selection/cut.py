@@ -1,0 +1,52 @@
+"""The cut of a tree by screen-space error: which tiles a camera sees, and which it wants drawn."""
+
+__all__ = ["Cut", "cut_tree", "request_order"]
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.tile_tree import TileTree
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Cut:
+    """What a camera needs of a tree.
+
+    Attributes:
+        seen: Tiles that meet the frustum and whose parents are all refined; from the root down.
+        wanted: The seen tiles that are not refined: the finest that are worth drawing.
+        error: Screen-space error of every tile, in pixels; infinite where the camera is inside.
+    """
+
+    seen: Bool[np.ndarray, " n"]
+    wanted: Bool[np.ndarray, " n"]
+    error: Float64[np.ndarray, " n"]
+
+
+def cut_tree(tree: TileTree, frustum: Frustum, max_error: float) -> Cut:
+    """Return the tiles that ``frustum`` sees, refined where the error is above ``max_error``.
+
+    Args:
+        tree: The tiles.
+        frustum: In the root frame.
+        max_error: In pixels; a tile with children is refined above it.
+    """
+    distance = frustum.distances(tree.center, tree.half_axes)
+    error = frustum.screen_space_error(tree.error, distance)
+    refined = (error > max_error) & ~tree.is_leaf
+    seen = frustum.meets(tree.center, tree.half_axes)
+    for rows in tree.rows_of_level[1:]:
+        above = tree.parent[rows]
+        seen[rows] &= seen[above] & refined[above]
+    return Cut(seen=seen, wanted=seen & ~refined, error=error)
+
+
+def request_order(tree: TileTree, cut: Cut) -> Int64[np.ndarray, " m"]:
+    """Return the seen tiles in the order of requests: (level, −screen-space error, index)."""
+    rows = np.flatnonzero(cut.seen)
+    return np.asarray(rows[np.lexsort((rows, -cut.error[rows], tree.level[rows]))])

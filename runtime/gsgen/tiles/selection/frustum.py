@@ -1,0 +1,165 @@
+"""View frustums, and the boxes that meet them: p-vertex culling in one matrix product."""
+
+__all__ = ["Frustum"]
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from gsgen.contract.spec.geometry import rotation_matrix
+
+if TYPE_CHECKING:
+    from gsgen.runtime.scene.camera import Camera
+
+Planes = Float64[np.ndarray, "k 4"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frustum:
+    """The part of the tileset's root frame that a camera sees.
+
+    Attributes:
+        planes: A point x is inside where n·x + d ≥ 0 for every row (n, d); unit normals. Four
+            sides and z ≥ 0; a panorama has none.
+        eye: Centre of the camera.
+        axis: Unit viewing direction.
+        focal: Pixels for each unit of size over distance; of an orthographic camera, pixels
+            for each unit.
+        flat: Whether the camera is orthographic, so that size does not depend on distance.
+    """
+
+    planes: Planes
+    eye: Float64[np.ndarray, " 3"]
+    axis: Float64[np.ndarray, " 3"]
+    focal: float
+    flat: bool = False
+
+    @classmethod
+    def from_pose(
+        cls,
+        position: Float64[np.ndarray, " 3"],
+        quaternion: Float64[np.ndarray, " 4"],
+        *,
+        width: int,
+        height: int,
+        fov_y: float,
+    ) -> "Frustum":
+        """Return the frustum of a pinhole camera with its centre in the middle of the image.
+
+        Args:
+            position: Camera centre in the root frame.
+            quaternion: Camera → root frame, (w, x, y, z), of any length; OpenCV axes.
+            width: Of the image, in pixels.
+            height: Of the image, in pixels.
+            fov_y: Vertical field of view, in degrees.
+        """
+        turn = rotation_matrix(quaternion[None] / np.linalg.norm(quaternion))[0].T
+        focal = height / 2 / math.tan(math.radians(fov_y) / 2)
+        sides = np.array(
+            [
+                [focal, 0, width / 2],
+                [-focal, 0, width / 2],
+                [0, focal, height / 2],
+                [0, -focal, height / 2],
+                [0, 0, 1],
+            ]
+        )
+        return cls(
+            planes=_planes(sides, np.zeros(5), turn, -turn @ position),
+            eye=np.asarray(position, np.float64),
+            axis=turn[2],
+            focal=focal,
+        )
+
+    @classmethod
+    def from_camera(
+        cls, camera: "Camera", placement: Float64[np.ndarray, "4 4"] | None = None
+    ) -> "Frustum":
+        """Return the frustum of a camera of a scene.
+
+        Args:
+            camera: Of any kind.
+            placement: From the root frame to the world, a similarity; identity where absent.
+        """
+        view = camera.view if placement is None else camera.view @ placement
+        scale = float(np.cbrt(np.linalg.det(view[:3, :3])))
+        turn, shift = view[:3, :3] / scale, view[:3, 3] / scale
+        eye, focal = -turn.T @ shift, camera.fy
+        planes = np.zeros((0, 4))
+        if camera.kind != "panorama":
+            right, low = camera.width - camera.cx, camera.height - camera.cy
+            offsets = np.array([camera.cx, right, camera.cy, low])
+            sides = np.zeros((5, 3))
+            sides[:4, :2] = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+            sides[:4, :2] *= [camera.fx, camera.fy]
+            sides[4, 2] = 1
+            distances = np.zeros(5)
+            if camera.kind == "pinhole":
+                sides[:4, 2] = offsets
+            else:
+                distances[:4] = offsets / scale
+            planes = _planes(sides, distances, turn, shift)
+        flat = camera.kind == "orthographic"
+        return cls(
+            planes=planes, eye=eye, axis=turn[2], focal=focal * scale if flat else focal, flat=flat
+        )
+
+    def meets(
+        self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Return which boxes reach the inner side of every plane.
+
+        The corner farthest along a plane's normal (the p-vertex) decides, so that no box that
+        meets the frustum is left out; near an edge, a few that do not meet it stay in.
+
+        Args:
+            center: Middles of the boxes, in the root frame.
+            half_axes: Vectors from the middle to the faces, as rows.
+        """
+        if not len(self.planes):
+            return np.ones(len(center), bool)
+        vectors = np.concatenate([center[:, None], half_axes], axis=1).reshape(-1, 3)
+        products = (vectors @ self.planes[:, :3].T).reshape(len(center), 4, -1)
+        reach = products[:, 0] + self.planes[:, 3] + np.abs(products[:, 1:]).sum(axis=1)
+        return np.asarray((reach >= 0).all(axis=1))
+
+    def distances(
+        self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return the distances from the camera to boxes with right angles; 0 within."""
+        lengths = np.sqrt(np.square(half_axes).sum(axis=2))
+        units = half_axes / np.where(lengths > 0, lengths, 1)[:, :, None]
+        offset = self.eye - center
+        along = np.einsum("nij,nj->ni", units, offset)
+        beyond = np.maximum(np.abs(along) - lengths, 0)
+        # A flat box has no direction along an axis of length 0: what remains of the offset.
+        rest = np.square(offset).sum(axis=1) - np.square(along).sum(axis=1)
+        flat = (lengths == 0).any(axis=1)
+        squares = np.square(beyond).sum(axis=1) + np.where(flat, np.maximum(rest, 0), 0)
+        return np.asarray(np.sqrt(squares))
+
+    def screen_space_error(
+        self, error: Float64[np.ndarray, " n"], distance: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return geometric errors in pixels: e·H / (2·d·tan(fov_y/2)); infinite within a box."""
+        if self.flat:
+            return error * self.focal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixels = error * self.focal / distance
+        return np.where(error > 0, pixels, 0.0)
+
+
+def _planes(
+    sides: Float64[np.ndarray, "k 3"],
+    distances: Float64[np.ndarray, " k"],
+    turn: Float64[np.ndarray, "3 3"],
+    shift: Float64[np.ndarray, " 3"],
+) -> Planes:
+    """Return planes of the camera's frame (normals, distances) in the root frame."""
+    lengths = np.linalg.norm(sides, axis=1)
+    sides, distances = sides / lengths[:, None], distances / lengths
+    return np.column_stack([sides @ turn, sides @ shift + distances])

@@ -1,0 +1,167 @@
+"""The tiles of a tileset as arrays, so that all of them are culled and compared at once."""
+
+__all__ = ["TileTree", "measure_tile"]
+
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from gsgen.tiles.stores.store import Store
+from gsgen.tiles.tileset import Tile, Tileset
+from gsgen.tiles.volumes import Box, Region, Sphere, Volume
+
+_GLOBE = 6.4e6  # a ball of this radius in metres holds the globe
+_LARGE_ANGLE = 0.5
+_GRID = 5
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TileTree:
+    """Tiles in depth-first order, each before those below it; boxes in the root frame, float64.
+
+    Attributes:
+        tiles: The tiles.
+        parent: Index of the tile above; −1 for the root.
+        level: 0 for the root.
+        center: Middles of the bounding boxes, [n, 3].
+        half_axes: Vectors from the middle to the faces, as rows, [n, 3, 3].
+        error: Geometric error, in units of the root frame.
+        is_leaf: Whether there is no tile below.
+        adds: Whether the tiles below join the content instead of replacing it.
+        size: Bytes of the contents; 0 for a tile without.
+        splats: Number of splats of the contents, or an estimate from the bytes.
+        rows_of_level: Indices of the tiles of each level.
+    """
+
+    tiles: tuple[Tile, ...] = field(repr=False)
+    parent: Int64[np.ndarray, " n"]
+    level: Int64[np.ndarray, " n"]
+    center: Float64[np.ndarray, "n 3"]
+    half_axes: Float64[np.ndarray, "n 3 3"]
+    error: Float64[np.ndarray, " n"]
+    is_leaf: Bool[np.ndarray, " n"]
+    adds: Bool[np.ndarray, " n"]
+    size: Int64[np.ndarray, " n"]
+    splats: Int64[np.ndarray, " n"]
+    rows_of_level: tuple[Int64[np.ndarray, " m"], ...] = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.tiles)
+
+    @classmethod
+    def of_tileset(cls, tileset: Tileset, store: Store | None = None) -> "TileTree":
+        """Flatten the tree of a tileset.
+
+        Args:
+            tileset: The tree.
+            store: Asked for the sizes that the metadata do not tell; without it, those are 0.
+
+        Raises:
+            StoreUnavailable: The store does not tell a size.
+            ContentMissing: A content is missing.
+        """
+        tiles: list[Tile] = []
+        parents: list[int] = []
+        pending = [(tileset.root, -1)]
+        while pending:
+            tile, parent = pending.pop()
+            pending += [(child, len(tiles)) for child in reversed(tile.children)]
+            tiles.append(tile)
+            parents.append(parent)
+        boxes = [_root_box(tile, tileset) for tile in tiles]
+        scales = [float(np.linalg.norm(tile.transform[:3, :3], 2)) for tile in tiles]
+        measures = [measure_tile(tile, tileset, store) for tile in tiles]
+        level = np.array([tile.level for tile in tiles], np.int64)
+        return cls(
+            tiles=tuple(tiles),
+            parent=np.array(parents, np.int64),
+            level=level,
+            center=np.array([box.center for box in boxes]),
+            half_axes=np.array([box.half_axes for box in boxes]),
+            error=np.array([tile.geometric_error for tile in tiles]) * scales,
+            is_leaf=np.array([not tile.children for tile in tiles]),
+            adds=np.array([tile.refine == "ADD" for tile in tiles]),
+            size=np.array([size for size, _ in measures], np.int64),
+            splats=np.array([splats for _, splats in measures], np.int64),
+            rows_of_level=tuple(
+                np.flatnonzero(level == depth) for depth in range(int(level.max()) + 1)
+            ),
+        )
+
+    def ancestors(self, tile: int) -> list[int]:
+        """Return the tiles above ``tile``, the root last."""
+        above = []
+        while (tile := int(self.parent[tile])) >= 0:
+            above.append(tile)
+        return above
+
+
+_BYTES_PER_SPLAT = 14  # of SPZ at degree 0: an estimate where the metadata do not count
+
+
+def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int, int]:
+    """Return the bytes and the splats of a tile's contents."""
+    if not tile.contents:
+        return 0, 0
+    quality, sizes = tileset.metadata.get("quality", 0), tile.metadata.get("bytes")
+    size = 0
+    if isinstance(sizes, list) and sizes and isinstance(quality, int) and len(tile.contents) == 1:
+        size = int(sizes[min(max(quality, 0), len(sizes) - 1)])
+    elif store is not None:
+        size = sum(store.size(content.uri) for content in tile.contents)
+    splats = tile.metadata.get("splats")
+    known = isinstance(splats, int | np.integer)
+    return size, int(splats) if known else size // _BYTES_PER_SPLAT  # type: ignore[arg-type]
+
+
+def _root_box(tile: Tile, tileset: Tileset) -> Box:
+    """Return a box of the root frame that holds the volume of a tile."""
+    volume: Volume = tile.volume
+    if isinstance(volume, Region):
+        return _region_box(volume).transformed(np.linalg.inv(tileset.transform))
+    volume = volume.transformed(tile.transform)
+    if isinstance(volume, Sphere):
+        return Box(volume.center, np.eye(3) * volume.radius)
+    assert isinstance(volume, Box)
+    return volume
+
+
+def _region_box(region: Region) -> Box:
+    """Return a box, along the axes of the region's middle, that holds a region of the globe."""
+    height = region.north - region.south
+    if max(region.width, height) > _LARGE_ANGLE:
+        return Box(np.zeros(3), np.eye(3) * (_GLOBE + max(region.maximum, 0.0)))
+    cells = range(_GRID)
+    points = np.concatenate([_patch(region, x, y).samples() for x in cells for y in cells])
+    east = region.west + region.width / 2
+    north = (region.south + region.north) / 2
+    axes = np.array(
+        [
+            [-np.sin(east), np.cos(east), 0],
+            [-np.sin(north) * np.cos(east), -np.sin(north) * np.sin(east), np.cos(north)],
+            [np.cos(north) * np.cos(east), np.cos(north) * np.sin(east), np.sin(north)],
+        ]
+    )
+    along = points @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    # Between samples the globe bulges by less than r·(angle/step)²/8.
+    sag = _GLOBE * (max(region.width, height) / (2 * _GRID)) ** 2 / 8
+    half = (high - low) / 2 + sag
+    return Box((low + high) / 2 @ axes, axes * half[:, None])
+
+
+def _patch(region: Region, x: int, y: int) -> Region:
+    """Return one of _GRID × _GRID parts of a region."""
+    width, height = region.width / _GRID, (region.north - region.south) / _GRID
+    west, south = region.west + width * x, region.south + height * y
+    return Region(
+        west=west,
+        south=south,
+        east=west + width,
+        north=south + height,
+        minimum=region.minimum,
+        maximum=region.maximum,
+    )

@@ -1,0 +1,143 @@
+"""Metrics of streaming: hits, delays, waste and holes, of a session or of a simulation."""
+
+__all__ = ["MetricsRecorder", "StreamingMetrics"]
+
+import math
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Bool, Int64
+
+from gsgen.tiles.selection.cut import Cut
+
+GOOD_SHARE: Final = 0.9
+"""Share of the wanted tiles that makes a frame good."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamingMetrics:
+    """How well a tileset was streamed. An entry is a tile wanted now and not one frame before.
+
+    Attributes:
+        hit_rate: Share of the entries whose tile was there.
+        waste: Share of the bytes that were never seen after they arrived.
+        first_good_s: Seconds until 90 % of the wanted tiles were there; NaN if never.
+        share_good: Share of the frames in which they were.
+        mean_delay_s: Mean time from an entry to its tile, over all entries; hits have 0.
+        p95_delay_s: 95th percentile of the same.
+        hole_frames: Frames with a wanted tile that had neither content nor a loaded ancestor.
+        stall_ms: Time that frames waited for the session.
+        entries: Number of entries.
+        bytes: Received, those of cancelled requests too.
+        requests: Number of requests.
+    """
+
+    hit_rate: float
+    waste: float
+    first_good_s: float
+    share_good: float
+    mean_delay_s: float
+    p95_delay_s: float
+    hole_frames: int
+    stall_ms: float
+    entries: int
+    bytes: int
+    requests: int
+
+
+@final
+class MetricsRecorder:
+    """Collects the metrics of one tileset, frame by frame.
+
+    Args:
+        parent: Index of the tile above each tile; −1 for the root.
+        size: Bytes of each tile.
+    """
+
+    def __init__(self, parent: Int64[np.ndarray, " n"], size: Int64[np.ndarray, " n"]) -> None:
+        count = len(parent)
+        self._parent, self._size = parent, size
+        self._wanted = np.zeros(count, bool)
+        self._unseen = np.zeros(count, bool)
+        self._waiting: dict[int, list[float]] = {}
+        self._delays: list[float] = []
+        self._hits = self._frames = self._good = self._holes = 0
+        self._first_good = math.nan
+        self._start: float | None = None
+        self._time = 0.0
+        self._wasted = 0
+        self.bytes = self.requests = 0
+        self.stall_s = 0.0
+
+    @property
+    def unseen_bytes(self) -> int:
+        """Bytes that arrived and were not seen since, with those of cancelled requests."""
+        return int(self._size[self._unseen].sum()) + self._wasted
+
+    def request(self) -> None:
+        """Count a request."""
+        self.requests += 1
+
+    def arrive(self, tile: int, time: float) -> None:
+        """Note that a tile was received whole at ``time``."""
+        self.bytes += int(self._size[tile])
+        if self._unseen[tile]:
+            self._wasted += int(self._size[tile])  # dropped unseen, and asked for again
+        self._unseen[tile] = True
+        self._delays += [time - entry for entry in self._waiting.pop(tile, [])]
+
+    def cancel(self, received: int) -> None:
+        """Note that a request was stopped after ``received`` bytes."""
+        self.bytes += received
+        self._wasted += received
+
+    def frame(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
+        """Note a frame: what is seen and wanted, and what is there."""
+        self._time = time
+        self._start = time if self._start is None else self._start
+        self._unseen &= ~(cut.seen & loaded)
+        entries = cut.wanted & ~self._wanted
+        self._wanted = cut.wanted.copy()
+        hits = int((entries & loaded).sum())
+        self._hits += hits
+        self._delays += [0.0] * hits
+        for tile in np.flatnonzero(entries & ~loaded).tolist():
+            self._waiting.setdefault(tile, []).append(time)
+        self._frames += 1
+        count, there = int(cut.wanted.sum()), int((cut.wanted & loaded).sum())
+        if there >= GOOD_SHARE * count:
+            self._good += 1
+            if math.isnan(self._first_good):
+                self._first_good = time - self._start
+        self._holes += self._has_hole(cut.wanted, loaded)
+
+    def _has_hole(self, wanted: Bool[np.ndarray, " n"], loaded: Bool[np.ndarray, " n"]) -> bool:
+        """Return whether a wanted tile has neither content nor a loaded ancestor."""
+        rows = np.flatnonzero(wanted & ~loaded)
+        while len(rows):
+            rows = self._parent[rows]
+            if (rows < 0).any():
+                return True
+            rows = np.unique(rows[~loaded[rows]])
+        return False
+
+    def summary(self) -> StreamingMetrics:
+        """Return the metrics so far; tiles that are still missing were waited for until now."""
+        waits = [self._time - entry for entries in self._waiting.values() for entry in entries]
+        delays = np.array([*self._delays, *waits])
+        count = len(delays)
+        return StreamingMetrics(
+            hit_rate=self._hits / count if count else 1.0,
+            waste=self.unseen_bytes / self.bytes if self.bytes else 0.0,
+            first_good_s=self._first_good,
+            share_good=self._good / self._frames if self._frames else 1.0,
+            mean_delay_s=float(delays.mean()) if count else 0.0,
+            p95_delay_s=float(np.percentile(delays, 95)) if count else 0.0,
+            hole_frames=self._holes,
+            stall_ms=self.stall_s * 1e3,
+            entries=count,
+            bytes=self.bytes,
+            requests=self.requests,
+        )

@@ -1,0 +1,123 @@
+"""What a streaming session gives a renderer each frame: arrivals, evictions, and what to draw.
+
+The session decides, the renderer obeys. Each frame, in this order:
+
+1. The renderer calls :meth:`StreamingSession.frame` with its camera.
+2. It frees the slots of every tile of ``evicted``, and of no other.
+3. It uploads every arrival of ``arrivals``. Their bytes are within the upload budget, and their
+   slots within the pool, as the session counts them: ⌈rows / slot_rows⌉ each.
+4. It draws the tiles of ``drawn``, with opacities multiplied by ``fade``, and no other.
+
+A tile is resident from its arrival to its eviction. Drawn tiles are resident. Keys are indices of
+tiles in depth-first order and never change; a tile that was evicted may arrive again.
+"""
+
+__all__ = ["DrawnTile", "SessionFrame", "StreamingSession", "TileArrival"]
+
+from dataclasses import dataclass, field
+from typing import Protocol, final
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.streaming.metrics import StreamingMetrics
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TileArrival:
+    """The decoded splats of a tile, ready to be copied into slots.
+
+    Attributes:
+        tile: Key of the tile.
+        rows: ``x y z opacity xx xy xz yy yz zz`` in the root tile's frame, float32, [n, 10], in
+            Morton order; x, y, z are relative to ``origin``.
+        appearance: SH coefficients of degree 0 up, three channels each, float32, [n, c]; c is
+            the same for all tiles of a session.
+        origin: In the root tile's frame, float64.
+    """
+
+    tile: int
+    rows: Float32[np.ndarray, "n 10"] = field(repr=False)
+    appearance: Float32[np.ndarray, "n c"] = field(repr=False)
+    origin: Float64[np.ndarray, " 3"]
+
+    @property
+    def upload_bytes(self) -> int:
+        """Bytes of the arrays."""
+        return self.rows.nbytes + self.appearance.nbytes
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class DrawnTile:
+    """A resident tile that is drawn in this frame.
+
+    Attributes:
+        tile: Key of the tile.
+        fade: Factor on the opacity of its splats, above 0, at most 1.
+    """
+
+    tile: int
+    fade: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionFrame:
+    """The changes of a frame, and what to draw.
+
+    Attributes:
+        evicted: Keys of tiles whose slots are free now; in none of the frames to come are they
+            drawn before they arrive again.
+        arrivals: Tiles to upload, in this order.
+        drawn: Tiles to draw; ascending keys.
+        missing: How many tiles the camera wants that are not resident.
+        is_complete: Whether everything that the camera wants is resident and drawn without a
+            fade; tiles that cannot be had do not count.
+    """
+
+    evicted: tuple[int, ...]
+    arrivals: tuple[TileArrival, ...]
+    drawn: tuple[DrawnTile, ...]
+    missing: int
+    is_complete: bool
+
+
+class StreamingSession(Protocol):
+    """A tileset that is streamed for one camera at a time.
+
+    Attributes:
+        sh_degree: Degree of ``appearance`` of all arrivals.
+        slot_rows: Rows of a slot of the pool.
+        pool_slots: Slots of the pool; resident tiles never need more.
+        upload_budget: The most bytes of arrivals in a frame; a tile that is larger than it
+            arrives alone.
+    """
+
+    sh_degree: int
+    slot_rows: int
+    pool_slots: int
+    upload_budget: int
+
+    def frame(self, frustum: Frustum) -> SessionFrame:
+        """Return what to upload and to draw now; never waits for the network.
+
+        Args:
+            frustum: Of the camera, in the root tile's frame: ``Frustum.from_camera``.
+        """
+        ...
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until something arrives or fails, at most ``seconds``."""
+        ...
+
+    @property
+    def metrics(self) -> StreamingMetrics:
+        """What the session measured so far."""
+        ...
+
+    def close(self) -> None:
+        """Stop all requests and decoding, and close the store."""
+        ...
