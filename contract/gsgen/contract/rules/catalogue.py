@@ -20,6 +20,7 @@ from gsgen.contract.rules.pictures import (
     harmonics,
     opacities,
     orientation,
+    poses,
     sizes,
     turning,
 )
@@ -62,6 +63,7 @@ FAMILIES = (
     robustness,
     turning,
     effects,
+    poses,
     limits,
     capacity,
     safety,
