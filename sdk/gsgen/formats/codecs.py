@@ -28,6 +28,7 @@ from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.sog.meta import META
 from gsgen.formats.sog.sog import read_sog
+from gsgen.formats.sog.write import sog_order, write_sog
 from gsgen.formats.splat import looks_like_splat, read_splat, write_splat
 from gsgen.formats.spz import container as spz_container
 from gsgen.formats.spz.spz import read_spz, write_spz
@@ -134,8 +135,15 @@ CODECS: Final = (
         contents="version 2, zipped or its `meta.json`",
         suffixes=(".sog", META),
         read=read_sog,
+        write=write_sog,
         marks=(ZIP_MAGIC, *_JSON_MARKS),
         member=META,
+        keeps_flags=frozenset({"antialiased"}),
+        most_degree=3,
+        order=sog_order,
+        loss="positions 1/65535 of the range of sgn(x) ln(1 + |x|), scales and colours one of 256 "
+        "numbers chosen for the scene, opacity 1/255, rotations 0.5°, harmonics one of up to "
+        "65,536 sets chosen for the scene; the order of the splats",
         source="playcanvas/splat-transform",
     ),
     Codec(
@@ -178,11 +186,7 @@ def format_titles() -> str:
 
 
 def codec_named(name: str) -> Codec:
-    """Return the splat format called ``name``.
-
-    Raises:
-        KeyError: No format has this name.
-    """
+    """Return the splat format called ``name``."""
     return {codec.name: codec for codec in CODECS}[name]
 
 
@@ -199,15 +203,7 @@ def codec_of_suffix(path: FilePath) -> Codec | None:
 
 
 def recognised(path: FilePath, data: Data) -> Codec | None:
-    """Return the splat format that a file's content shows, or None.
-
-    Args:
-        path: The file, through which the members of an archive are listed.
-        data: The bytes of the file.
-
-    Raises:
-        ArchiveDamaged: It is a zip archive whose members cannot be listed.
-    """
+    """Return the splat format that a file's content shows, or None."""
     marked = [codec for codec in CODECS if bytes(data[:6]).startswith(codec.marks)]
     if data[: len(ZIP_MAGIC)] == ZIP_MAGIC:
         with unpacking("archive"), zipfile.ZipFile(path) as archive:

@@ -13,10 +13,17 @@ from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSuppo
 
 META: Final = "meta.json"
 """The file that describes the images."""
+ANTIALIASED: Final = "antialiased"
+"""The ``model`` of splats that were trained with the filter of Mip-Splatting."""
+PALETTE_WIDTH: Final = 64
+"""The entries of the palette of harmonics in a row of its image."""
+QUATERNION_TAG: Final = 252
+"""Alpha of a quaternion whose largest component is the first."""
+CODES: Final = 256
+"""The numbers of a codebook."""
+MOST_PALETTE: Final = 1 << 16
+"""The most entries of the palette of harmonics."""
 
-
-_MOST_PALETTE = 1 << 16
-_CODES = 256
 _BANDS = (1, 2, 3)
 
 
@@ -57,12 +64,23 @@ class Meta:
             raise NotSupported(f"version {shown(str(version))}", where=META, expected="2")
         return cls(data, _whole(data.get("count"), f"{META}, count", MOST_SPLATS))
 
+    @property
+    def antialiased(self) -> bool:
+        """Whether the splats are antialiased, by either of the two keys that writers use."""
+        return self.data.get("model") == ANTIALIASED or self.data.get("antialias") is True
+
     def files(self, group: str, number: int) -> list[str]:
         """Return the image file names of ``group`` in meta.json."""
         names = self._list(group, "files", number)
         if not all(isinstance(name, str) for name in names):
             self._refuse(group, "files", f"{number} names")
         return names
+
+    def all_files(self) -> list[str]:
+        """Return the names of all images."""
+        numbers = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
+        groups = [group for group in numbers if self.data.get(group) is not None]
+        return [name for group in groups for name in self.files(group, numbers[group])]
 
     def triple(self, group: str, key: str) -> Float64[np.ndarray, "3"]:
         """Return the three finite numbers ``key`` of ``group`` in meta.json."""
@@ -71,7 +89,7 @@ class Meta:
     def codebook(self, group: str) -> Float32[np.ndarray, "256"]:
         """Return the codebook of ``group`` in meta.json: the number for each byte of its image."""
         with np.errstate(over="ignore"):  # the check of values refuses infinity
-            numbers = np.array(self._numbers(group, "codebook", _CODES), np.float64)
+            numbers = np.array(self._numbers(group, "codebook", CODES), np.float64)
             return numbers.astype(np.float32)
 
     def palette(self) -> tuple[int, int] | None:
@@ -79,7 +97,7 @@ class Meta:
         if self.data.get("shN") is None:
             return None
         group = self._group("shN")
-        size = _whole(group.get("count"), f"{META}, shN.count", _MOST_PALETTE)
+        size = _whole(group.get("count"), f"{META}, shN.count", MOST_PALETTE)
         bands = group.get("bands")
         if bands not in _BANDS:
             self._refuse("shN", "bands", "1, 2 or 3")

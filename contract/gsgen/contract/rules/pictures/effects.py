@@ -148,6 +148,8 @@ def _all_series(behaviour: Behaviour) -> Iterator[tuple[Input, Series]]:
 
 
 def _series(behaviour: Behaviour, entry: Input) -> Series:
+    assert entry.range is not None
+    low, high = entry.range
     base = behaviour.base.probe.inputs
     others = [name for name in base if name != entry.name]
     by_value: dict[float, ModelOutputs] = {}
@@ -155,6 +157,7 @@ def _series(behaviour: Behaviour, entry: Input) -> Series:
         inputs = run.probe.inputs
         value = float(inputs[entry.name].reshape(-1)[0])
         same = all(np.array_equal(inputs[name], base[name]) for name in others)
+        same &= low <= value <= high
         if same and run.digest and run.probe.optimise and value not in by_value:
             by_value[value] = _outputs(behaviour, run)
     return sorted(by_value.items(), key=lambda item: item[0])

@@ -13,7 +13,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float, Float64, Int64, UInt64
 
-from gsgen.runtime.gpu.morton_order import spread_bits
+from gsgen.formats.shared.morton import spread_bits
 
 DEPTH: Final = 21
 """Bits of a code along each axis, and the deepest level of the octree."""
