@@ -87,7 +87,7 @@ def _deviation(
     statistic = float(np.median((error / change)[counts]))
     if statistic <= _FOLLOWS:
         return None
-    manner = "stay as they were" if np.median((stays / change)[counts]) < _FOLLOWS else "do not"
+    manner = "stay as they were" if np.median((stays / change)[counts]) < _FOLLOWS else "turn otherwise"
     actual = (
         f"covariances {manner} where {np.count_nonzero(counts)} neighbourhoods turn by "
         f"{np.degrees(np.median(motion.angle[counts])):.0f}° with the {role}: error {statistic:.2f} "
