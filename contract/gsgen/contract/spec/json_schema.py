@@ -42,14 +42,14 @@ def schema_of(cls: type, *, title: str | None = None) -> dict[str, object]:
 def _object_schema(cls: type, definitions: dict[str, object]) -> dict[str, object]:
     hints = get_type_hints(cls, include_extras=True)
     required = [
-        f.name for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING
+        _key(f) for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING
     ]
     properties: dict[str, object] = {}
     for f in fields(cls):
         entry = _type_schema(hints[f.name], definitions)
         if f.default is not MISSING and f.default is not None and not is_dataclass(f.default):
             entry = entry | {"default": to_json(f.default)}
-        properties[f.name] = entry
+        properties[_key(f)] = entry
     return {
         "type": "object",
         "description": (cls.__doc__ or "").strip().splitlines()[0],
@@ -106,12 +106,17 @@ def to_json(value: Any) -> Any:
     """Turn a dataclass (or a part of one) into what ``json.dumps`` takes, without absent fields."""
     if is_dataclass(value) and not isinstance(value, type):
         members = ((f, getattr(value, f.name)) for f in fields(value))
-        return {f.name: to_json(entry) for f, entry in members if not _is_absent(f, entry)}
+        return {_key(f): to_json(entry) for f, entry in members if not _is_absent(f, entry)}
     if isinstance(value, (tuple, list)):
         return [to_json(item) for item in value]
     if isinstance(value, Mapping):
         return {key: to_json(item) for key, item in value.items()}
     return value
+
+
+def _key(field: "Field[Any]") -> str:
+    """Return a field's name in JSON: `from_` stands for `from`, a word of Python."""
+    return field.name.removesuffix("_")
 
 
 def _is_absent(field: "Field[Any]", value: Any) -> bool:
@@ -137,8 +142,9 @@ def from_json(hint: Any, value: Any) -> Any:
     if origin is dict:
         return {key: from_json(get_args(hint)[1], element) for key, element in value.items()}
     if is_dataclass(hint) and isinstance(hint, type):
-        hints = _hints_of(hint)
-        return hint(**{k: from_json(hints[k], v) for k, v in value.items() if k in hints})
+        members = _members_of(hint)
+        known = [(*members[key], entry) for key, entry in value.items() if key in members]
+        return hint(**{name: from_json(kind, entry) for name, kind, entry in known})
     if hint is float:
         return float(value)
     if hint is int:
@@ -147,9 +153,10 @@ def from_json(hint: Any, value: Any) -> Any:
 
 
 @cache
-def _hints_of(cls: type) -> dict[str, Any]:
+def _members_of(cls: type) -> dict[str, tuple[str, Any]]:
+    """Return the key in JSON of each field → its name and its type."""
     hints = get_type_hints(cls, include_extras=True)
-    return {field.name: hints[field.name] for field in fields(cls)}
+    return {_key(field): (field.name, hints[field.name]) for field in fields(cls)}
 
 
 def _from_union(options: tuple[Any, ...], value: Any) -> Any:

@@ -9,13 +9,16 @@ __all__ = [
     "Bounds",
     "Capture",
     "CellsOutput",
+    "Cost",
     "CountOutput",
+    "ExternalData",
     "FutureOutput",
     "GaussiansOutput",
     "GeneratorManifest",
     "GeneratorOutputs",
     "ImageOutput",
     "Input",
+    "Joint",
     "Manifest",
     "PostProcessManifest",
     "PostProcessOutputs",
@@ -26,7 +29,9 @@ __all__ = [
     "Tolerances",
     "TrajectoryManifest",
     "TrajectoryOutputs",
+    "TrajectoryTolerances",
     "UncertaintyOutput",
+    "VectorFile",
     "WeightedSum",
     "manifest_type",
 ]
@@ -41,7 +46,7 @@ from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.roles import ROLES
 from gsgen.contract.spec.schema_text import Hint
 
-CONTRACT = "1.1"
+CONTRACT = "1.2"
 
 RoleName = Annotated[str, Hint(text="What the input means.", enum=tuple(ROLES))]
 Name = Annotated[str, Hint(text="The tensor's name in the graph.", min_length=1)]
@@ -49,6 +54,9 @@ Positive = Annotated[int, Hint(minimum=1)]
 Sha256 = Annotated[str, Hint(text="SHA-256, in lower-case hex.", pattern="^[0-9a-f]{64}$")]
 Fraction = Annotated[float, Hint(minimum=0)]
 AboveZero = Annotated[float, Hint(above=0)]
+ExtensionName = Annotated[
+    str, Hint(text="The field of its data: x-writer-name.", pattern="^x-[a-z0-9]+(-[a-z0-9]+)*$")
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +77,11 @@ class Space:
             text="`column`: the [4,4] tensor holds Mᵀ, as column-major bytes do. `row`: it holds M."
         ),
     ] = "column"
+    origin: Annotated[
+        tuple[float, float, float] | None,
+        Hint(text="Where the local origin lies in the author's world, in units, as float64."),
+    ] = None
+    metres_per_unit: Annotated[AboveZero | None, Hint(text="Length of one unit, in metres.")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +119,18 @@ class Producer:
     weights_sha256: Sha256 | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """One joint of a skeleton, in the order of the rows of a pose."""
+
+    name: Annotated[str, Hint(min_length=1)]
+    parent: Annotated[str | None, Hint(text="Name of its parent; absent for a root.")] = None
+    rest: Annotated[
+        tuple[float, float, float] | None,
+        Hint(text="Its position in the rest pose, in local units."),
+    ] = None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Input:
     """One frame input."""
@@ -134,6 +159,14 @@ class Input:
         float | None, Hint(text="Time: frames per second at natural speed.", minimum=0)
     ] = None
     label: Annotated[str | None, Hint(text="What a user interface calls it.")] = None
+    joints: Annotated[tuple[Joint, ...], Hint(text="Pose: one joint for each row, in order.")] = ()
+    rate: Annotated[AboveZero | None, Hint(text="Audio: samples per second.")] = None
+    window: Annotated[
+        Positive | None, Hint(text="Audio, mel: samples under the window of one column.")
+    ] = None
+    hop: Annotated[
+        Positive | None, Hint(text="Audio, mel: samples from one column to the next.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,12 +263,24 @@ class Tolerances:
 
 
 @dataclass(frozen=True, slots=True)
+class VectorFile:
+    """One input of a test vector: a file with an ONNX TensorProto."""
+
+    input: Annotated[str, Hint(text="The tensor's name in the graph.", min_length=1)]
+    path: Annotated[str, Hint(text="A file in the model's folder or below it.", min_length=1)]
+    sha256: Sha256
+
+
+@dataclass(frozen=True, slots=True)
 class TestVector:
     """Inputs and the digest of the outputs that they must give."""
 
     inputs: Annotated[str, Hint(text="Which probe, by its label.")]
     expected_sha256: Sha256
     seed: Annotated[int, Hint(text="Seed of the probe set.", minimum=0)] = 0
+    files: Annotated[
+        tuple[VectorFile, ...], Hint(text="The inputs as files, for readers without the probe set.")
+    ] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,6 +300,29 @@ class ReferenceImage:
     focal: Annotated[tuple[float, float], Hint(text="Focal lengths in x and y, in pixels.")]
     center: Annotated[tuple[float, float], Hint(text="Principal point, in pixels.")]
     psnr: Annotated[AboveZero, Hint(text="Least peak signal-to-noise ratio, in decibels.")] = 40.0
+    from_: Annotated[
+        Literal["model", "source"],
+        Hint(text="`source`: drawn by the training code. `model`: by this model, as it was then."),
+    ] = "model"
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What one frame costs on one device."""
+
+    device: Annotated[str, Hint(text="The device, as its driver calls it.", min_length=1)]
+    milliseconds: Annotated[Fraction | None, Hint(text="Median time of one run.")] = None
+    bytes: Annotated[
+        int | None, Hint(text="Peak memory of a session, weights included.", minimum=0)
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalData:
+    """A file with weights, and its digest."""
+
+    path: Annotated[str, Hint(text="As the model writes it: its `location`.", min_length=1)]
+    sha256: Sha256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,6 +338,17 @@ class _Common:
     contract: Annotated[
         str, Hint(text="Contract version, major.minor.", pattern=r"^[0-9]+\.[0-9]+$")
     ] = CONTRACT
+    extensions_used: Annotated[
+        tuple[ExtensionName, ...], Hint(text="Registered extensions that the manifest uses.")
+    ] = ()
+    extensions_required: Annotated[
+        tuple[ExtensionName, ...], Hint(text="Those without which the model is misread.")
+    ] = ()
+    operator_profile: Annotated[
+        str | None, Hint(text="The operators that suffice to run it: a profile's name.")
+    ] = None
+    external_data: tuple[ExternalData, ...] = ()
+    cost: tuple[Cost, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -280,7 +359,8 @@ class GeneratorManifest(_Common):
     space: Space | None = None
     bounds: Bounds | None = None
     depends_on: Annotated[
-        dict[str, bool], Hint(text="Role → does any output change with it; absent means yes.")
+        dict[str, bool],
+        Hint(text="Input or role → does any output change with it; absent means yes."),
     ] = field(default_factory=dict)
     antialias: Annotated[
         Literal["classic", "mip"], Hint(text="`classic`: 0.3 px dilation. `mip`: compensated.")
@@ -293,6 +373,10 @@ class GeneratorManifest(_Common):
     tolerances: Tolerances | None = None
     reference_images: tuple[ReferenceImage, ...] = ()
     kind: Literal["gaussian-generator"] = "gaussian-generator"
+
+    def depends(self, entry: Input) -> bool:
+        """Return whether outputs may change with an input; its name comes before its role."""
+        return self.depends_on.get(entry.name, self.depends_on.get(entry.role, True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,12 +433,23 @@ class TrajectoryOutputs:
     uncertainty: UncertaintyOutput
 
 
+@dataclass(frozen=True, slots=True)
+class TrajectoryTolerances:
+    """How closely two executions of a trajectory predictor agree."""
+
+    position: Annotated[Fraction, Hint(text="In units of length.")] = 1e-3
+    rotation: Annotated[Fraction, Hint(text="Angle between two rotations, in radians.")] = 1e-3
+    uncertainty: Annotated[Fraction, Hint(text="Relative.")] = 1e-2
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryManifest(_Common):
     """A trajectory predictor: past camera states → future ones, with uncertainty."""
 
     outputs: TrajectoryOutputs
     step_seconds: Annotated[float, Hint(text="Time between two states, in seconds.", minimum=0)]
+    space: Space | None = None
+    tolerances: TrajectoryTolerances | None = None
     kind: Literal["trajectory-predictor"] = "trajectory-predictor"
 
 

@@ -95,7 +95,7 @@ class GeneratorWorker:
         self._unused_inputs = frozenset(
             spec.name
             for spec in self.manifest.inputs
-            if not self.manifest.depends_on.get(spec.role, True)
+            if not self.manifest.depends(spec)
         )
         self._forget()
 

@@ -14,7 +14,7 @@ from onnx_ir.passes.common import NameFixPass
 
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
-from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
+from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_model
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.validation.report import Report
@@ -94,6 +94,7 @@ def repair(
     for _, change in steps:
         change(model)
     NameFixPass()(model)
+    model.metadata_props.pop(NEUTRAL_KEY, None)
     model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
     with _draft(target, source) as draft:
         save_model(model, draft, external_weights=external_weights)
