@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from gsgen.contract.reporters.document import schema as report_schema
-from gsgen.contract.spec.json_schema import DIALECT, from_json, schema_of, to_json
+from gsgen.contract.spec.json_schema import DIALECT, Hint, from_json, schema_of, to_json
 from gsgen.contract.spec.manifest_io import loads, parse, schema_name, schemas
 from gsgen.contract.spec.roles import KINDS
-from gsgen.contract.spec.schema_text import Hint
 from gsgen.contract.validation.report import REPORT_SCHEMA_FILE
 from support.models.manifests import JSON, manifests
 
@@ -26,6 +25,15 @@ WRITER = "scripts/write_schemas.py"
 
 # SHA-256 of the schemas of older versions: readers hold copies, so they never change.
 OLDER = {
+    "gaussian-generator-1.1.schema.json": (
+        "3d16593f561d43ba2cbad0b622c59d12a2d343814dabdef37a5775f098543c50"
+    ),
+    "post-process-1.1.schema.json": (
+        "387e3834306db26cc5160ec3883853beae0e4c2c437f47fab3bf0f90ac9fce5a"
+    ),
+    "trajectory-predictor-1.1.schema.json": (
+        "b56241e914f6f1f5230a94a1f4fb0d2566fd290d4f96f68dc67428e7eb658cc5"
+    ),
     "gaussian-generator-1.0.schema.json": (
         "0f53f7cfadc9577c6305cf42086de1e4f908b5571916df7c229d13dd0556819c"
     ),

@@ -4,16 +4,14 @@
 :func:`from_json` convert its instances.
 """
 
-__all__ = ["DIALECT", "Json", "from_json", "schema_of", "to_json"]
+__all__ = ["DIALECT", "Hint", "Json", "from_json", "schema_of", "to_json"]
 
 import types
 import typing
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from functools import cache
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
-
-from gsgen.contract.spec.schema_text import Hint
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -29,6 +27,32 @@ _SCALARS: dict[object, dict[str, object]] = {
 }
 # Third parties may add fields of their own under this prefix.
 _EXTENSION = "^x-"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hint:
+    """Metadata in ``Annotated[...]`` that the published JSON Schema repeats."""
+
+    text: str = ""
+    minimum: float | None = None
+    above: float | None = None
+    maximum: float | None = None
+    min_length: int | None = None
+    pattern: str | None = None
+    enum: tuple[str, ...] = ()
+
+    def keywords(self) -> dict[str, object]:
+        """Return the JSON Schema keywords that this hint stands for."""
+        by_keyword = {
+            "description": self.text or None,
+            "minimum": self.minimum,
+            "exclusiveMinimum": self.above,
+            "maximum": self.maximum,
+            "minLength": self.min_length,
+            "pattern": self.pattern,
+            "enum": list(self.enum) or None,
+        }
+        return {key: value for key, value in by_keyword.items() if value is not None}
 
 
 def schema_of(cls: type, *, title: str | None = None) -> dict[str, object]:

@@ -36,6 +36,7 @@ __all__ = [
     "manifest_type",
 ]
 
+import math
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -43,10 +44,13 @@ import numpy as np
 
 from gsgen.contract._array_types import Float
 from gsgen.contract.errors import UnknownName
+from gsgen.contract.spec.json_schema import Hint
 from gsgen.contract.spec.roles import ROLES
-from gsgen.contract.spec.schema_text import Hint
 
 CONTRACT = "1.2"
+
+# The rounding error of a time, as a share of a frame.
+_FRAME_ROUNDING = 1e-6
 
 RoleName = Annotated[str, Hint(text="What the input means.", enum=tuple(ROLES))]
 Name = Annotated[str, Hint(text="The tensor's name in the graph.", min_length=1)]
@@ -59,7 +63,7 @@ ExtensionName = Annotated[
 ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
     """The coordinate frame that Gaussians, cameras and bounds are given in."""
 
@@ -167,6 +171,30 @@ class Input:
     hop: Annotated[
         Positive | None, Hint(text="Audio, mel: samples from one column to the next.")
     ] = None
+
+    def moment(self, frame: int) -> float:
+        """Return the time at which a frame begins: the frames divide the range into equal parts.
+
+        Raises:
+            ValueError: The input declares neither range nor frames.
+        """
+        low, high, count = self._frames()
+        return low + (high - low) * frame / count
+
+    def frame_at(self, time: float) -> int:
+        """Return the frame that a time shows; the end of the range shows the last, or the first.
+
+        Raises:
+            ValueError: The input declares neither range nor frames.
+        """
+        low, high, count = self._frames()
+        frame = math.floor(count * (time - low) / (high - low) + _FRAME_ROUNDING)
+        return frame % count if self.loop else min(max(frame, 0), count - 1)
+
+    def _frames(self) -> tuple[float, float, int]:
+        if self.role != "time" or self.range is None or self.frames is None:
+            raise ValueError(f"{self.name!r} is not a time with a range and frames")
+        return *self.range, self.frames
 
 
 @dataclass(frozen=True, slots=True)

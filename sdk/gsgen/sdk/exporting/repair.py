@@ -21,6 +21,7 @@ from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.sdk.authoring.packed_module import APPEARANCE_RGB, APPEARANCE_SH, COUNT, GAUSSIANS
+from gsgen.sdk.exporting.embed_manifest import with_profile
 from gsgen.sdk.passes import (
     CastCount,
     PadColor,
@@ -95,6 +96,8 @@ def repair(
         change(model)
     NameFixPass()(model)
     model.metadata_props.pop(NEUTRAL_KEY, None)
+    if manifest.operator_profile is not None:
+        manifest = with_profile(manifest, model)
     model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
     with _draft(target, source) as draft:
         save_model(model, draft, external_weights=external_weights)

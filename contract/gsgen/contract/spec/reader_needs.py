@@ -1,12 +1,28 @@
-"""Operator profiles: named sets of operators that suffice to run a model.
+"""What a reader must know to read a model: the registry of extensions, and operator profiles."""
 
-A profile never changes; a larger set gets a new name.
-"""
-
-__all__ = ["PROFILES", "OperatorProfile", "smallest_profile"]
+__all__ = ["PROFILES", "REGISTERED", "Extension", "OperatorProfile", "smallest_profile"]
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Extension:
+    """A registered extension.
+
+    Attributes:
+        name: The field that holds its data, such as ``x-studio-relight``.
+        owner: Who maintains its specification.
+        page: Where its specification is published.
+    """
+
+    name: str
+    owner: str
+    page: str
+
+
+# None is registered yet. An entry is added as docs/spec/extensions.md says.
+REGISTERED: dict[str, Extension] = {}
 
 
 @dataclass(frozen=True, slots=True)
