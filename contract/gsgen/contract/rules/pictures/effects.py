@@ -1,6 +1,7 @@
 """GB rules of effects: inputs whose effect cannot be seen, comes at the end alone, or is erratic."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -52,9 +53,10 @@ def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
     subject, tolerances = behaviour.subject, effective_tolerances(behaviour.subject)
     for role in behaviour.varied:
         indices = behaviour.trial.plan.variants.get(role, (0, ()))[1]
-        declared = subject.generator.depends_on if subject.generator else {}
         changed = any(comparison.changed for comparison in behaviour.varied[role])
-        if role in CAMERA_ROLES or not changed or not declared.get(role, True):
+        entries = [entry for entry, _ in subject.inputs_of(role)]  # none of a single input's key
+        depends = subject.generator is not None and any(map(subject.generator.depends, entries))
+        if role in CAMERA_ROLES or not changed or not depends:
             continue
         base = _outputs(behaviour, behaviour.base)
         variants = [_outputs(behaviour, run) for run in behaviour.runs(indices)]
@@ -122,11 +124,10 @@ def motion_is_smooth(behaviour: Behaviour) -> Iterator[Violation]:
         span = entry.range[1] - entry.range[0]
         if entry.role != "time" or entry.frames or span > 1:
             continue
-        pairs = [
-            (b - a, _motion(x, y)) for i, (a, x) in enumerate(series) for b, y in series[i + 1 :]
-        ]
+        pairs = [(b - a, _motion(x, y)) for (a, x), (b, y) in pairwise(series)]
         steps = [motion for gap, motion in pairs if _NEAR[0] * span < gap < _NEAR[1] * span]
-        largest = max((motion for _, motion in pairs), default=0.0)
+        from_start = (_motion(series[0][1], outputs) for _, outputs in series[1:])
+        largest = max([*(motion for _, motion in pairs), *from_start], default=0.0)
         second, first = sorted([0.0, 0.0, *steps])[-2:]
         if first > _ERRATIC * largest and second > _ANOTHER * largest:
             share = first / largest

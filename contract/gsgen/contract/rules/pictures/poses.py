@@ -58,8 +58,8 @@ def covariances_follow_motion(behaviour: Behaviour) -> Iterator[Violation]:
         skinning transform; Rᵀ Σ R turns it backwards.
     """
     for role in behaviour.varied:
-        if role in CAMERA_ROLES:
-            continue
+        if role in CAMERA_ROLES or not any(behaviour.subject.inputs_of(role)):
+            continue  # the key of a single input repeats that of its role
         for sample, later, motion, run in _motions(behaviour, role):
             violation = _deviation(sample, later, motion, role, run)
             if violation is not None:
