@@ -75,7 +75,7 @@ def _adapters() -> Iterator[Check]:
 
 
 def _screen() -> Check:
-    """Check whether a window can be opened."""
+    """Check whether a window can be opened on this machine."""
     problem = _child_result("screen", _TRY_WINDOW, _RUNTIME, _WINDOW)
     if isinstance(problem, Check):
         return problem
@@ -91,7 +91,7 @@ def _screen() -> Check:
 
 
 def _widget() -> Check:
-    """Check the packages that show a scene in a notebook: rendercanvas needs one of two."""
+    """Check the packages for views in notebooks: rendercanvas needs one of two."""
     widget_checks = [
         check_package(name, "", purpose=_NOTEBOOK) for name in ("anywidget", "jupyter_rfb")
     ]

@@ -17,7 +17,7 @@ _NUMBER: Final = re.compile(r"%(0\d)?d")
 @final
 @dataclass(frozen=True, slots=True)
 class OutputFiles:
-    """The files that a bake writes.
+    """The paths and the format of the files that a bake writes.
 
     Attributes:
         pattern: The path as the user gave it; ``%d`` or ``%04d`` stands for the frame's number.
@@ -29,15 +29,15 @@ class OutputFiles:
 
     @classmethod
     def of(cls, pattern: Path, frames: int, format: str | None = None) -> "OutputFiles":
-        """Check an output path against the number of frames.
+        """Check an output path against the number of frames, and choose the format.
 
         Args:
-            pattern: The path, with ``%d`` or ``%04d`` where there are several frames.
-            frames: How many frames are written.
-            format: Name of a format; None for the one that the suffix names.
+            pattern: The path, with ``%d`` or ``%04d`` for several frames.
+            frames: Number of frames.
+            format: Name of a format; None for that of the suffix.
 
         Raises:
-            ConfigInvalid: Nothing writes this format, the pattern has no number or several, or
+            ConfigInvalid: The format cannot be written, the pattern has no number or several, or
                 the path is a folder.
             UnknownName: No format has this name.
         """
@@ -81,10 +81,10 @@ def _writable_codec(path: Path, format: str | None) -> Codec:
     else:
         codec, where = codec_of_suffix(path), f"-o {path}"
     if codec is None or codec.write is None:
-        actual = f"{codec.title} is only read" if codec else "has no suffix of a splat format"
+        actual = f"{codec.title} can only be read" if codec else "has no suffix of a splat format"
         suffixes = ", ".join(known.suffixes[0] for known in writable)
         raise ConfigInvalid(
-            f"{actual}, expected a format that is written: {suffixes}",
+            f"{actual}, expected a format that can be written: {suffixes}",
             where=where,
             hint="Change the suffix, or write a PLY and convert it with another tool.",
         )

@@ -1,4 +1,4 @@
-"""The backend of level ``render``: draws a model's outputs as a viewer would."""
+"""Draws a model's outputs as a viewer would, for the rules of level ``render``."""
 
 __all__ = [
     "ComparedReference",
@@ -51,14 +51,14 @@ _DISTANCE: Final = 2.2  # half diagonals of the bounds; the cameras of probes ha
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedProbe:
-    """The drawn frame of one probe.
+    """The drawn frame of one probe: a run of the model with chosen inputs.
 
     Attributes:
         probe: Label of the probe's inputs.
-        live: How many rows are live.
-        visible: How many Gaussians were drawn.
+        live: Number of live rows.
+        visible: Number of drawn Gaussians.
         covered: The highest alpha of any pixel, in [0, 1].
-        agreement: Agreement of the two rasterisers in decibels; None if one of them cannot draw it.
+        agreement: PSNR between both rasterisers in decibels; None if one cannot draw the frame.
     """
 
     probe: str
@@ -102,7 +102,7 @@ class RenderEvidence:
 
 @contextmanager
 def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
-    """Draw the outputs that a model gave for some of its probes.
+    """Draw the outputs of a model for some of its probes, as the context of the rules.
 
     Raises:
         LevelUnavailable: A package, a graphics adapter or its memory is missing.
@@ -128,12 +128,12 @@ def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
 
 
 def _quad_renderer(device: Device) -> Renderer | None:
-    """Return a renderer with the quad rasteriser, or None if the device lacks it."""
+    """Return a renderer with the quad rasteriser, or None if the device does not support it."""
     return Renderer(device, rasteriser="quads") if device.blends_floats else None
 
 
 def _skip_reasons(probe_runs: ProbeRuns, device: Device) -> dict[str, str]:
-    """Return the ids of the rules that cannot be checked, each with the reason."""
+    """Return the ids of rules that cannot be checked, each with the reason."""
     manifest = probe_runs.subject.generator
     reasons = {}
     if manifest is not None and manifest.blend == "wsr":
@@ -167,7 +167,7 @@ def _render_probes(
 
 
 def _probe_scene(probe_runs: ProbeRuns, number: int) -> Scene:
-    """Return the model's outputs for a probe as a scene."""
+    """Return a model's outputs for a probe as a scene."""
     manifest = probe_runs.subject.generator
     assert manifest is not None
     sample = probe_runs.execution.runs[number].sample
@@ -175,11 +175,9 @@ def _probe_scene(probe_runs: ProbeRuns, number: int) -> Scene:
 
 
 def scene_of(manifest: GeneratorManifest, tensors: Mapping[str, np.ndarray]) -> Scene:
-    """Return the outputs of one run of a generator as a scene.
+    """Return the outputs of one run of a generator, by name, as a scene.
 
-    Args:
-        manifest: The generator's manifest, which declares gaussians and appearance.
-        tensors: Output name → array.
+    The manifest must declare gaussians and appearance.
     """
     outputs = manifest.outputs
     assert outputs.gaussians is not None
@@ -242,7 +240,7 @@ def decibels(a: Frame, b: Frame) -> float:
 
 
 def _spread_probes(probe_runs: ProbeRuns) -> list[int]:
-    """Choose evenly spread probes; all inputs zero would be an invalid camera."""
+    """Choose evenly spread probes, except those of zeros: that camera would be invalid."""
     candidates = [
         number
         for number in range(probe_runs.plan.values)
@@ -257,7 +255,7 @@ def _spread_probes(probe_runs: ProbeRuns) -> list[int]:
 
 
 def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
-    """Return the camera of a probe's inputs, or else one that looks at the bounds."""
+    """Return the camera of a probe's inputs, or else one that looks at the model's bounds."""
     by_role = {spec.role: probe.inputs[spec.name] for spec in manifest.inputs}
     order = manifest.space.matrix_order if manifest.space else "column"
     default_camera = _camera_at_bounds(manifest, by_role.get("camera_position"))
@@ -288,7 +286,7 @@ def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
 
 
 def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Camera:
-    """Return a camera that looks at the centre of the bounds, from ``eye`` or an orbit."""
+    """Return a camera that looks at a model's bounds, from ``eye`` or an orbit."""
     bounds = manifest.bounds
     low, high = (
         (np.array(bounds.min), np.array(bounds.max))

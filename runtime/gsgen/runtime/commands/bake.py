@@ -1,4 +1,4 @@
-"""`gsgen bake`: frames of a generator as plain splat files."""
+"""`gsgen bake`: writes frames of a generator as plain splat files."""
 
 __all__ = ["bake"]
 
@@ -134,7 +134,7 @@ def bake(
 
 
 def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
-    """Return the tracks of ``--time`` and ``--input``."""
+    """Parse ``--time`` and ``--input`` into tracks of input values."""
     from gsgen.runtime.baking.frame_values import number_range
     from gsgen.runtime.playback.input_tracks import Track, input_track
 
@@ -159,7 +159,7 @@ def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
 
 
 def _poses(poses: list[str] | None, source: "GeneratorSource") -> "list[Track]":
-    """Return the tracks of ``--pose``."""
+    """Parse ``--pose`` into tracks of input values."""
     from gsgen.runtime.playback.pose_tracks import named_file, pose_tracks
 
     tracks: list[Track] = []
@@ -177,7 +177,7 @@ def _poses(poses: list[str] | None, source: "GeneratorSource") -> "list[Track]":
 
 
 def _cameras(text: str | None, up: str | None, source: "GeneratorSource") -> "list[Camera]":
-    """Return the cameras of ``--camera``, none where it is absent."""
+    """Return the cameras of ``--camera``; none without the option."""
     if text is None:
         return []
     from gsgen.runtime.playback.camera_options import viewpoint
@@ -187,7 +187,7 @@ def _cameras(text: str | None, up: str | None, source: "GeneratorSource") -> "li
 
 
 def _as_dict(report: "BakeReport") -> dict[str, object]:
-    """Return the report in JSON types: an infinite PSNR becomes the text ``inf``."""
+    """Convert a bake's report to JSON types: an infinite PSNR becomes the text ``inf``."""
     document = asdict(report)
     for frame in document["frames"]:
         if frame["psnr"] is not None and math.isinf(frame["psnr"]):

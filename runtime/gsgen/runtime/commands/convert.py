@@ -115,7 +115,7 @@ def convert(
 
 
 def _codec(name: str | None, target: Path) -> Codec:
-    """Return the format of this name, or else of the target's suffix."""
+    """Return the splat format of this name, or else of the target's suffix."""
     if name is not None:
         if name not in _WRITABLE:
             raise UnknownName.among("format", name, _WRITABLE, where="--format")
@@ -134,7 +134,7 @@ def _codec(name: str | None, target: Path) -> Codec:
 def _writer(
     codec: Codec, spz_version: int | None, encoding: str | None
 ) -> "Callable[..., None] | None":
-    """Return a writer with the options of the format, or None without any options."""
+    """Return a writer with the options of the splat format; None without options."""
     arguments: dict[str, tuple[str, dict[str, object]]] = {}
     if spz_version is not None:
         arguments["--spz-version"] = "spz", {"version": spz_version}
