@@ -2,6 +2,7 @@
 
 __all__ = ["build", "main"]
 
+import atexit
 import errno
 import gc
 import sys
@@ -16,6 +17,8 @@ from gsgen.contract._extensions import Command, escape_markup, find_commands
 from gsgen.contract.errors import ExitCode, GsgenError, UnknownName
 from gsgen.contract.process.interrupts import ending_at_interrupts
 
+# Objects between two garbage collections: more than all imports of a command create.
+_COLLECT_AFTER = 500_000
 # Errors of a full or read-only disk.
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
@@ -34,7 +37,8 @@ def main() -> None:
 
 
 def _run() -> None:
-    gc.set_threshold(50_000)  # imports create many objects and hardly any garbage
+    gc.set_threshold(_COLLECT_AFTER)  # imports create many objects and hardly any garbage
+    atexit.register(gc.freeze)  # so that the interpreter's last collection has nothing to visit
     arguments = sys.argv[1:]
     commands = find_commands()
     if arguments[:1] == ["help"] and "help" not in commands:

@@ -9,7 +9,8 @@ __all__ = ["Command", "escape_markup", "find_commands"]
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, PackageNotFoundError, version
+from functools import cache
+from importlib.metadata import EntryPoint, PackageNotFoundError, requires, version
 from typing import Annotated, Any
 
 import typer
@@ -28,12 +29,15 @@ class Command:
     Attributes:
         name: The word that users type after ``gsgen``.
         point: The entry point of its code.
-        missing: Required distributions that are not installed.
     """
 
     name: str
     point: EntryPoint
-    missing: tuple[str, ...]
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Required distributions that are not installed."""
+        return _missing(self.point)
 
     @property
     def requirement(self) -> str:
@@ -87,23 +91,25 @@ def escape_markup(text: str) -> str:
 
 def find_commands(group: str = _GROUP) -> dict[str, Command]:
     """Return the commands of an entry point group, by name."""
-    return {
-        point.name: Command(point.name, point, _missing(point))
-        for point in registered_entry_points(group)
-    }
+    return {point.name: Command(point.name, point) for point in registered_entry_points(group)}
 
 
 def _missing(point: EntryPoint) -> tuple[str, ...]:
     """Return the distributions that the entry point's extras require and that are not installed."""
-    required = (point.dist.requires or []) if point.dist and point.extras else []
     absent = []
-    for line in required:
+    for line in _requirements(point.dist.name) if point.dist and point.extras else ():
         match = _REQUIREMENT.match(line)
         if match and match[2] in point.extras and not _installed(match[1]):
             absent.append(match[1])
     return tuple(absent)
 
 
+@cache
+def _requirements(distribution: str) -> tuple[str, ...]:
+    return tuple(requires(distribution) or ())
+
+
+@cache
 def _installed(name: str) -> bool:
     try:
         version(name)

@@ -33,6 +33,8 @@ def validate(
         InputUnreadable: A file of another kind cannot be read.
     """
     settings, registry = settings or Settings(), registry or installed_rules()
+    if settings.only:
+        registry = registry.with_needs(settings.only)
     validator = find_validator(Path(path))
     if validator is not None:
         return validator.validate(Path(path), settings, registry, progress)

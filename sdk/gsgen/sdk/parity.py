@@ -1,4 +1,4 @@
-"""Compare an exported model with the torch module it came from, each field in its own unit.
+"""Compares an exported model with the torch module it came from, each field in its own unit.
 
 Positions are compared in standard deviations of their Gaussian, covariances relative to their
 trace, opacity absolutely, and appearance as the colour seen from 64 directions. The rounding of
@@ -44,23 +44,17 @@ _TYPICAL = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The expected outputs of a model for one probe, unpacked; in an export, those of eager torch.
+    """The expected outputs of a model for one set of inputs, unpacked; at export, those of torch."""
 
-    Attributes:
-        probe: The inputs.
-        gaussians: The Gaussians; those of torch are neither packed nor cast.
-        count: Number of live rows.
-        cells: The cells of the Gaussians, all with the same number of them.
-    """
-
-    probe: Probe
-    gaussians: layout.DecodedGaussians
-    count: int
+    probe: Probe  # the inputs
+    gaussians: layout.DecodedGaussians  # the Gaussians; those of torch are neither packed nor cast
+    count: int  # number of live rows
+    # the cells of the Gaussians, all with the same number of them
     cells: layout.Cells | None = None
 
     @property
     def live_cells(self) -> int:
-        """The number of cells with a live row."""
+        """The number of cells that contain a live Gaussian."""
         if self.cells is None or not len(self.cells):
             return 0
         return -(-self.count // (len(self.gaussians) // len(self.cells)))
@@ -68,54 +62,34 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class ModelOutput:
-    """The outputs of a model for one probe.
+    """The packed outputs of a model for one set of inputs."""
 
-    Attributes:
-        rows: Packed Gaussians, [N, 10].
-        color: SH or RGB, [N, C].
-        count: Number of live rows.
-        cells: Packed cells, [N / K, 10]; None if the model has no cells.
-    """
-
-    rows: np.ndarray
-    color: np.ndarray
-    count: int
-    cells: np.ndarray | None = None
+    rows: np.ndarray  # packed Gaussians, [N, 10]
+    color: np.ndarray  # SH or RGB, [N, C]
+    count: int  # number of live rows
+    cells: np.ndarray | None = None  # packed cells, [N / K, 10]; None if the model has no cells
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldParity:
-    """The largest error in one field.
+    """The largest error in one field of a Gaussian, such as its position."""
 
-    Attributes:
-        field: ``position``, ``covariance``, ``opacity`` or ``appearance``; for cells
-            ``cell position``, ``cell covariance`` or ``cell visibility``.
-        error: The largest error, in the field's unit.
-        excess: The error divided by the tolerance; above 1, the comparison fails.
-        probe: Label of the probe with this error.
-        row: Index of the Gaussian, or of the cell.
-    """
-
+    # ``position``, ``covariance``, ``opacity`` or ``appearance``; for cells ``cell position``,
+    # ``cell covariance`` or ``cell visibility``
     field: str
-    error: float
-    excess: float
-    probe: str
-    row: int
+    error: float  # the largest error, in the field's unit
+    excess: float  # the error divided by the tolerance; above 1, the comparison fails
+    probe: str  # label of the probe with this error
+    row: int  # index of the Gaussian, or of the cell
 
 
 @dataclass(frozen=True, slots=True)
 class Parity:
-    """The result of a comparison: the largest error of each field, over all probes.
+    """The result of a comparison of two models: the largest error of each field, over all inputs."""
 
-    Attributes:
-        fields: One entry a field.
-        probes: Number of compared probes.
-        rows_at_threshold: Number of rows that match the expected rows of slightly changed inputs
-            instead.
-    """
-
-    fields: tuple[FieldParity, ...]
-    probes: int
+    fields: tuple[FieldParity, ...]  # one entry a field
+    probes: int  # number of compared probes
+    # number of rows that match the expected rows of slightly changed inputs instead
     rows_at_threshold: int = 0
 
     @property
@@ -143,7 +117,7 @@ def compare(
     roundings: int = 1,
     neighbours: Mapping[int, Sequence[Reference]] | None = None,
 ) -> Parity:
-    """Compare a model's outputs with the expected ones for the same probes.
+    """Compare a model's outputs with the expected ones for the same inputs.
 
     Args:
         references: The expected outputs for each probe.
@@ -173,7 +147,7 @@ def compare(
 
 
 def references_equal(a: Reference, b: Reference, tolerance: float = 0.0) -> bool:
-    """Return whether two results have the same bits, or agree within a relative tolerance."""
+    """Return whether two sets of outputs have equal bits, or agree within a relative tolerance."""
     pairs = [
         (getattr(a.gaussians, name), getattr(b.gaussians, name))
         for name in ("position", "opacity", "covariance", "sh", "rgb")
@@ -207,7 +181,7 @@ def _compare_probe(
     roundings: int,
     near: Sequence[Reference],
 ) -> tuple[list[FieldParity], int]:
-    """Return the largest errors of each field, and the number of rows that match ``near`` instead."""
+    """Return each field's largest error for one probe, and the count of rows matching ``near``."""
     label, n = reference.probe.label, reference.count
     if output.count != n:
         return [_failure("count", abs(output.count - n), label)], 0
@@ -235,7 +209,7 @@ def _failure(field: str, error: float, probe: str) -> FieldParity:
 def _worst(
     reference: Reference, near: Sequence[Reference], part: slice, measured: "_Measure"
 ) -> tuple[list[FieldParity], int]:
-    """Return the largest errors of a part's rows, and the number of rows that match ``near`` instead."""
+    """Return each field's largest error, and the number of rows that match ``near``."""
     worst_fields = []
     jumps = np.zeros(part.stop - part.start, bool)
     for name, (error, ratio) in measured(reference).items():
@@ -290,7 +264,7 @@ _Fields = Callable[[Reference, slice, ModelOutput, Tolerances, int], Iterator[Me
 def _fields(
     reference: Reference, part: slice, output: ModelOutput, tolerances: Tolerances, roundings: int
 ) -> Iterator[Measured]:
-    """Yield each field's error and tolerance, row by row."""
+    """Yield the error and the tolerance of each field of Gaussians, row by row."""
     expected = reference.gaussians
     rows = output.rows[part].astype(np.float64)
     dtype = output.rows.dtype.name
@@ -306,7 +280,7 @@ def _fields(
 def _cell_fields(
     reference: Reference, part: slice, output: ModelOutput, tolerances: Tolerances, roundings: int
 ) -> Iterator[Measured]:
-    """Yield the errors and tolerances of cells, cell by cell."""
+    """Yield the error and the tolerance of each field of cells, cell by cell."""
     expected = reference.cells
     assert expected is not None
     assert output.cells is not None

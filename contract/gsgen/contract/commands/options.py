@@ -25,7 +25,10 @@ FailOn = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print as JSON: the same as --format json.")]
 Config = Annotated[
-    Path | None, typer.Option(help="Configuration file.", show_default="./gsgen.toml, if it exists")
+    Path | None,
+    typer.Option(
+        help="Configuration file.", show_default="./gsgen.toml, or [tool.gsgen] of ./pyproject.toml"
+    ),
 ]
 Timeout = Annotated[
     float | None,

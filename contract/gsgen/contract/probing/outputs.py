@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt
 
+from gsgen.contract._array_types import Bool, Float, UInt
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.field_order import FieldOrder, suspect_order
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, ROW

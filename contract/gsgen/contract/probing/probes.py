@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.contract.spec.manifest import Bounds, GeneratorManifest, Input, Manifest
 from gsgen.contract.spec.roles import ROLES

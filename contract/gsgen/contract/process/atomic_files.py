@@ -7,6 +7,7 @@ __all__ = [
     "refuse_device",
     "refuse_folder",
     "refuse_itself",
+    "refuse_missing_folder",
     "refuse_model",
 ]
 
@@ -69,6 +70,17 @@ def refuse_folder(path: Path) -> None:
         name = path.name if path.suffix else "model.onnx"
         hint = f"Name a file in it, such as {path / name}."
         raise ConfigInvalid("is a folder, expected a file to write", where=str(path), hint=hint)
+
+
+def refuse_missing_folder(path: Path) -> None:
+    """Raise if the folder of an output path does not exist; call it before any work is done.
+
+    Raises:
+        ConfigInvalid: There is no such folder.
+    """
+    if not path.parent.exists():
+        hint = f"Create it: mkdir -p {path.parent}"
+        raise ConfigInvalid("is in a folder that does not exist", where=str(path), hint=hint)
 
 
 def is_device(path: Path) -> bool:

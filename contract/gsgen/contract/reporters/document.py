@@ -43,6 +43,9 @@ class SubjectEntry:
 
     uri: Annotated[str, Hint(text="The model, as given on the command line.")]
     bytes: Annotated[int | None, Hint(text="Size of the file.", minimum=0)] = None
+    external_bytes: Annotated[
+        int | None, Hint(text="Size of its external data; absent without any.", minimum=0)
+    ] = None
     sha256: Annotated[
         str | None,
         Hint(
@@ -153,8 +156,19 @@ class RuleEntry:
     id: RuleId
     status: Literal["pass", "fail", "skipped", "not-applicable", "crashed"]
     reason: Annotated[str | None, Hint(text="Why it was not checked, or how it crashed.")] = None
-    ms: Annotated[float | None, Hint(text="Milliseconds spent in its check.")] = None
+    ms: Annotated[
+        float | None, Hint(text="Milliseconds spent in its check; only where times were asked for.")
+    ] = None
     items: Annotated[int | None, Hint(text="The number of checked rows or values.")] = None
+
+
+@dataclass(frozen=True, slots=True)
+class UncheckedEntry:
+    """A required rule that was not checked."""
+
+    rule: RuleId
+    status: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +219,10 @@ class Document:
         dict[str, str], Hint(text="Versions of the libraries and drivers that ran.")
     ]
     truncated: Annotated[bool, Hint(text="A finding also counts violations at further locations.")]
-    seconds: float
+    seconds: Annotated[float | None, Hint(text="Duration; only where times were asked for.")] = None
+    unchecked: Annotated[
+        tuple[UncheckedEntry, ...], Hint(text="Required rules that were not checked.")
+    ] = ()
     baseline: Annotated[str | None, Hint(text="The report whose findings are known.")] = None
     gone: Annotated[
         tuple[GoneEntry, ...] | None,

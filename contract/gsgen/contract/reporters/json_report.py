@@ -22,6 +22,7 @@ from gsgen.contract.reporters.document import (
     SubjectEntry,
     ToleranceEntry,
     Tool,
+    UncheckedEntry,
     UnreadableDocument,
     WhereEntry,
 )
@@ -80,7 +81,7 @@ def document_of(report: Report) -> Document:
         ),
         findings=tuple(_finding(finding, rules[finding.rule]) for finding in report.findings),
         causes=tuple(_cause(cause, report) for cause in report.causes),
-        rules=tuple(_outcome(outcome) for outcome in report.outcomes),
+        rules=tuple(_outcome(outcome, timed=report.timed) for outcome in report.outcomes),
         tolerances=tuple(
             ToleranceEntry(tolerance.field, tolerance.value, tolerance.unit, tolerance.source)
             for tolerance in report.tolerances
@@ -88,7 +89,11 @@ def document_of(report: Report) -> Document:
         probes=report.probes,
         environment=report.environment,
         truncated=any(finding.truncated for finding in report.findings),
-        seconds=round(report.seconds, 4),
+        seconds=round(report.seconds, 4) if report.timed else None,
+        unchecked=tuple(
+            UncheckedEntry(outcome.rule.id, outcome.status, outcome.reason)
+            for outcome in report.unchecked
+        ),
         baseline=report.baseline or None,
         gone=tuple(_gone(finding) for finding in report.resolved) if report.baseline else None,
     )
@@ -105,6 +110,7 @@ def _subject(report: Report) -> SubjectEntry:
     return SubjectEntry(
         uri=report.path,
         bytes=report.size,
+        external_bytes=report.external_size or None,
         sha256=report.sha256 or None,
         kind=report.kind or None,
         name=report.name or None,
@@ -177,11 +183,11 @@ def _cause(cause: Cause, report: Report) -> CauseEntry:
     return CauseEntry(id, cause.outcome.status, fingerprints, blocked)
 
 
-def _outcome(outcome: Outcome) -> RuleEntry:
+def _outcome(outcome: Outcome, *, timed: bool) -> RuleEntry:
     entry = RuleEntry(id=outcome.rule.id, status=outcome.status, reason=outcome.reason or None)
     if outcome.status not in ("pass", "fail"):
         return entry
-    milliseconds = round(outcome.milliseconds, 3)
+    milliseconds = round(outcome.milliseconds, 3) if timed else None
     return RuleEntry(
         id=entry.id, status=entry.status, reason=entry.reason, ms=milliseconds, items=outcome.items
     )

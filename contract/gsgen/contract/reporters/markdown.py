@@ -77,7 +77,10 @@ def _finding(finding: Finding) -> str:
 
 
 def _details(report: Report) -> list[str]:
-    parts = []
+    parts = [
+        f"🚫 **{outcome.rule.id}** is required, but {outcome.status}: {code(outcome.reason)}"
+        for outcome in report.unchecked
+    ]
     for outcome in report.outcomes:
         if outcome.status == "crashed":
             last = outcome.reason.splitlines()[-1]

@@ -1,7 +1,9 @@
 """Documentation of a rule from its declaration: its page, its list entry, its JSON."""
 
-__all__ = ["help_path", "index", "page", "to_dict"]
+__all__ = ["help_path", "help_url", "index", "page", "to_dict"]
 
+from functools import cache
+from importlib.metadata import metadata
 from typing import Any
 
 from gsgen.contract.validation.rule import Registry, Rule
@@ -24,6 +26,27 @@ FAMILIES = {
 def help_path(rule: Rule) -> str:
     """Return the path of the documentation page of ``rule``; empty for third-party rules."""
     return "" if "/" in rule.id else f"rules/{rule.id}.md"
+
+
+def help_url(rule: Rule, docs_url: str = "") -> str:
+    """Return the address of the page of ``rule``; empty where no documentation is published.
+
+    Args:
+        rule: The rule.
+        docs_url: Root of the documentation; by default, the one that the package names.
+    """
+    root, path = docs_url or _published_docs(), help_path(rule)
+    return f"{root.rstrip('/')}/{path.removesuffix('.md')}/" if root and path else ""
+
+
+@cache
+def _published_docs() -> str:
+    """Return the address under ``Documentation`` in the package's metadata."""
+    for line in metadata("gsgen").get_all("Project-URL") or ():
+        label, _, url = line.partition(",")
+        if label.strip().lower() == "documentation":
+            return url.strip()
+    return ""
 
 
 def page(rule: Rule, registry: Registry) -> str:

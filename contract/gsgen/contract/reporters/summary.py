@@ -30,6 +30,8 @@ def verdict_line(report: Report) -> str:
         if count:
             counted_noun = plural(count, severity.word)
             parts.append(f"{count} info" if severity is Severity.INFO else counted_noun)
+    if report.unchecked:
+        parts.append(f"required but not checked: {', '.join(o.rule.id for o in report.unchecked)}")
     parts += _uncounted(report)
     for status, words in (("not-applicable", "not applicable"), ("skipped", "skipped")):
         if counted[status]:

@@ -11,7 +11,8 @@ __all__ = [
 ]
 
 import numpy as np
-from jaxtyping import Float
+
+from gsgen.contract._array_types import Float
 
 # The upper triangle xx xy xz yy yz zz, as (row, column) of the 3×3 matrix.
 COVARIANCE_INDEX = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))

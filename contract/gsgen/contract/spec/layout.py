@@ -26,8 +26,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.errors import LayoutMismatch
 from gsgen.contract.spec.spherical_harmonics import COEFFICIENTS, coefficients, degree_of
 

@@ -35,8 +35,8 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.roles import ROLES
 from gsgen.contract.spec.schema_text import Hint

@@ -14,6 +14,7 @@ from gsgen.contract.errors import ManifestInvalid
 from gsgen.contract.spec.json_schema import from_json, schema_of, to_json
 from gsgen.contract.spec.manifest import Manifest, manifest_type
 from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.schema_check import accepts
 from gsgen.contract.spec.upgrades import CURRENT, Version, upgrade
 
 _MAX_BYTES = 4 << 20
@@ -74,15 +75,19 @@ def _required(body: dict[str, object]) -> list[object]:
 
 
 @cache
-def _validator(kind: str, version: Version) -> Any:
+def _published_schema(kind: str, version: Version) -> dict[str, Any]:
+    file = resources.files("gsgen.contract").joinpath("schemas", schema_name(kind, version))
+    document: dict[str, Any] = json.loads(file.read_text("utf-8"))
+    return document
+
+
+def _errors(document: dict[str, Any], schema: dict[str, Any]) -> list[Any]:
+    """Return every fault of ``document`` as jsonschema describes it."""
+    if accepts(schema, document):
+        return []
     from jsonschema import Draft202012Validator
 
-    text = (
-        resources.files("gsgen.contract")
-        .joinpath("schemas", schema_name(kind, version))
-        .read_text("utf-8")
-    )
-    return Draft202012Validator(json.loads(text))
+    return list(Draft202012Validator(schema).iter_errors(document))
 
 
 def parse(text: str) -> Parsed:
@@ -126,7 +131,7 @@ def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
     if kind not in KINDS:
         return _failed("schema", "kind", _short(kind), f"one of {', '.join(KINDS)}")
     newer = version > CURRENT
-    errors = list(_validator(kind, min(version, CURRENT)).iter_errors(document))
+    errors = _errors(document, _published_schema(kind, min(version, CURRENT)))
     if newer:  # a newer minor may have fields that this reader does not know
         errors = [error for error in errors if error.validator != "additionalProperties"]
     complaints = tuple(_complaint(error) for error in sorted(errors, key=_place))

@@ -18,7 +18,8 @@ __all__ = [
 import math
 
 import numpy as np
-from jaxtyping import Float
+
+from gsgen.contract._array_types import Float
 
 MAX_DEGREE = 3
 COEFFICIENTS = tuple((degree + 1) ** 2 for degree in range(MAX_DEGREE + 1))

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.layout import (
     APPEARANCE_CHANNELS,

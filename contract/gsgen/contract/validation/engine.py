@@ -117,6 +117,10 @@ class _Validation:
             runtime_seconds=self.runtime_seconds,
             sha256=digest(subject.file.path, self.settings.level, subject.file.size),
             tolerances=effective_tolerances(subject),
+            external_size=subject.file.weight_bytes - subject.file.size,
+            required=self.settings.required,
+            timed=self.settings.timings,
+            docs_url=self.settings.docs_url,
         )
 
     def _findings(self) -> tuple[Finding, ...]:

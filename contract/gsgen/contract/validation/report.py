@@ -132,6 +132,10 @@ class Report:
         tolerances: The largest allowed difference of each field between two executions.
         baseline: The earlier report whose findings are known; empty without one.
         resolved: The findings of the baseline that do not occur any more.
+        external_size: Bytes of the file's external data.
+        required: Rules that must have been checked.
+        timed: Reporters show times, so that two reports of equal input differ.
+        docs_url: Root of the published documentation; empty if unknown.
     """
 
     path: str
@@ -155,6 +159,16 @@ class Report:
     tolerances: tuple[Tolerance, ...] = ()
     baseline: str = ""
     resolved: tuple[ResolvedFinding, ...] = ()
+    external_size: int = 0
+    required: frozenset[str] = frozenset()
+    timed: bool = False
+    docs_url: str = ""
+
+    @property
+    def unchecked(self) -> tuple[Outcome, ...]:
+        """The required rules that were neither found to hold nor to be broken."""
+        required = (outcome for outcome in self.outcomes if outcome.rule.id in self.required)
+        return tuple(outcome for outcome in required if outcome.status not in ("pass", "fail"))
 
     @property
     def verdict(self) -> Verdict:
@@ -212,8 +226,13 @@ Entry = Report | Unreadable
 
 
 def exit_code(reports: Iterable[Report]) -> ExitCode:
-    """Return 0 if all models conform, 1 if one is invalid, 3 if a rule crashed."""
-    verdicts = {report.verdict for report in reports}
+    """Return 0 if all models conform, 3 if a rule crashed, else 1.
+
+    A required rule that was not checked fails, too.
+    """
+    listed = list(reports)
+    verdicts = {report.verdict for report in listed}
     if "internal-error" in verdicts:
         return ExitCode.INTERNAL
-    return ExitCode.FAILURE if "invalid" in verdicts else ExitCode.SUCCESS
+    failed = "invalid" in verdicts or any(report.unchecked for report in listed)
+    return ExitCode.FAILURE if failed else ExitCode.SUCCESS

@@ -17,6 +17,7 @@ from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.roles import GENERATOR
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import MODEL_RUNS
 from gsgen.contract.validation.level_backend import LevelBackend
 
 # The argument of a check: the model before it runs (InspectedModel), its runs (ProbeRuns), the
@@ -213,6 +214,19 @@ class Registry:
             id: rule for id, rule in self.rules.items() if (rule.scope == "tileset") == tilesets
         }
         return Registry(selected, self.backends)
+
+    def with_needs(self, rule_ids: Iterable[str]) -> "Registry":
+        """Return only the given rules and all that must hold before they can be checked."""
+        queue, selected = [id for id in rule_ids if id in self.rules], set[str]()
+        if any(self.rules[id].level > Level.STATIC for id in queue):
+            queue.append(MODEL_RUNS)
+        while queue:
+            id = queue.pop()
+            if id in self.rules and id not in selected:
+                selected.add(id)
+                queue.extend(self.rules[id].needs)
+        rules = {id: rule for id, rule in self.rules.items() if id in selected}
+        return Registry(rules, self.backends)
 
     def find(self, name: str, where: str = "") -> Rule:
         """Return the rule with the id or slug ``name``, ignoring case.

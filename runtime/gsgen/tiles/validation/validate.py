@@ -81,6 +81,9 @@ def validate(
         settings=settings.source,
         seconds=time.perf_counter() - start,
         sha256=digest,
+        required=settings.required,
+        timed=settings.timings,
+        docs_url=settings.docs_url,
     )
 
 

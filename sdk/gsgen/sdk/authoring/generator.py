@@ -143,7 +143,7 @@ class GaussianGenerator(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, *inputs: Any, **_: Any) -> Any:
-        """Return the :class:`Gaussians` of one frame.
+        """Return the :class:`Gaussians` of one frame for the values of the declared inputs.
 
         Args:
             inputs: One tensor for each declared input, in order, of its role's shape and dtype.

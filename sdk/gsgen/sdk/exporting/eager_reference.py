@@ -26,20 +26,12 @@ _MARGIN = 0.02
 
 
 def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
-    """Run ``generator`` once, without gradients.
-
-    Raises:
-        GeneratorInvalid: ``forward`` raised, or did not return Gaussians.
-    """
+    """Run ``generator`` once in eager torch, without gradients."""
     return _reference(generator, probe, call_module(generator, _tensors(probe)))
 
 
 def run_watched(generator: GaussianGenerator, probe: Probe) -> tuple[Reference, Watch]:
-    """Run ``generator`` like :func:`run_eager`, and record operations that tracing cannot follow.
-
-    Raises:
-        GeneratorInvalid: ``forward`` raised, or did not return Gaussians.
-    """
+    """Run ``generator`` like :func:`run_eager`, and record operations that tracing cannot follow."""
     tensors = _tensors(probe)
     with Watch(generator, tensors) as watch:
         output = call_module(generator, tensors)
@@ -51,7 +43,7 @@ def _tensors(probe: Probe) -> list[Tensor]:
 
 
 def call_module(module: nn.Module, tensors: list[Tensor]) -> Any:
-    """Call ``module`` without gradients, and return its result.
+    """Call a torch module without gradients, and return its result.
 
     Raises:
         GeneratorInvalid: ``forward`` raised; the error names the line of the user's code.
@@ -80,7 +72,7 @@ def _reference(generator: GaussianGenerator, probe: Probe, output: Any) -> Refer
 
 
 def _refuse_negative(scale: np.ndarray) -> None:
-    """Refuse scales that are mostly negative: logarithms, squared, would pass as huge Gaussians.
+    """Raise if most scales are negative: squared logarithms would pass as huge Gaussians.
 
     Single negative scales are accepted: methods that add an offset to a scale
     (Deformable-3D-Gaussians) have them, and draw their squares.
@@ -123,11 +115,7 @@ def _wide(tensor: Tensor) -> np.ndarray:
 
 
 def measure_bounds(references: list[Reference]) -> Bounds:
-    """Return the box around all visible centres of ``references``, slightly widened.
-
-    Raises:
-        GeneratorInvalid: No centre is finite and visible.
-    """
+    """Return the box around all visible centres of ``references``, slightly widened."""
     centres = [
         r.gaussians.position[: r.count][_visible(r)] for r in references if not r.probe.zeros
     ]

@@ -1,4 +1,4 @@
-"""Export a generator: run it in eager torch, trace and rewrite it, then verify and validate the file."""
+"""Export a generator: run it in eager torch, trace and rewrite it, verify and validate the file."""
 
 __all__ = ["Exported", "export"]
 
@@ -90,14 +90,14 @@ class Exported(ExportResult):
 
     @property
     def contents(self) -> str:
-        """The number of rows and their dtype."""
+        """The number of rows of the exported model, and their dtype."""
         assert self.manifest.outputs.gaussians is not None
         return f"{self.manifest.outputs.gaussians.capacity:,} rows, {self.dtype}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Options:
-    """Options of :func:`export`."""
+    """Options of :func:`export`, which writes a generator as an ONNX model."""
 
     name: str
     dtype: Dtype
@@ -108,7 +108,7 @@ class _Options:
 
     @property
     def searches_float16(self) -> bool:
-        """Whether a search decides which weights become float16, once the graph is rewritten."""
+        """Whether a search decides which weights become float16, after the graph is rewritten."""
         return self.dtype == "float16" and self.rewrite
 
 
@@ -238,25 +238,18 @@ def _export(
 
 @dataclass(frozen=True, slots=True)
 class _Description:
-    """A module's declarations, and the results of its runs in eager torch.
+    """Declarations of a generator module, and the results of its runs in eager torch."""
 
-    Attributes:
-        manifest: The manifest to embed.
-        references: Results at the contract's probes, and at probes far from them.
-        example: The inputs to trace with.
-        watch: The hazards of the first run.
-    """
-
-    manifest: GeneratorManifest
-    references: list[Reference]
-    example: Probe
-    watch: Watch
+    manifest: GeneratorManifest  # the manifest to embed
+    references: list[Reference]  # results at the contract's probes, and at probes far from them
+    example: Probe  # the inputs to trace with
+    watch: Watch  # the hazards of the first run
 
 
 def _describe(
     generator: GaussianGenerator, name: str, dtype: Dtype, capacity: int | None
 ) -> _Description:
-    """Build the manifest from the module's declarations and its outputs."""
+    """Build the manifest from the generator's declarations and its outputs in eager torch."""
     _check_inputs(generator)
     # The bounds are not known yet, so the first probes lie around the default bounds.
     draft = _manifest(generator, name, dtype, None, 1, None)
@@ -350,7 +343,7 @@ def _probes(manifest: GeneratorManifest, *, seed: int = 0, count: int = 8) -> tu
 
 
 def _far_probes(manifest: GeneratorManifest) -> Iterator[Probe]:
-    """Yield probes far from the contract's: cameras inside the scene and far outside of it.
+    """Yield test inputs far from the contract's: cameras inside the scene and far outside of it.
 
     All other inputs are sampled with another seed.
     """

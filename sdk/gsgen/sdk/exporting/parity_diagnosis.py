@@ -33,32 +33,18 @@ _UNKNOWN = (
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """The possible causes of a difference between an exported model and torch.
+    """The possible causes of a difference between an exported model and torch."""
 
-    Attributes:
-        generator: The module.
-        traced: The inputs that it was traced with.
-        hazards: Operations in it that tracing cannot follow.
-        rewritten: Whether the graph was rewritten.
-    """
-
-    generator: GaussianGenerator
-    traced: Probe
-    hazards: Sequence[Hazard]
-    rewritten: bool
+    generator: GaussianGenerator  # the module
+    traced: Probe  # the inputs that it was traced with
+    hazards: Sequence[Hazard]  # operations in it that tracing cannot follow
+    rewritten: bool  # whether the graph was rewritten
 
 
 def diagnose(
     suspects: Suspects, manifest: GeneratorManifest, references: list[Reference], run: Run
 ) -> tuple[str, str]:
-    """Return the reason for a difference, as a part of a sentence, and a hint.
-
-    Args:
-        suspects: The possible causes.
-        manifest: The model's manifest.
-        references: Results of eager torch.
-        run: Runs the exported model.
-    """
+    """Return the reason why a model differs from torch, as a part of a sentence, and a hint."""
     lost_roles = _lost_inputs(suspects, manifest, references, run)
     reason = f"; {' and '.join(lost_roles)} has no effect in the model" if lost_roles else ""
     return reason, _hint(suspects, references)

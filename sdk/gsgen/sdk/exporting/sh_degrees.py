@@ -1,4 +1,4 @@
-"""The SH degree to store: packed rows must fill words, and some consumers read one degree alone."""
+"""Chooses the SH degree to store: packed rows must fill words, and some viewers read one degree."""
 
 __all__ = ["REQUIRED_DEGREES", "stored_degree"]
 
@@ -14,11 +14,6 @@ def stored_degree(degree: int, *, half: bool, target: str = "core") -> tuple[int
 
     Rows of float16 must fill words of four bytes (rule GO015), which degrees 0 and 2 do not. Some
     consumers read one degree alone. The added coefficients are zero.
-
-    Args:
-        degree: The SH degree of the scene.
-        half: Whether rows are float16.
-        target: Name of the consumer.
     """
     if target in REQUIRED_DEGREES:
         stored, reason = REQUIRED_DEGREES[target], f"{target} reads no other"

@@ -1,4 +1,4 @@
-"""Verify an exported draft: its outputs agree with eager torch, and no frame depends on another."""
+"""Verifies an exported file: its outputs agree with torch, and frames are independent."""
 
 __all__ = ["check_memory", "check_parity", "run_exported"]
 
@@ -38,19 +38,10 @@ def check_parity(
     allowed: Tolerances | None = None,
     roundings: int = 1,
 ) -> Parity:
-    """Compare the model with eager torch, at the contract's probes and far from them.
+    """Compare an exported model with eager torch, at the contract's test inputs and far from them.
 
-    Args:
-        path: The model file.
-        manifest: Its manifest.
-        references: Results of eager torch.
-        suspects: Possible causes of a difference.
-        progress: Called with a message when a step begins.
-        allowed: The tolerances; the manifest's if absent.
-        roundings: How often the rounding of stored outputs is added to the tolerances.
-
-    Raises:
-        ParityFailed: They differ; the error names the field, the row, and the likely cause.
+    ``allowed`` are the manifest's tolerances by default; the rounding of stored outputs is added to
+    them ``roundings`` times. The error names the field, the row, and the likely cause.
     """
     progress(f"comparing with eager torch at {len(references)} probes")
     outputs = _run(path, manifest, [reference.probe for reference in references])
@@ -84,7 +75,7 @@ def _neighbours(
     outputs: list[ModelOutput],
     tolerances: Tolerances,
 ) -> dict[int, list[Reference]]:
-    """Run torch at slightly changed inputs of each probe at which the model differs."""
+    """Run torch at slightly changed inputs wherever the exported model differs from torch."""
     differing = [
         index
         for index, (reference, output) in enumerate(zip(references, outputs, strict=True))
@@ -97,7 +88,7 @@ def _neighbours(
 
 
 def _nudged(probe: Probe) -> Iterator[Probe]:
-    """Yield pairs of probes on opposite sides of ``probe``, their floats moved a little."""
+    """Yield pairs of inputs on opposite sides of ``probe``, with each float moved slightly."""
     rng = np.random.default_rng(0)
     for _ in range(_PAIRS):
         signs = {name: rng.choice([-1, 1], array.shape) for name, array in probe.inputs.items()}
@@ -127,11 +118,7 @@ def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[M
 def run_exported(
     path: Path, names: Sequence[str], probes: Sequence[Probe]
 ) -> list[dict[str, np.ndarray]]:
-    """Run an exported model, and return its outputs by name for each probe.
-
-    Raises:
-        ParityFailed: ONNX Runtime cannot run it.
-    """
+    """Run an exported model for each set of test inputs, and return its outputs by name."""
     limits = Limits().for_model(open_model(path).weight_bytes)
     with execute(path, names, probes, limits) as execution:
         if execution.fault is not None:
@@ -149,9 +136,6 @@ def check_memory(generator: GaussianGenerator, watch: Watch, references: list[Re
 
     A value that forward keeps from its first frame stays the same in the model, too, so comparing
     the two does not find it.
-
-    Raises:
-        GeneratorInvalid: The result depends on earlier frames.
     """
     if not watch.changes_module:
         return

@@ -1,4 +1,4 @@
-"""Measures the output error caused by rounding nodes and tables to float16, in the contract's units."""
+"""Measures the output error of rounding nodes and weights to float16, in the contract's units."""
 
 __all__ = ["ErrorProbe"]
 
@@ -25,7 +25,7 @@ _UNSEEN = 12
 
 
 class ErrorProbe:
-    """Measures the error of rounding some nodes of a model, in the contract's units.
+    """Measures the output error of rounding nodes or weights to float16, in the contract's units.
 
     Args:
         model: A graph in float32.
@@ -40,9 +40,6 @@ class ErrorProbe:
         sizes: Count of numbers in each table.
         stored: Indices of the tables that are stored in 16 bits in the next measurements.
         rounded: The error of storing the outputs alone.
-
-    Raises:
-        RewriteFailed: The outputs are float16 already, or some are not declared.
     """
 
     def __init__(
@@ -78,7 +75,7 @@ class ErrorProbe:
 
     @property
     def frame_bytes(self) -> int:
-        """Bytes of float32 rows that a frame gives."""
+        """The size in bytes of the float32 outputs of a frame."""
         outputs = self.model.run(self.probes[0].inputs, np.zeros(len(self.model.units), np.bool_))
         return sum(outputs[name].nbytes for name in self.names if outputs[name].dtype.kind == "f")
 
@@ -97,14 +94,14 @@ class ErrorProbe:
         return ModelOutput(rows, color, int(np.ravel(count)[0]), *cells)
 
     def _stored_as(self, output: ModelOutput) -> ModelOutput:
-        """Return the output in the dtype in which it will be stored."""
+        """Round an output to the dtype in which the converted model stores it."""
         with np.errstate(over="ignore"):
             cells = None if output.cells is None else output.cells.astype(self.storage)
             rows, color = (output.rows.astype(self.storage), output.color.astype(self.storage))
             return ModelOutput(rows, color, output.count, cells)
 
     def parity(self, selected: Collection[int]) -> Parity:
-        """Round the selected units, and compare the stored outputs with those of float32."""
+        """Round the selected nodes and tables, and compare the outputs with those of float32."""
         flags = np.zeros(len(self.model.units), np.bool_)
         flags[list(selected)] = True
         stored = np.zeros(len(self.weights), np.bool_)
@@ -117,23 +114,23 @@ class ErrorProbe:
         return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
-        """Return the largest share of the tolerance that rounding these units uses, and its field."""
+        """Return the largest share of a tolerance that rounding these nodes uses, and the field."""
         used = {field.field: self._used(field) for field in self.parity(selected).fields}
         worst = max(used, key=lambda field: used[field], default="")
         return used.get(worst, 0.0), worst
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the share of the tolerance that storing these tables in 16 bits uses, and its field."""
+        """Return the largest share of a tolerance that 16-bit weight tables use, and the field."""
         self.stored = stored
         return self(())
 
     def _used(self, field: FieldParity) -> float:
-        """Return the used share of a field's tolerance, without the part for storing the outputs."""
+        """Return the used share of a field's tolerance, without the error of storing outputs."""
         base = self._stored.get(field.field, 0.0)
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 
     def of_model(self, model: ir.Model, limits: Limits) -> Parity:
-        """Compare a converted model with float32, at probes that the search did not use, too."""
+        """Compare a float16 model with float32, also at test inputs that the search did not use."""
         references = [*self._references, *self._unseen]
         probes = [reference.probe for reference in references]
         with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
@@ -153,7 +150,7 @@ class ErrorProbe:
 
 
 def _unseen(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:
-    """Return probes with other cameras, times and poses than those of the search."""
+    """Return test inputs with other cameras, times and poses than those of the float16 search."""
     inputs = probes[0].inputs
     shapes = {name: array.shape for name, array in inputs.items()}
     dtypes = {name: array.dtype.name for name, array in inputs.items()}

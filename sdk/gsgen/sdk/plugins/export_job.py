@@ -19,14 +19,7 @@ if TYPE_CHECKING:
 def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
     """Build a module or scene, export it, and print the validator's findings.
 
-    Args:
-        build: Returns the module or scene.
-        request: The options of the export.
-        source: The plugin's name, or ``module:factory``.
-
-    Raises:
-        typer.Exit: With code 1, if it cannot be exported as a model that conforms.
-        GsgenError: Torch is not installed, or an option or input file is invalid.
+    Exits with code 1 if no conforming model can be exported.
     """
     from gsgen.sdk.errors import (
         ExportFailed,
@@ -67,7 +60,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
 
 def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult":
-    """Check the options, build, and export through the pipeline of the module's kind."""
+    """Check the options, build the module or scene, and export it by its kind."""
     from gsgen.contract.spec.severity import Level
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.settings import Settings

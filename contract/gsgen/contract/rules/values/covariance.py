@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool
 
+from gsgen.contract._array_types import Bool
 from gsgen.contract.probing.outputs import Rows
 from gsgen.contract.spec.geometry import smallest_eigenvalue
 from gsgen.contract.spec.severity import Severity

@@ -3,7 +3,8 @@
 __all__ = ["diagnose_opacity", "diagnose_rgb"]
 
 import numpy as np
-from jaxtyping import Float
+
+from gsgen.contract._array_types import Float
 
 # Shares of values that a mistake explains; the rest are outliers.
 _NEARLY_ALL = 0.995
