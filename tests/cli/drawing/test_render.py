@@ -133,7 +133,11 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
             2,
             "works on colours, but the output is depth",
         ),
-        (("POST",), 2, "expected a gaussian-generator\n  It works on images: `--post`"),
+        (
+            ("POST",),
+            2,
+            "expected a gaussian-generator\n  Run post-process models on the drawn frames with `--post`",
+        ),
         (("MODEL", "--size", "J=2"), 2, "--size: unknown open dimension 'J'"),
         (("MODEL", "--size", "J"), 2, "--size: is 'J', expected SYMBOL=SIZE, such as J=24"),
         (("OPEN",), 2, "Give its size: `--size J=24`"),

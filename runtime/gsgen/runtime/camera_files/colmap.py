@@ -64,10 +64,11 @@ def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> 
         )
     fx, fy, cx, cy, _ = parameters(lens.model, lens.values, where)
     view = np.eye(4)
-    if not 0 < math.hypot(*image.quaternion) < math.inf:
+    length = math.hypot(*image.quaternion)
+    if not 0 < length < math.inf:
         message = f"has the quaternion {list(image.quaternion)}, expected one with a length"
         raise ConfigInvalid(message, where=where)
-    view[:3, :3] = rotation_matrix(np.array([image.quaternion]))[0]
+    view[:3, :3] = rotation_matrix(np.array([image.quaternion]) / length)[0]
     view[:3, 3] = image.translation
     return camera_at(
         where, view=view, fx=fx, fy=fy, cx=cx, cy=cy, width=lens.width, height=lens.height

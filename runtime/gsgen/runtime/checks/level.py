@@ -13,7 +13,7 @@ __all__ = [
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Final
 
@@ -22,6 +22,7 @@ import numpy as np
 from gsgen.contract.probing.probes import Probe, as_tensor
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.manifest import GeneratorManifest
+from gsgen.contract.tools.recording import evenly_spaced
 from gsgen.contract.validation.level_backend import LevelContext, LevelUnavailable
 from gsgen.runtime.checks.reference_image import (
     BACKGROUND,
@@ -150,7 +151,9 @@ def _render_probes(
 ) -> Iterator[RenderedProbe]:
     manifest = probe_runs.subject.generator
     assert manifest is not None  # the rules apply to generators only
-    for number in _spread_probes(probe_runs):
+    # All inputs zero would be an invalid camera.
+    candidates = [n for n in range(probe_runs.plan.values) if not probe_runs.plan.probes[n].zeros]
+    for number in evenly_spaced(candidates, min(len(candidates), _FRAMES)):
         probe = probe_runs.plan.probes[number]
         scene, camera = _probe_scene(probe_runs, number), probe_camera(manifest, probe)
         frame = renderer.render(scene, camera)
@@ -223,11 +226,9 @@ def _compare_references(probe_runs: ProbeRuns, renderer: Renderer) -> Iterator[C
                 reference.path, reference.psnr, problem=str(error).partition("\n")[0]
             )
             continue
-        frame = renderer.render(
-            _probe_scene(probe_runs, labels.index(reference.inputs)), camera, background=BACKGROUND
-        )
-        mean_error = np.square(frame.srgb8[..., :3] / 255 - expected.astype(np.float64)).mean()
-        psnr = float(-10 * np.log10(max(mean_error, _MIN_ERROR)))
+        scene = _probe_scene(probe_runs, labels.index(reference.inputs))
+        frame = renderer.render(scene, camera, background=BACKGROUND)
+        psnr = _psnr(frame.srgb8[..., :3] / 255, expected)
         yield ComparedReference(reference.path, reference.psnr, psnr)
 
 
@@ -235,23 +236,12 @@ def decibels(a: Frame, b: Frame) -> float:
     """Return the peak signal-to-noise ratio between the colours of two frames, in decibels."""
     assert a.rgba is not None
     assert b.rgba is not None
-    error = np.square(a.rgba[..., :3].astype(np.float64) - b.rgba[..., :3]).mean()
+    return _psnr(a.rgba[..., :3], b.rgba[..., :3])
+
+
+def _psnr(a: np.ndarray, b: np.ndarray) -> float:
+    error = np.square(a.astype(np.float64) - b).mean()
     return float(-10 * np.log10(max(error, _MIN_ERROR)))
-
-
-def _spread_probes(probe_runs: ProbeRuns) -> list[int]:
-    """Choose evenly spread probes, except those of zeros: that camera would be invalid."""
-    candidates = [
-        number
-        for number in range(probe_runs.plan.values)
-        if not probe_runs.plan.probes[number].zeros
-    ]
-    return [
-        candidates[i]
-        for i in np.linspace(0, len(candidates) - 1, min(len(candidates), _FRAMES))
-        .round()
-        .astype(int)
-    ]
 
 
 def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
@@ -263,15 +253,7 @@ def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
         return default_camera
     view = as_tensor(np.asarray(by_role["view"], np.float64), order).astype(np.float64)
     if "projection" not in by_role:
-        return Camera(
-            view,
-            fx=default_camera.fx,
-            fy=default_camera.fy,
-            cx=default_camera.cx,
-            cy=default_camera.cy,
-            width=default_camera.width,
-            height=default_camera.height,
-        )
+        return replace(default_camera, view=view)
     lens = as_tensor(np.asarray(by_role["projection"], np.float64), order).astype(np.float64)
     height = max(1, round(_WIDTH * lens[0, 0] / -lens[1, 1]))
     return Camera(
