@@ -66,7 +66,12 @@ def test_poses_are_frames(models: Path, tmp_path: Path) -> None:
         ("drift", ("-o", "a.ply", "--time", "0:1:2"), 2, ("a.ply", "a_%04d.ply")),
         ("drift", ("-o", "a.ply", "--input", "tme=0"), 2, ("tme", "time")),
         ("drift", ("-o", "a.ply", "--input", "time=0..1"), 2, ("FIRST:LAST:COUNT",)),
-        ("drift", ("-o", "a.ply", "--pose", "walk.npy"), 2, ("--pose", "no input 'pose'")),
+        (
+            "drift",
+            ("-o", "a.ply", "--pose", "walk.npy"),
+            2,
+            ("--pose", "the input 'pose', which no scene has"),
+        ),
         ("drift", ("-o", "file/a.ply"), 1, ("file/a.ply", "cannot be written")),
         ("post_process", ("-o", "a.ply"), 2, ("post_process.onnx", "post-process")),
         ("missing", ("-o", "a.ply"), 4, ("missing.onnx", "No such file")),

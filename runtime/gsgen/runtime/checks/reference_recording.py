@@ -131,7 +131,7 @@ def record_references(
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Picture:
-    """The drawn frame of a probe, with its camera."""
+    """The drawn frame of one probe of a model, with the camera."""
 
     probe: Probe
     camera: Camera
@@ -148,7 +148,7 @@ class _PictureCameras:
         self._view = None if has_camera_input and camera is None else viewpoint(camera)
 
     def camera(self, probe: Probe, scene: Scene, number: int) -> Camera:
-        """Return the camera of picture ``number``, from 0.
+        """Return the camera of reference image ``number``, from 0.
 
         Raises:
             SceneInvalid: The camera is not a pinhole camera.
@@ -217,7 +217,7 @@ def _existing_pictures(folder: Path) -> list[Path]:
 
 
 def _spread_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
-    """Choose evenly spread probes, except those of zeros: that camera would be invalid."""
+    """Choose evenly spread probes, except all-zero inputs, whose camera would be invalid."""
     candidates = [probe for probe in probes if not probe.zeros] or list(probes)
     limit = min(len(candidates), MAX_REFERENCES)
     if count is None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.contract.errors import ConfigInvalid, ExitCode
-from gsgen.runtime.commands.options import Axis, Provider, Sizes
+from gsgen.runtime.commands.options import Axis, Provider, Sizes, read_tracks
 
 if TYPE_CHECKING:
     from gsgen.runtime.baking.report import BakeReport
@@ -114,7 +114,7 @@ def bake(
             report = bake_source(
                 source,
                 output,
-                tracks=[*tracks, *_poses(pose, source)],
+                tracks=[*tracks, *read_tracks(pose, None, [source])[0]],
                 cameras=_cameras(camera, up, source),
                 format=format,
                 views=views,
@@ -155,24 +155,6 @@ def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
                 hint="Write FIRST:LAST:COUNT, for example 0:1:30.",
             )
         tracks.append(track)
-    return tracks
-
-
-def _poses(poses: list[str] | None, source: "GeneratorSource") -> "list[Track]":
-    """Parse ``--pose`` into tracks of input values."""
-    from gsgen.runtime.playback.pose_tracks import named_file, pose_tracks
-
-    tracks: list[Track] = []
-    for text in poses or ():
-        word = named_file(text)[0]
-        if not source.named(word):
-            known = ", ".join(sorted(spec.name for spec in source.inputs)) or "none"
-            raise ConfigInvalid(
-                f"the model has no input {word!r}",
-                where=f"--pose {text}",
-                hint=f"Its inputs: {known}.",
-            )
-        tracks += pose_tracks(text, source)[0]
     return tracks
 
 

@@ -51,7 +51,7 @@ class ModeName(StrEnum):
 
     @property
     def mode(self) -> "Mode":
-        """The display mode of this name."""
+        """The display mode that this value of ``--mode`` names."""
         return "color" if self is ModeName.COLOUR else cast("Mode", self.value)
 
 

@@ -171,7 +171,7 @@ def save_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: fl
 
 
 def _on_black(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
-    """Blend a picture with black if its format has no transparency."""
+    """Blend a picture with black if the file format has no transparency."""
     if picture.ndim == 3 and picture.shape[2] == 4 and path.suffix.lower() in OPAQUE_SUFFIXES:
         alpha = picture[..., 3:] / 255
         return np.asarray(np.rint(picture[..., :3] * alpha), np.uint8)

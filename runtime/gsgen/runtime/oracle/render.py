@@ -34,7 +34,7 @@ def render(
     background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     published: bool = False,
 ) -> Picture:
-    """Draw a scene as a camera sees it, in float64.
+    """Draw a scene with the float64 reference renderer.
 
     Args:
         scene: The scene.

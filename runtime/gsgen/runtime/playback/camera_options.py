@@ -62,7 +62,7 @@ class Viewpoint:
 
     @property
     def sizes(self) -> set[tuple[int, int]]:
-        """Image sizes of the cameras of a file; empty without a file."""
+        """The image sizes of the cameras of a file; empty without a file."""
         return {
             (self.width or camera.width, self.height or camera.height)
             for camera in self.cameras

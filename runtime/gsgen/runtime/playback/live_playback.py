@@ -156,7 +156,7 @@ class LivePlayback(Playback):
         return frame
 
     def depths(self, camera: Camera) -> tuple[float, float]:
-        """Return the nearest and the farthest depth of the extents of the sources."""
+        """Return the nearest and the farthest depth of all sources from a camera."""
         extents = [source.extent() for source in self.sources]
         ahead = [
             float(np.linalg.norm(center - camera.eye))
@@ -170,7 +170,7 @@ class LivePlayback(Playback):
         return max(near, camera.near), max(far, 2 * camera.near)
 
     def abandon(self) -> None:
-        """Wait for the pending frame and discard its result or error."""
+        """Wait for the pending frame, and discard its result or error."""
         self._pending = None
         for source in self.sources:
             source.abandon()

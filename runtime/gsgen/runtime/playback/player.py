@@ -90,7 +90,7 @@ class Player:
         self._begun = 0
 
     def render(self, request: FrameRequest) -> Frame:
-        """Compute and draw one frame.
+        """Compute and draw the frame of a request.
 
         Raises:
             GsgenError: A value does not fit or a model fails; the error names model, input, frame.
@@ -257,7 +257,7 @@ class GeneratorPlayer:
         pose: np.ndarray | None = None,
         values: Values | None = None,
     ) -> Frame:
-        """Compute and draw one frame.
+        """Compute and draw one frame of the generator.
 
         Args:
             camera: Camera, and the size of the image.
@@ -280,7 +280,7 @@ class GeneratorPlayer:
         poses: Iterable[np.ndarray] | None = None,
         values: Iterable[Values] | None = None,
     ) -> Iterator[Frame]:
-        """Yield frame after frame, computing each while the previous one is drawn.
+        """Yield frame after frame of the generator, computing one while another is drawn.
 
         Args:
             cameras: One per frame, or one for all.

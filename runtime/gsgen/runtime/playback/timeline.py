@@ -20,13 +20,13 @@ class AnimatedInputs(Protocol):
 
     @property
     def inputs(self) -> Sequence[Input]:
-        """The inputs that a caller may set."""
+        """The model inputs that a caller may set."""
 
     def named(self, word: str) -> list[Input]:
         """Return the inputs with this tensor name, or else with this role."""
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input."""
+        """Return the shape of an input tensor."""
 
 
 @final

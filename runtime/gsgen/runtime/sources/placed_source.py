@@ -115,7 +115,7 @@ class PlacedSource(Source):
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input."""
+        """Return the shape of an input tensor of the source."""
         return self._inner.shape(name)
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
@@ -125,7 +125,7 @@ class PlacedSource(Source):
         return linear @ center + offset, reach * _scale(linear)
 
     def close(self) -> None:
-        """Release the source."""
+        """Release the model of the placed source."""
         self._inner.close()
 
 

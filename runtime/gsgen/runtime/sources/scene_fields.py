@@ -192,7 +192,7 @@ class Fields:
             yield Fields(document, where)
 
     def close(self) -> None:
-        """Check that every field of the object was read.
+        """Raise if a field of the JSON object is unknown, that is, was never read.
 
         Raises:
             UnknownName: A field is unknown; the hint suggests the nearest name.

@@ -84,7 +84,7 @@ class Source(ABC):
 
     @property
     def ready(self) -> bool:
-        """Whether :meth:`finish` would return at once."""
+        """Whether the pending frame is computed, so that :meth:`finish` returns at once."""
         return True
 
     @abstractmethod
@@ -102,7 +102,7 @@ class Source(ABC):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the Gaussians with their drawing settings.
+        """Return the source's Gaussians as a splat set with drawing settings.
 
         Args:
             sh_degree: Highest degree of spherical harmonics; None for the source's own, or all.
@@ -303,7 +303,7 @@ class GeneratorSource(Source):
         )
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input."""
+        """Return the shape of an input tensor of the generator."""
         return self._worker.session.inputs[name].shape
 
     def close(self) -> None:

@@ -42,7 +42,7 @@ _CHARACTER: Final = 8.5  # pixels of a character, on average
 
 @final
 class Statistics:
-    """Counts and times of the last frames, updated slowly enough to be read.
+    """The viewer's statistics of the last frames, updated slowly enough to be read.
 
     Attributes:
         rows: Name and value of each line.
