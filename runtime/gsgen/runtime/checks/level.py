@@ -208,28 +208,24 @@ def _compare_references(probe_runs: ProbeRuns, renderer: Renderer) -> Iterator[C
     if manifest is None or find_spec("PIL") is None:
         return
     labels = [probe.label for probe in probe_runs.plan.probes[: probe_runs.plan.values]]
-    for number, reference in enumerate(manifest.reference_images):
-        if number >= MAX_REFERENCES:
+    for number, reference in enumerate(manifest.reference_images[: MAX_REFERENCES + 1]):
+        psnr, problem = None, ""
+        if number == MAX_REFERENCES:
             problem = f"only the first {MAX_REFERENCES} reference images are compared"
-            yield ComparedReference(reference.path, reference.psnr, problem=problem)
-            return
-        if reference.inputs not in labels:
+        elif reference.inputs not in labels:
             problem = f"no probe has the label {reference.inputs!r}, but {', '.join(labels[:5])}, …"
-            yield ComparedReference(reference.path, reference.psnr, problem=problem)
-            continue
-        try:
-            expected = read_reference(probe_runs.subject.file.path.parent, reference)
-            height, width = expected.shape[:2]
-            camera = reference_camera(reference, width, height)
-        except (ReferenceUnreadable, SceneInvalid) as error:
-            yield ComparedReference(
-                reference.path, reference.psnr, problem=str(error).partition("\n")[0]
-            )
-            continue
-        scene = _probe_scene(probe_runs, labels.index(reference.inputs))
-        frame = renderer.render(scene, camera, background=BACKGROUND)
-        psnr = _psnr(frame.srgb8[..., :3] / 255, expected)
-        yield ComparedReference(reference.path, reference.psnr, psnr)
+        else:
+            try:
+                expected = read_reference(probe_runs.subject.file.path.parent, reference)
+                height, width = expected.shape[:2]
+                camera = reference_camera(reference, width, height)
+            except (ReferenceUnreadable, SceneInvalid) as error:
+                problem = str(error).partition("\n")[0]
+            else:
+                scene = _probe_scene(probe_runs, labels.index(reference.inputs))
+                frame = renderer.render(scene, camera, background=BACKGROUND)
+                psnr = _psnr(frame.srgb8[..., :3] / 255, expected)
+        yield ComparedReference(reference.path, reference.psnr, psnr, problem)
 
 
 def decibels(a: Frame, b: Frame) -> float:

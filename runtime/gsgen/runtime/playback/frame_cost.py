@@ -4,7 +4,7 @@ __all__ = ["FrameCost", "Span", "measure"]
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Literal, final
 
 import numpy as np
@@ -117,23 +117,16 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
 class _Played:
     """Measurements of each frame of a played sequence."""
 
-    wall: list[float]
-    cpu: list[float]
     inference: dict[str, list[float]]
-    gaussians: list[int]
-    visible: list[int]
-    pairs: list[int]
+    wall: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+    gaussians: list[int] = field(default_factory=list)
+    visible: list[int] = field(default_factory=list)
+    pairs: list[int] = field(default_factory=list)
 
 
 def _play(sequence: FrameSequence) -> _Played:
-    played = _Played(
-        wall=[],
-        cpu=[],
-        inference={source.name: [] for source in sequence.sources},
-        gaussians=[],
-        visible=[],
-        pairs=[],
-    )
+    played = _Played(inference={source.name: [] for source in sequence.sources})
     started, busy = time.perf_counter(), time.process_time()
     for frame in sequence.player.play(sequence.frame_requests()):
         now, used = time.perf_counter(), time.process_time()

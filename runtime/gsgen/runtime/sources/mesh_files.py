@@ -5,12 +5,12 @@ __all__ = ["is_mesh", "read_mesh"]
 import json
 import struct
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Literal, Protocol, TypeAlias, final
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, final
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -19,6 +19,9 @@ from gsgen.contract.errors import GsgenError
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import Mesh, MeshData
+
+if TYPE_CHECKING:
+    import trimesh
 
 SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply", ".stl")
 """Suffixes of files that may hold meshes."""
@@ -38,35 +41,6 @@ _GLB: Final = struct.Struct("<4sIII4s")
 _WHITE: Final = np.ones(3)
 
 _GltfObject: TypeAlias = dict[str, Any]
-
-
-class _Visual(Protocol):
-    """The colours of a mesh in trimesh; which attributes exist depends on the kind."""
-
-    face_colors: np.ndarray
-    vertex_colors: np.ndarray
-
-
-class _Geometry(Protocol):
-    """One mesh of a scene in trimesh."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    visual: _Visual
-    vertex_attributes: Mapping[str, np.ndarray]
-
-
-class _Graph(Protocol):
-    """The nodes of a scene in trimesh: node name → transform and name of a geometry."""
-
-    nodes_geometry: Sequence[str]
-
-    def __getitem__(self, node: str) -> tuple[np.ndarray, str]: ...
-
-
-class _TrimeshScene(Protocol):
-    graph: _Graph
-    geometry: Mapping[str, _Geometry]
 
 
 def is_mesh(path: Path) -> bool:
@@ -103,12 +77,12 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
         SceneInvalid: trimesh, which reads them, is not installed.
     """
     file = Path(path)
-    trimesh = _trimesh()
+    library = _trimesh()
     kind = _kind(file)
     try:
         _require_plausible_sizes(file, kind)
         has_no_materials = kind == "obj" and not _has_materials(file)
-        scene = _load(trimesh, file, kind, has_no_materials=has_no_materials)
+        scene = _load(library, file, kind, has_no_materials=has_no_materials)
         is_gltf = kind in ("glb", "gltf")
         if is_gltf:
             _require_textures(json.loads(_json_of(file)), scene)
@@ -170,7 +144,7 @@ def _kind(path: Path) -> str:
     return kind
 
 
-def _load(trimesh: ModuleType, path: Path, kind: str, *, has_no_materials: bool) -> _TrimeshScene:
+def _load(library: ModuleType, path: Path, kind: str, *, has_no_materials: bool) -> "trimesh.Scene":
     """Load a mesh file with trimesh, without merging vertices, from its own folder only."""
     options = {"process": False}
     if kind == "obj":
@@ -181,20 +155,20 @@ def _load(trimesh: ModuleType, path: Path, kind: str, *, has_no_materials: bool)
         content = content.decode("utf-8", "replace").encode()
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # pillow warns of pictures that need too much memory
-        scene: _TrimeshScene = trimesh.load_scene(
+        scene: trimesh.Scene = library.load_scene(
             BytesIO(content),
             file_type=kind,
-            resolver=trimesh.resolvers.FilePathResolver(str(path)),
+            resolver=library.resolvers.FilePathResolver(str(path)),
             **options,
         )
     return scene
 
 
 def _meshes(
-    scene: _TrimeshScene, path: Path, *, is_gltf: bool, has_no_materials: bool
+    scene: "trimesh.Scene", path: Path, *, is_gltf: bool, has_no_materials: bool
 ) -> Iterator[Mesh]:
     """Yield a mesh for each node of a scene; nodes of one geometry share the data."""
-    by_geometry: dict[str, tuple[MeshData, bool]] = {}
+    by_geometry: dict[object, tuple[MeshData, bool]] = {}
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
         geometry = scene.geometry[name]
@@ -225,7 +199,7 @@ class _Surface:
 
 
 def _mesh_data(
-    geometry: _Geometry, *, is_gltf: bool, has_no_materials: bool
+    geometry: "trimesh.Trimesh", *, is_gltf: bool, has_no_materials: bool
 ) -> tuple[MeshData, bool]:
     """Convert a mesh of trimesh, and return whether it has colours of its own.
 
@@ -234,7 +208,7 @@ def _mesh_data(
     """
     vertices = np.asarray(geometry.vertices, np.float64)
     faces = np.asarray(geometry.faces)
-    visual = geometry.visual
+    visual: Any = geometry.visual  # attributes depend on the kind
     if getattr(visual, "kind", None) == "face":  # each face gets corners of its own
         vertices = vertices[faces].reshape(-1, 3)
         faces = np.arange(len(vertices)).reshape(-1, 3)
@@ -260,15 +234,15 @@ def _mesh_data(
     return data, is_colored
 
 
-def _surface(geometry: _Geometry, *, has_no_materials: bool) -> _Surface:
-    visual = geometry.visual
+def _surface(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _Surface:
+    visual: Any = geometry.visual  # attributes depend on the kind
     attributes = geometry.vertex_attributes
     colors = None
     if getattr(visual, "kind", None) == "vertex":
         colors = np.asarray(visual.vertex_colors)[:, :3] / 255.0
     elif "color" in attributes:
-        vertex_colors = np.asarray(attributes["color"], np.float64)[:, :3]
-        colors = vertex_colors / 255.0 if attributes["color"].dtype.kind in "iu" else vertex_colors
+        vertex_colors = np.asarray(attributes["color"])[:, :3]
+        colors = vertex_colors / (255.0 if vertex_colors.dtype.kind in "iu" else 1.0)
     material = getattr(visual, "material", None)
     if material is None or has_no_materials:
         return _Surface(colors, _WHITE)
@@ -367,7 +341,7 @@ def _require_plausible_gltf(path: Path, size: int) -> None:
     _require_no_cycle(document.get("nodes", []))
 
 
-def _require_textures(document: _GltfObject, scene: _TrimeshScene) -> None:
+def _require_textures(document: _GltfObject, scene: "trimesh.Scene") -> None:
     """Raise if textures of a glTF file were not read: trimesh skips them silently."""
     materials = document.get("materials", [])
     declared = sum(

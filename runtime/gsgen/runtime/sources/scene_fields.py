@@ -3,7 +3,7 @@
 __all__ = ["Fields", "fields_of", "refuse"]
 
 from collections.abc import Iterator, Mapping
-from typing import NoReturn, TypeVar, final, overload
+from typing import NoReturn, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float
@@ -86,21 +86,11 @@ class Fields:
             self._mismatch(name, "text")
         return str(value)
 
-    @overload
-    def number(
-        self, name: str, *, low: float = ..., high: float = ..., fallback: float
-    ) -> float: ...
-    @overload
-    def number(
-        self, name: str, *, low: float = ..., high: float = ..., fallback: None = ...
-    ) -> float | None: ...
-    def number(
-        self, name: str, *, low: float = -_MAX, high: float = _MAX, fallback: float | None = None
-    ) -> float | None:
+    def number(self, name: str, *, low: float = -_MAX, high: float = _MAX) -> float | None:
         """Read a number field from ``low`` to ``high``."""
         value = self.peek(name)
         if value is None:
-            return fallback
+            return None
         if isinstance(value, bool) or not isinstance(value, int | float):
             self._mismatch(name, "a number")
         if not low <= value <= high:

@@ -244,11 +244,12 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def _model(fields: Fields, folder: Path) -> SceneModel:
+    opacity_scale = fields.number("opacity_scale", low=0)
     model = SceneModel(
         path=folder / fields.required("path"),
         transform=_transform(fields),
         settings=DrawSettings(
-            opacity_scale=fields.number("opacity_scale", low=0, fallback=1.0),
+            opacity_scale=1.0 if opacity_scale is None else opacity_scale,
             sh_degree=fields.whole("sh_degree", low=0, high=3),
             antialias=fields.choice("antialias", ("classic", "mip")),
             clip=_clip(fields),

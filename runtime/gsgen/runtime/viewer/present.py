@@ -19,17 +19,11 @@ from gsgen.runtime.gpu.handles import (
     Texture,
 )
 from gsgen.runtime.kernels.shared.shader import source
-from gsgen.runtime.media.pictures import Mode
+from gsgen.runtime.media.pictures import MODES, Mode
 from gsgen.runtime.renderer.renderer import Drawn
 from gsgen.runtime.scene.camera import Camera
 
-_MODES: Final[dict[Mode, int]] = {
-    "color": 0,
-    "depth": 1,
-    "median-depth": 2,
-    "normal": 3,
-    "alpha": 4,
-}
+_MODES: Final[dict[Mode, int]] = {mode: number for number, mode in enumerate(MODES)}
 _CONSTANTS: Final = {
     "MODE_DEPTH": _MODES["depth"],
     "MODE_MEDIAN": _MODES["median-depth"],
