@@ -1,4 +1,4 @@
-"""Build the program from the commands of all installed packages."""
+"""Builds the `gsgen` program from the commands of all installed packages."""
 
 __all__ = ["build", "main"]
 
@@ -24,7 +24,7 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
 def main() -> None:
-    """Run the program on the process's arguments, and exit with an :class:`~gsgen.contract.errors.ExitCode`."""
+    """Run `gsgen` on the process's arguments, and exit with an exit code of the contract."""
     try:
         with ending_at_interrupts() as interrupts:
             _run()
@@ -90,7 +90,7 @@ def _fail(error: GsgenError) -> Never:
 
 
 def build(commands: list[Command]) -> typer.Typer:
-    """Return an app with ``commands``; only those are imported, which keeps start-up fast."""
+    """Return a typer app with ``commands``; only these are imported, which keeps start-up fast."""
     app = typer.Typer(
         name="gsgen",
         cls=_Sorted,
@@ -115,7 +115,7 @@ class _Sorted(TyperGroup):
     """A command group whose help lists commands and groups by name."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of all commands."""
+        """Return the names of all commands, sorted."""
         return sorted(super().list_commands(ctx))
 
 

@@ -1,4 +1,4 @@
-"""Finds the rules that another rule needs."""
+"""Finds the rules that another rule depends on."""
 
 __all__ = ["needed_by"]
 

@@ -1,4 +1,4 @@
-"""Find the commands that packages register under the entry point group ``gsgen.commands``.
+"""Finds the gsgen commands that packages register under the entry point group ``gsgen.commands``.
 
 An entry point names a typer function or a :class:`typer.Typer`. An extra that it needs stands in
 square brackets: ``export = "gsgen.sdk.commands.export:app [sdk]"``.
@@ -24,7 +24,7 @@ _REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """An installed command, whose dependencies may be missing.
+    """A command that an installed package registers; packages that it needs may be missing.
 
     Attributes:
         name: The word that users type after ``gsgen``.
@@ -41,22 +41,22 @@ class Command:
 
     @property
     def requirement(self) -> str:
-        """The distribution with the extra that this command needs."""
+        """The distribution and extra that the command needs, such as ``gsgen[sdk]``."""
         owner = self.point.dist.name if self.point.dist else "gsgen"
         return f"{owner}[{','.join(self.point.extras)}]"
 
     @property
     def remedy(self) -> str:
-        """The shell command that installs the missing distributions."""
+        """The shell command that installs the command's missing distributions."""
         return f"pip install '{self.requirement}'"
 
     @property
     def context(self) -> dict[str, Any]:
-        """Context settings of the command: one with missing dependencies accepts any options."""
+        """Click context settings of the command; without dependencies it accepts any options."""
         return {"ignore_unknown_options": True} if self.missing else {}
 
     def load(self) -> Callable[..., Any] | typer.Typer:
-        """Import the command, or return one that reports its missing dependencies."""
+        """Import the command, or return a replacement that reports its missing dependencies."""
         if self.missing:
             absent = ", ".join(self.missing)
             return _refusing(
@@ -74,7 +74,7 @@ class Command:
 
 
 def _refusing(summary: str, reason: str, code: ExitCode) -> Callable[..., Any]:
-    """Return a command that takes any arguments and fails with ``reason``."""
+    """Return a command that takes any arguments and fails with the message ``reason``."""
 
     def refuse(words: Annotated[list[str] | None, typer.Argument(hidden=True)] = None) -> None:
         typer.echo(f"gsgen: {reason}", err=True)
@@ -90,12 +90,12 @@ def escape_markup(text: str) -> str:
 
 
 def find_commands(group: str = _GROUP) -> dict[str, Command]:
-    """Return the commands of an entry point group, by name."""
+    """Return the commands of an entry point group as a mapping from name to command."""
     return {point.name: Command(point.name, point) for point in registered_entry_points(group)}
 
 
 def _missing(point: EntryPoint) -> tuple[str, ...]:
-    """Return the distributions that the entry point's extras require and that are not installed."""
+    """Return the distributions that an entry point's extras require and that are not installed."""
     absent = []
     for line in _requirements(point.dist.name) if point.dist and point.extras else ():
         match = _REQUIREMENT.match(line)

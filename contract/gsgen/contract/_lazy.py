@@ -1,4 +1,4 @@
-"""Lazy imports: the names of a package are loaded on first use, which keeps start-up fast."""
+"""Lazy imports: a package loads each public name on first use, which keeps start-up fast."""
 
 __all__ = ["lazy_getattr"]
 
@@ -9,7 +9,7 @@ from importlib import import_module
 
 
 def lazy_getattr(package: str) -> Callable[[str], object]:
-    """Return a module ``__getattr__`` (PEP 562), which loads the public names of ``package``.
+    """Return a module ``__getattr__`` (PEP 562) that imports the public names of ``package``.
 
     The modules of the names are those that the package's source imports them from under
     ``if TYPE_CHECKING:``, so that no second list has to agree with these imports.

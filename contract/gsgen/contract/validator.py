@@ -1,4 +1,4 @@
-"""Public function to validate a model by every installed rule."""
+"""The public function that validates a model by every installed rule."""
 
 __all__ = ["validate"]
 

@@ -1,4 +1,4 @@
-"""The decorator and the base class that plugin authors use in their tests.
+"""The decorator and the ``check`` object for authors of pytest tests of plugins.
 
 Needs pytest: ``pip install 'gsgen[conformance]'``.
 """
@@ -28,7 +28,7 @@ Models = Iterable[PathLike] | Callable[[], Iterable[PathLike]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """The arguments of :func:`parametrize_with_rules`."""
+    """The arguments of :func:`parametrize_with_rules`, attached to a test."""
 
     models: Models
     target: str | None
@@ -79,7 +79,7 @@ def parametrize_with_rules(
 
 
 class Check:
-    """The check of one rule on one model; a test calls it once.
+    """The check of one rule on one model, which a test calls once.
 
     Attributes:
         model: The ONNX file.
@@ -102,16 +102,16 @@ class Check:
 
     @property
     def run(self) -> ModelRun:
-        """The results of the model, which is validated once a session."""
+        """The results of validating the model, once per pytest session."""
         return self._judge()
 
     @property
     def case(self) -> Case:
-        """The case of the rule."""
+        """The outcome of the rule on the model, as a test case."""
         return self.run.case(self.rule.id)
 
     def prepare(self) -> None:
-        """Validate the model; a crashed rule is an error."""
+        """Validate the model before the test; a crashed rule is a test error."""
         prepare(self.run, self.case)
 
     def __call__(self) -> None:
@@ -170,7 +170,7 @@ def _expected(
 def refuse_strangers(
     expected: Iterable[ExpectedFailure], plans: dict[Path, dict[str, tuple[Rule, ...]]]
 ) -> None:
-    """Raise UsageError if an entry matches no rule of any of the models."""
+    """Raise UsageError if an expected failure matches no rule of any tested model."""
     tested = {
         path: [rule.id for rules in planned.values() for rule in rules]
         for path, planned in plans.items()

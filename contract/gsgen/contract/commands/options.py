@@ -1,4 +1,4 @@
-"""Options that several commands share, with one name, default and help text each."""
+"""Command-line options that several commands share, with one name, default and help text each."""
 
 __all__ = ["AsJson", "Config", "FailOn", "LevelName", "Memory", "Seed", "TargetName", "Timeout"]
 

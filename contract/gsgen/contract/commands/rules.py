@@ -1,4 +1,4 @@
-"""`gsgen rules`: list the installed rules."""
+"""The command `gsgen rules`, which lists the installed rules."""
 
 __all__ = ["rules"]
 
@@ -55,7 +55,7 @@ def rules(
 
 
 def _selected(registry: "Registry", words: list[str]) -> "list[Rule]":
-    """Return the rules that match any of ``words``, in catalogue order.
+    """Return the rules that match any of the search ``words``, in catalogue order.
 
     Raises:
         UnknownName: No rule matches one of ``words``.

@@ -1,4 +1,4 @@
-"""`gsgen validate`: check models against the contract."""
+"""The command `gsgen validate`, which checks models against the contract."""
 
 __all__ = ["validate"]
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 class Format(StrEnum):
-    """Output formats of a report."""
+    """Output formats of a validation report: text, JSON, SARIF, JUnit, Markdown, GitHub."""
 
     TEXT = "text"
     JSON = "json"
@@ -176,7 +176,7 @@ def _print(
 
 
 def _rendered(entries: "list[Entry]", format: Format) -> str:
-    """Return the report in a machine-readable format; only that reporter is imported."""
+    """Return a validation report in a machine-readable format; only that reporter is imported."""
     module, name = _REPORTERS[format]
     reporter = getattr(import_module(f"gsgen.contract.reporters.{module}"), name)
     text: str = reporter(entries)
@@ -184,7 +184,7 @@ def _rendered(entries: "list[Entry]", format: Format) -> str:
 
 
 def _summarise(entries: "list[Entry]") -> None:
-    """Append the reports to the summary page of a GitHub Actions job."""
+    """Append the validation reports to the summary page of a GitHub Actions job."""
     path = os.environ.get("GITHUB_STEP_SUMMARY")
     if path:
         from gsgen.contract.commands.output import append_text

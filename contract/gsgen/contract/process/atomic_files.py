@@ -1,4 +1,4 @@
-"""Write files to a temporary name, and rename them once they are complete."""
+"""Writes files under a temporary name, and renames them once they are complete."""
 
 __all__ = [
     "MODEL_SUFFIX",
@@ -24,7 +24,7 @@ MODEL_SUFFIX = ".onnx"
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path; the file written there is renamed to ``path`` when the block ends.
+    """Yield a temporary path; the file written there is renamed to ``path`` after the block.
 
     Files beside it (external weights), also in subfolders, are moved first, so that a model never
     refers to a missing file. If the block raises, nothing is moved and the temporary files are
@@ -61,7 +61,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def refuse_folder(path: Path) -> None:
-    """Raise if the output path is a folder; call it before any work is done.
+    """Raise if the output path is a folder; call this before any work is done.
 
     Raises:
         ConfigInvalid: ``path`` is a folder.
@@ -107,7 +107,7 @@ def refuse_device(path: Path) -> None:
 
 
 def refuse_itself(path: Path, sources: Iterable[Path], hint: str = "Name another file.") -> None:
-    """Raise if the output would overwrite one of the files that are read.
+    """Raise if the output would overwrite one of the input files.
 
     Raises:
         ConfigInvalid: ``path`` is one of ``sources``, which would be lost.

@@ -13,7 +13,7 @@ _COPIES = 5
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Time and memory that a worker process may use.
+    """The time and memory that a worker process may use.
 
     Attributes:
         seconds: Wall-clock time for loading and all runs together.

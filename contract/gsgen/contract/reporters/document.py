@@ -1,4 +1,4 @@
-"""The JSON report as dataclasses, from which its published schema is derived.
+"""Dataclasses of the JSON report, from which its published schema is derived.
 
 Empty fields are omitted. A major version of the schema may gain fields, but no field changes its
 meaning.
@@ -24,7 +24,7 @@ Fingerprint = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """The validator that wrote the report."""
+    """The name and version of the validator that wrote the report."""
 
     name: str
     version: str
@@ -39,7 +39,7 @@ class Tool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SubjectEntry:
-    """The validated model."""
+    """The validated model: its path, digest, kind and contract version."""
 
     uri: Annotated[str, Hint(text="The model, as given on the command line.")]
     bytes: Annotated[int | None, Hint(text="Size of the file.", minimum=0)] = None
@@ -64,7 +64,7 @@ class SubjectEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counts:
-    """Findings that count, by severity; findings that do not count; rules by status."""
+    """Numbers of findings by severity, of waived and known findings, and of rules by status."""
 
     error: int
     warning: int
@@ -85,7 +85,7 @@ class LevelEntry:
 
 @dataclass(frozen=True, slots=True)
 class WhereEntry:
-    """The location of a finding."""
+    """The location of a finding: a tensor, node, manifest field or file."""
 
     subject: Annotated[str, Hint(text="Such as `output gaussians` or `manifest bounds`.")]
     field: Annotated[str | None, Hint(text="The field of a packed row.")] = None
@@ -93,7 +93,7 @@ class WhereEntry:
 
 @dataclass(frozen=True, slots=True)
 class ExampleEntry:
-    """One offending row or value."""
+    """One offending row or value of a finding."""
 
     value: str
     row: int | None = None
@@ -194,7 +194,7 @@ class GoneEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Document:
-    """The report of one model."""
+    """The JSON report of one model."""
 
     schema: SchemaName
     tool: Tool
@@ -234,7 +234,7 @@ class Document:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Why a file could not be read."""
+    """The reason why a file could not be read."""
 
     message: str
     where: str
@@ -243,7 +243,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class UnreadableDocument:
-    """The report of a model that could not be read."""
+    """The JSON report of a model that could not be read."""
 
     schema: SchemaName
     subject: SubjectEntry
@@ -253,7 +253,7 @@ class UnreadableDocument:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """The reports of several models."""
+    """The JSON reports of several models."""
 
     schema: SchemaName
     reports: tuple[Document | UnreadableDocument, ...]

@@ -57,5 +57,5 @@ def _property(text: str) -> str:
 
 
 def _inert(text: str) -> str:
-    """Return a line that GitHub does not read as a command: old ones contain ``##[``."""
+    """Return the text as a line that GitHub does not read as a workflow command such as ``##[``."""
     return printable(text).replace("##[", "## [")

@@ -45,7 +45,7 @@ _STATUSES = ("pass", "fail", "skipped", "not-applicable", "crashed")
 
 
 def to_json(entries: Sequence[Entry]) -> str:
-    """Return one report as an object, or several as an object with a list of ``reports``."""
+    """Return one report as a JSON object, or several as an object with a list of ``reports``."""
     documents = [to_dict(entry) for entry in entries]
     document: Any = (
         documents[0] if len(documents) == 1 else {"schema": SCHEMA, "reports": documents}
@@ -56,14 +56,14 @@ def to_json(entries: Sequence[Entry]) -> str:
 
 
 def to_dict(entry: Entry) -> dict[str, Any]:
-    """Return the report of a model, or the error of an unreadable one, as JSON types."""
+    """Return the report of a model, or the error of an unreadable model, as JSON types."""
     document = _unreadable(entry) if isinstance(entry, Unreadable) else document_of(entry)
     data: dict[str, Any] = to_json_value(document)
     return data
 
 
 def document_of(report: Report) -> Document:
-    """Return a report as the dataclasses of its schema."""
+    """Return a validation report as the dataclasses of the JSON report's schema."""
     rules = {outcome.rule.id: outcome.rule for outcome in report.outcomes}
     return Document(
         schema="gsgen-report/1",

@@ -16,7 +16,7 @@ _COUNTED = ("failure", "error", "skipped")
 
 
 def to_junit(entries: Sequence[Entry]) -> str:
-    """Return all reports as one JUnit document."""
+    """Return all validation reports as one JUnit XML document."""
     root = Element("testsuites", name="gsgen")
     for entry in entries:
         suite = SubElement(root, "testsuite", name=printable(entry.path))
@@ -32,7 +32,7 @@ def to_junit(entries: Sequence[Entry]) -> str:
 
 
 def _count(parent: Element) -> None:
-    """Set the numbers of tests, failures, errors and skips below ``parent``."""
+    """Set the numbers of tests, failures, errors and skips of the JUnit element ``parent``."""
     parent.set("tests", str(len(list(parent.iter("testcase")))))
     for tag in _COUNTED:
         name = tag if tag == "skipped" else f"{tag}s"

@@ -1,4 +1,4 @@
-"""Documentation of a rule from its declaration: its page, its list entry, its JSON."""
+"""Renders the documentation of a rule from its declaration: page, list entry, JSON."""
 
 __all__ = ["help_path", "help_url", "index", "page", "to_dict"]
 
@@ -50,7 +50,7 @@ def _published_docs() -> str:
 
 
 def page(rule: Rule, registry: Registry) -> str:
-    """Return the Markdown page of ``rule``."""
+    """Return the Markdown documentation page of ``rule``."""
     facts = [
         ("severity", rule.severity.word),
         ("level", rule.level.word),

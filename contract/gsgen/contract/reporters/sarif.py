@@ -30,7 +30,7 @@ Json = dict[str, Any]
 
 
 def to_sarif(entries: Sequence[Entry]) -> str:
-    """Return all reports as one SARIF log."""
+    """Return all validation reports as one SARIF log."""
     reports = {number: entry for number, entry in enumerate(entries) if isinstance(entry, Report)}
     rules = {
         outcome.rule.id: outcome.rule
@@ -99,7 +99,7 @@ def _artifact(entry: Entry) -> Json:
 
 
 def _uri(path: str) -> str:
-    """Return a URI reference; it is relative for a relative path, so it is valid anywhere."""
+    """Return a path as a URI reference, relative for a relative path."""
     quoted = quote(os.fsencode(Path(path).as_posix()))
     return f"file://{quoted}" if Path(path).is_absolute() else quoted
 
@@ -112,7 +112,7 @@ def _invocation(entries: Iterable[Entry]) -> Json:
 
 
 def _failures(entry: Entry, number: int) -> list[Json]:
-    """Return notifications of an unreadable file or of crashed rules."""
+    """Return SARIF notifications of an unreadable file or of crashed rules."""
     if isinstance(entry, Unreadable):
         return [_failure_notification(entry.path, number, str(entry.error))]
     messages = [

@@ -23,7 +23,7 @@ _MOST_BLOCKED = 12
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of text and its terminal style."""
+    """One line of a text report and its terminal style."""
 
     text: str
     style: str = ""
@@ -32,7 +32,7 @@ class Line:
 def render_all(
     entries: Sequence[Entry], *, verbose: bool = False, quiet: bool = False
 ) -> list[Line]:
-    """Return all reports line by line; for several models, the last line sums up."""
+    """Return all reports as lines of text; with several models, the last line sums up."""
     lines: list[Line] = []
     for entry in entries:
         if isinstance(entry, Report):
@@ -46,7 +46,7 @@ def brief_line(report: Report) -> Line:
 
 
 def render(report: Report, *, verbose: bool = False) -> list[Line]:
-    """Return a report line by line.
+    """Return one model's report as lines of text.
 
     Args:
         report: The report of one model.
@@ -101,7 +101,7 @@ def _size(size: int) -> str:
 
 
 def finding_lines(findings: Iterable[Finding], *, verbose: bool = False) -> list[Line]:
-    """Return findings line by line: rule, locations, numbers and hint.
+    """Return findings as lines of text: rule, locations, numbers and hint.
 
     Consecutive findings of the same rule share their heading and their hint.
 
@@ -190,7 +190,7 @@ def _not_run(report: Report) -> list[Line]:
 
 
 def _skipped(report: Report) -> list[Line]:
-    """List the rules that were skipped although their level ran."""
+    """Return lines that list the rules that were skipped although their level ran."""
     ran = {outcome.level for outcome in report.levels if outcome.ran}
     lines: list[Line] = []
     for outcome in report.outcomes:

@@ -101,7 +101,7 @@ def _registry(*groups: str) -> Registry:
 
 
 def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
-    """Return a rule that always crashes, in place of a plugin's rules that do not load."""
+    """Return a rule that always crashes, in place of a plugin's rules that cannot be loaded."""
     letters = re.sub("[^a-z0-9]+", "-", point.name.lower()).lstrip("-0123456789")
 
     @rule(
@@ -113,7 +113,7 @@ def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
         kinds=KINDS,
     )
     def plugin_loads(_: object) -> Iterator[Violation]:
-        """The rules of an installed plugin can be loaded.
+        """The rules of every installed plugin can be loaded.
 
         Why:
             Rules that do not load would be left out, and the report would look better than it is.

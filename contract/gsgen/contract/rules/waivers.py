@@ -1,4 +1,4 @@
-"""GW rules: every waiver in the settings still matches a finding."""
+"""Rules of waivers (GW): every waiver in the settings still matches a finding."""
 
 from collections.abc import Iterator
 

@@ -34,7 +34,7 @@ Verdict = Literal["conforms", "invalid", "internal-error"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """The outcome of one rule.
+    """The outcome of one rule: pass, fail, skipped, not-applicable or crashed.
 
     Attributes:
         rule: The rule.
@@ -172,7 +172,7 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
-        """``conforms``, ``invalid``, or ``internal-error`` where a rule crashed."""
+        """The report's verdict: ``conforms``, ``invalid``, or ``internal-error`` after a crash."""
         if any(outcome.status == "crashed" for outcome in self.outcomes):
             return "internal-error"
         return "invalid" if any(self.fails_by(finding) for finding in self.findings) else "conforms"
@@ -183,7 +183,7 @@ class Report:
         return confirmed and finding.severity >= self.fail_on
 
     def count(self, severity: Severity) -> int:
-        """Return the number of findings of ``severity`` that count."""
+        """Return the number of findings of ``severity`` that are neither waived nor known."""
         return sum(f.severity == severity and f.counts for f in self.findings)
 
     @property
@@ -198,11 +198,11 @@ class Report:
 
     @property
     def statuses(self) -> Counter[str]:
-        """The number of rules of each status."""
+        """The number of rules by status, such as passed or skipped."""
         return Counter(outcome.status for outcome in self.outcomes)
 
     def outcome(self, rule_id: str) -> Outcome:
-        """Return the outcome of one rule.
+        """Return the outcome of one rule of the report.
 
         Raises:
             KeyError: The rule is not installed.
@@ -215,7 +215,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Unreadable:
-    """A file that could not be read, with its error."""
+    """A file that could not be read, with the error of the attempt."""
 
     path: str
     error: GsgenError
@@ -226,7 +226,7 @@ Entry = Report | Unreadable
 
 
 def exit_code(reports: Iterable[Report]) -> ExitCode:
-    """Return 0 if all models conform, 3 if a rule crashed, else 1.
+    """Return the exit code for reports: 0 all conform, 3 a rule crashed, 1 otherwise.
 
     A required rule that was not checked fails, too.
     """

@@ -86,7 +86,7 @@ class Rule:
 
     @property
     def family(self) -> str:
-        """The letters of the id: GM, GI, GO, GG, GV, GB, GL, GS, GT, TV or GW."""
+        """The letters of the rule's id: GM, GI, GO, GG, GV, GB, GL, GS, GT, TV or GW."""
         return self.id.rpartition("/")[2][:2]
 
 
@@ -187,7 +187,7 @@ class Registry:
 
     @classmethod
     def of(cls, rules: Iterable[Rule], backends: Iterable[LevelBackend] = ()) -> "Registry":
-        """Build a registry of rules with unique ids, and one backend per level.
+        """Build a registry of rules with unique ids, and with one backend per level.
 
         Raises:
             ValueError: Two rules share an id, two backends a level, or a rule needs an unknown one.
@@ -209,7 +209,7 @@ class Registry:
         return cls(by_id, by_level)
 
     def of_scope(self, *, tilesets: bool) -> "Registry":
-        """Return only the rules of tilesets, or all others; a report lists one of the two."""
+        """Return a registry with only the rules of tilesets, or with all other rules."""
         selected = {
             id: rule for id, rule in self.rules.items() if (rule.scope == "tileset") == tilesets
         }
@@ -246,7 +246,7 @@ class Registry:
 
 
 def _nearest(stem: str, number: int, ids: list[str]) -> str:
-    """Return a hint with the ``ids`` nearest to a mistyped one."""
+    """Return a hint with the known rule ``ids`` nearest to a mistyped one."""
     owner, slash, letters = stem.rpartition("/")
     family = f"{owner.lower()}{slash}{letters.upper()}"
     code = f"{family}{number:03}"
@@ -262,6 +262,6 @@ def _nearest(stem: str, number: int, ids: list[str]) -> str:
 
 
 def _mistyped(id: str, typed: str) -> bool:
-    """Return whether two ids differ in one character or in the order of characters."""
+    """Return whether two rule ids differ in one character or in the order of characters."""
     wrong = sum(a != b for a, b in zip(id, typed, strict=False))
     return len(id) == len(typed) and (wrong == 1 or sorted(id) == sorted(typed))

@@ -83,7 +83,7 @@ class Settings:
 
 
 def read_config(path: Path, registry: Registry, base: Settings | None = None) -> Settings:
-    """Read ``gsgen.toml``, or the table ``[tool.gsgen]`` of ``pyproject.toml``, on top of ``base``.
+    """Read settings from ``gsgen.toml`` or ``pyproject.toml``; ``base`` supplies missing settings.
 
     Raises:
         ConfigInvalid: The file is not TOML, or holds an invalid value. For unknown keys, rules,
@@ -193,12 +193,12 @@ def config_schema(registry: Registry) -> dict[str, object]:
 
 
 def _table(properties: object) -> dict[str, object]:
-    """Return the schema of a TOML table that has no other keys than ``properties``."""
+    """Return the JSON Schema of a TOML table that has no keys other than ``properties``."""
     return {"type": "object", "properties": properties, "additionalProperties": False}
 
 
 def _validate_schema(names: list[str], severities: list[str]) -> dict[str, object]:
-    """Return the schemas of the keys of ``[validate]``."""
+    """Return the JSON Schemas of the keys of the ``[validate]`` table."""
     return {
         "level": {"enum": list(Level.words()), "description": "The highest level to run."},
         "target": {
@@ -243,7 +243,7 @@ def _validate_schema(names: list[str], severities: list[str]) -> dict[str, objec
 
 
 def _waiver_schema(names: list[str]) -> dict[str, object]:
-    """Return the schemas of the keys of a ``[[waive]]`` table."""
+    """Return the JSON Schemas of the keys of a ``[[waive]]`` table."""
     return {
         "rule": {
             "type": "string",

@@ -35,7 +35,7 @@ def make_settings(
     seed: int | None = None,
     prefix: str = "--",
 ) -> Settings:
-    """Return settings; options take precedence over the file, and the file over defaults.
+    """Return validation settings: options override ``gsgen.toml``, which overrides defaults.
 
     Args:
         registry: The known rules.

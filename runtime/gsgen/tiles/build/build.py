@@ -1,4 +1,4 @@
-"""Build a tileset: scan, count, bin, partition, top, index, each phase after the other.
+"""Builds a tileset in the phases scan, count, bin, partition, top and index.
 
 Every task writes a marker file, so that a stopped build resumes after its last finished task.
 """
@@ -65,7 +65,7 @@ _Result = TypeVar("_Result")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildReport:
-    """The result of a build: splats, tiles, files and bytes.
+    """The result of a tileset build: splats, tiles, files and bytes.
 
     Attributes:
         output: Folder of the tileset.
@@ -90,7 +90,7 @@ class BuildReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Run:
-    """The engine and the progress display that all phases share."""
+    """The engine and the progress display that all phases of a build share."""
 
     engine: Engine
     progress: Progress
@@ -102,7 +102,7 @@ class _Run:
         function: Callable[[_Task], tuple[int, _Result]],
         tasks: Sequence[_Task],
     ) -> list[_Result]:
-        """Run a phase; return the results in the order of the tasks."""
+        """Run one phase of a build; return the results in the order of the tasks."""
         self.progress.begin(name, total)
         results: dict[int, _Result] = {}
         for index, (splats, result) in self.engine.run(function, tasks):
@@ -177,7 +177,7 @@ def build_tileset(
 
 
 def _write_tiles(run: _Run, path: str, rows: int) -> None:
-    """Run the phases bin, tiles and top of the plan in the file ``path``."""
+    """Run the phases bin, tiles and top of the build plan in the file ``path``."""
     plan = load_plan(path)
     # 3. Bin, with a barrier: every splat is in one spill.
     items = [PlanTask(plan=path, item=chunk.index) for chunk in plan.chunks]
@@ -227,7 +227,7 @@ def _up_to_date(output: Path, record: JsonDict, skipped: int) -> BuildReport:
 
 
 def _require_output(output: Path) -> None:
-    """Raise if ``output`` holds files of other origin, as a build deletes stale files in it."""
+    """Raise if the output folder holds foreign files, since a build deletes stale files."""
     if output.exists() and not output.is_dir():
         raise ConfigInvalid("is a file; expected a folder", where=str(output))
     if not output.is_dir():
@@ -249,7 +249,7 @@ def _prepare(
     *,
     fresh: bool,
 ) -> Path:
-    """Return the work folder of this build; those of other builds are deleted."""
+    """Return the work folder of this build, and delete those of other builds."""
     content = {
         "version": ALGORITHM_VERSION,
         "parameters": parameters.as_dict(),
@@ -296,7 +296,7 @@ def _note_large(facts: Sequence[ChunkFacts], progress: Progress) -> None:
 
 
 def _content_digests(facts: Sequence[ChunkFacts], chunks: Sequence[Chunk]) -> list[str]:
-    """Return digests of the scenes' splats, which do not depend on the paths of the files."""
+    """Return digests of the scenes' splats that do not depend on file paths."""
     names: list[str] = []
     for chunk, fact in zip(chunks, facts, strict=True):
         if chunk.first == 0:
@@ -341,7 +341,7 @@ def _plan(
 def _count(
     run: _Run, chunks: Sequence[Chunk], cube: Cube, limit: int, work: Path, *, anchored: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Count splats in cells that are fine enough for partitions.
+    """Count the scene's splats in octree cells that are fine enough for partitions.
 
     Cells that hold too many are counted again, deeper: a scene with a few splats far away has
     nearly all others in one cell.

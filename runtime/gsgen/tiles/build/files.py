@@ -1,4 +1,4 @@
-"""Write files atomically, so that an existing file marks its task as finished."""
+"""Writes files atomically, so that an existing file marks its task as finished."""
 
 __all__ = ["read_json", "save_array", "sweep", "write_bytes", "write_json"]
 
@@ -54,7 +54,7 @@ def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Return the JSON value in ``path``.
+    """Return the JSON value in the file ``path``.
 
     Raises:
         InputUnreadable: The file cannot be read or is not JSON.
@@ -71,7 +71,7 @@ def read_json(path: Path) -> Any:
 
 
 def sweep(folder: Path) -> int:
-    """Delete unfinished files of workers that were killed; return how many."""
+    """Delete the temporary files of killed workers; return their number."""
     parts = list(folder.rglob(f".*{PART}"))
     for part in parts:
         part.unlink(missing_ok=True)

@@ -22,7 +22,7 @@ _TOLERANCE: Final = 1e-6
 
 
 def upright_transform() -> tuple[float, ...]:
-    """Return the transform from scene axes (y down) to world axes (z up), column by column."""
+    """Return the 4×4 transform from scene axes (y down) to world axes (z up), column-major."""
     return _columns(UPRIGHT)
 
 
@@ -52,7 +52,7 @@ def globe_transform(longitude: float, latitude: float, height: float) -> tuple[f
 
 
 def read_transform(path: Path) -> tuple[float, ...]:
-    """Read a transform, scene → world: a JSON array of 16 numbers, or of 4 rows of 4.
+    """Parse a scene → world transform from JSON: an array of 16 numbers, or of 4 rows of 4.
 
     Sixteen numbers are column by column, as in ``tileset.json``; rows are rows.
 

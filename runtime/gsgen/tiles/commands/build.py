@@ -1,4 +1,4 @@
-"""`gsgen tiles build`: scenes of any size become a tileset."""
+"""The command `gsgen tiles build`, which builds a tileset from scenes of any size."""
 
 __all__ = ["build"]
 

@@ -1,4 +1,4 @@
-"""The protocol of stores: read files by their path, within size limits."""
+"""The protocol of file stores: read a tileset's files by path, within size limits."""
 
 __all__ = ["MAX_FILE", "Store", "check_range", "missing", "too_large"]
 
@@ -12,7 +12,7 @@ MAX_FILE: Final = 1 << 30
 
 
 class Store(Protocol):
-    """Files by their paths relative to a folder; safe to use from many threads.
+    """Protocol: reads files by their paths relative to a folder, from many threads.
 
     Attributes:
         name: The folder, archive or address, for messages.
@@ -21,7 +21,7 @@ class Store(Protocol):
     name: str
 
     def size(self, path: str) -> int:
-        """Return how many bytes a file has.
+        """Return the size of a file in bytes.
 
         Raises:
             ContentMissing: There is no such file.
@@ -48,7 +48,7 @@ class Store(Protocol):
         ...
 
     def close(self) -> None:
-        """Close open files and connections."""
+        """Close open files and connections of the store."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -62,7 +62,7 @@ class Store(Protocol):
 
 
 def missing(store: str, path: str, reason: str = "the file does not exist") -> ContentMissing:
-    """Return the error for a file that does not exist."""
+    """Return the error for a tileset file that does not exist."""
     return ContentMissing(
         reason,
         location=f"{store}: {path}",
@@ -73,7 +73,7 @@ def missing(store: str, path: str, reason: str = "the file does not exist") -> C
 
 
 def too_large(store: str, path: str, size: int, limit: int) -> TilesetInvalid:
-    """Return the error for a file above the size limit."""
+    """Return the error for a tileset file above the size limit."""
     return TilesetInvalid(
         f"{size:,} bytes",
         location=f"{store}: {path}",

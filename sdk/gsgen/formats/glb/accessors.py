@@ -1,4 +1,4 @@
-"""Reads the arrays of a GLB file.
+"""Reads the arrays (accessors) of a GLB file.
 
 The format is that of the glTF 2.0 specification, section 3.6 (Khronos).
 """
@@ -22,7 +22,7 @@ _LONGEST_STRIDE = 252
 def read_accessor(
     glb: Container, index: object, widths: tuple[int, ...], where: str
 ) -> Float32[np.ndarray, "n w"]:
-    """Return the accessor ``index`` as floats; normalised integers become fractions of 1.
+    """Return the glTF accessor ``index`` as floats; normalised integers become fractions of 1.
 
     Args:
         glb: The file.
@@ -85,7 +85,7 @@ def _stored(glb: Container, accessor: Json, dtype: np.dtype, width: int, where: 
 
 
 def view_range(glb: Container, view: Json, where: str) -> tuple[int, int]:
-    """Return the first byte of a buffer view in the file, and its length.
+    """Return the first byte of a glTF buffer view in the file, and the view's length.
 
     Raises:
         NotSupported: Its buffer is outside of the file.

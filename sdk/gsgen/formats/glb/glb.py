@@ -58,7 +58,7 @@ def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
 
 
 def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
-    """Return the splats of the GLB file ``data``, with the axes of a PLY file."""
+    """Return the splats of the GLB file ``data``, in the axes of a PLY file."""
     glb = parse(data)
     parts: list[Splats] = []
     used_bytes = 0

@@ -24,7 +24,7 @@ _DEEPEST = 200
 
 
 def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
-    """Yield the meshes of the scene, each with its matrix from mesh to world.
+    """Yield the meshes of a glTF scene, each with its matrix from mesh to world.
 
     Raises:
         HeaderMalformed: A node is its own ancestor, is missing, or has an invalid matrix.

@@ -17,7 +17,7 @@ CHUNK_ROWS = 1 << 10
 def read_columns(
     data: mmap.mmap, header: Header, vertex: Element, groups: Mapping[str, Sequence[str]]
 ) -> dict[str, Float32[np.ndarray, "n m"]]:
-    """Return one array for each of ``groups``, with a column for each name.
+    """Return one array for each group of PLY properties, with one column per property.
 
     The memory is that of these arrays and one chunk of rows: the length of the file is checked
     before an array is allocated.
@@ -48,7 +48,7 @@ def read_columns(
 def _floats(
     data: mmap.mmap, header: Header, vertex: Element, groups: Mapping[str, Sequence[str]]
 ) -> dict[str, Float32[np.ndarray, "n m"]]:
-    """Read the columns of a file of float32 alone, as training writes, in half the time."""
+    """Read columns of a PLY file of float32 alone, as training writes it, in half the time."""
     shape = vertex.count, len(vertex.properties)
     rows = np.ndarray(shape, "<f4", data, first_row(data, header, vertex))
     column_indices = {name: column for column, name in enumerate(vertex.types)}

@@ -20,7 +20,7 @@ __all__ = ["ply_properties", "read_ply_columns"]
 
 
 def ply_properties(path: FilePath) -> tuple[str, ...]:
-    """Return the names of the properties of the element ``vertex``, in the file's order.
+    """Return the property names of the PLY element ``vertex``, in the file's order.
 
     Raises:
         FormatError: The file cannot be read, or is not a PLY file with such an element.
@@ -32,7 +32,7 @@ def ply_properties(path: FilePath) -> tuple[str, ...]:
 def read_ply_columns(
     path: FilePath, groups: Mapping[str, Sequence[str]]
 ) -> dict[str, Float32[np.ndarray, "n m"]]:
-    """Return one array for each of ``groups``, with a column for each property named in it.
+    """Read one array for each group of PLY properties, with one column per property.
 
     Numbers may be text or binary, of either byte order and any type; they become float32 and
     must be finite.

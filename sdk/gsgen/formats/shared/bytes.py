@@ -24,7 +24,7 @@ MAX_BYTES: Final = 8 << 30
 
 @contextmanager
 def contents(path: FilePath) -> Iterator[mmap.mmap]:
-    """Map the file at ``path``; every FormatError of the body names it.
+    """Map a file into memory; FormatErrors of the ``with`` block name the file.
 
     Overflows raise no warnings: the checks of values refuse the resulting infinity or NaN.
 
@@ -38,7 +38,7 @@ def contents(path: FilePath) -> Iterator[mmap.mmap]:
 def take(
     data: Data, dtype: DTypeLike, shape: tuple[int, ...], start: int, where: str
 ) -> Shaped[np.ndarray, "..."]:
-    """Return the array at byte ``start`` as a view of ``data``.
+    """Return an array at byte ``start`` of ``data``, as a view.
 
     Args:
         data: The bytes of the file.
@@ -59,7 +59,7 @@ def take(
 
 
 def require_room(data: Data, start: int, needed: int, where: str) -> None:
-    """Raise FileTruncated unless ``needed`` bytes from ``start`` on are in ``data``."""
+    """Raise FileTruncated unless ``data`` has ``needed`` bytes from ``start`` on."""
     remaining = len(data) - start
     if start < 0 or needed > remaining:
         raise FileTruncated(

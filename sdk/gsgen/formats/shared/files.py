@@ -18,7 +18,7 @@ FilePath = str | os.PathLike[str]
 
 @contextmanager
 def naming(path: FilePath) -> Iterator[None]:
-    """Set ``path`` in every FormatError of the body that has no path yet."""
+    """Set the path of every FormatError of the ``with`` block that has no path yet."""
     try:
         yield
     except FormatError as error:
@@ -62,7 +62,7 @@ def mapped(path: FilePath) -> Iterator[mmap.mmap]:
 
 @contextmanager
 def replacing(path: FilePath) -> Iterator[BinaryIO]:
-    """Write a new file, and move it to ``path`` when the body ends.
+    """Open a new file that replaces ``path`` when the ``with`` block ends.
 
     Another process that reads ``path`` sees the old file or the new one, never a part. If the
     body raises, ``path`` is unchanged.
@@ -87,7 +87,7 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
 
 
 def make_folder(path: FilePath) -> None:
-    """Create the folder of ``path``, and the folders above it.
+    """Create the parent folder of ``path``, and the folders above it.
 
     Raises:
         FileUnwritable: The folder cannot be created.

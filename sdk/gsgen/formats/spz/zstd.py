@@ -1,4 +1,4 @@
-"""Packs and unpacks zstd with the package ``zstandard``; Python before 3.14 lacks it."""
+"""Packs and unpacks zstd data with the package ``zstandard``; Python before 3.14 lacks zstd."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ def _package() -> Any:
 
 
 def unpack(data: bytes, size: int, where: str) -> bytearray:
-    """Unpack ``data`` to ``size`` bytes, with a bounded use of memory.
+    """Unpack zstd data to ``size`` bytes, within a memory limit.
 
     Raises:
         ArchiveDamaged: The data cannot be unpacked, or have another size.
@@ -50,7 +50,7 @@ def unpack(data: bytes, size: int, where: str) -> bytearray:
 
 
 def pack(data: bytes) -> bytes:
-    """Return ``data`` compressed, with its size and a checksum.
+    """Return ``data`` compressed as a zstd frame, with its size and a checksum.
 
     Raises:
         NotSupported: The package zstandard is missing.

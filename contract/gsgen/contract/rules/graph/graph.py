@@ -1,4 +1,4 @@
-"""GG rules of the graph: it is well formed, portable and deterministic."""
+"""Rules of the graph (GG): it is well formed, portable and deterministic."""
 
 from collections.abc import Iterator
 
@@ -20,7 +20,7 @@ def _node_location(node: NodeProto) -> str:
     "GG001", "opset-supported", Severity.ERROR, over="model", fixture="ancient_opset", kinds=KINDS
 )
 def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
-    """Operator set and IR version are ones that the target runs.
+    """The target runs the model's operator set and IR version.
 
     Why:
         A runtime refuses an operator set it does not know, and old sets lack operators and types
@@ -52,7 +52,7 @@ def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def standard_operators(subject: InspectedModel) -> Iterator[Violation]:
-    """Every operator is a standard one, or a function that the model defines.
+    """Every operator is a standard ONNX operator, or a function that the model defines.
 
     Why:
         No runtime but the author's has kernels for operators of another domain.
@@ -142,7 +142,7 @@ def no_float64(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GG019",),
 )
 def shapes_agree(subject: InspectedModel) -> Iterator[Violation]:
-    """Declared shapes and dtypes agree with what the operators compute.
+    """Declared shapes and dtypes agree with the shapes and dtypes that operators compute.
 
     Why:
         Readers allocate buffers from declared shapes; ONNX Runtime computes the real ones, and
@@ -168,7 +168,7 @@ def shapes_agree(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GG019",),
 )
 def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]:
-    """No MatMul multiplies the result of a Transpose with a vector of one axis.
+    """No MatMul multiplies the result of a Transpose by a vector of rank 1.
 
     Why:
         ONNX Runtime's optimiser (seen in 1.31) fuses the Transpose into the product, and then

@@ -1,4 +1,4 @@
-"""The engine ``processes``: worker processes of this machine."""
+"""The build engine ``processes``: runs tasks in worker processes of this machine."""
 
 __all__ = ["Processes"]
 
@@ -27,7 +27,7 @@ def _start_worker() -> None:
 
 @final
 class Processes(Engine):
-    """Worker processes of this machine; a killed worker is replaced and its tasks run again.
+    """Runs tasks in worker processes; a killed worker is replaced and its tasks run again.
 
     Args:
         workers: Processes.
@@ -63,7 +63,7 @@ class Processes(Engine):
     def run(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
     ) -> Iterator[tuple[int, _Result]]:
-        """Run the tasks on all processes, in order of their index as far as possible."""
+        """Run build tasks on all worker processes, in order of their index as far as possible."""
         pending = list(range(len(tasks)))[::-1]
         failures = 0
         running: dict[Future[_Result], int] = {}

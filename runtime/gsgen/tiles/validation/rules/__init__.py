@@ -1,4 +1,4 @@
-"""The rules GT: what must hold for a tileset of splats?
+"""Which rules (GT) must hold for a tileset of splats?
 
 Registered under the entry point group ``gsgen.file_rules``.
 """

@@ -1,4 +1,4 @@
-"""GT, neural tiles: the generator that a tile holds."""
+"""Rules (GT) of neural tiles: the generator that a tile holds."""
 
 import hashlib
 import tempfile
@@ -77,7 +77,7 @@ def _check(inspected: InspectedTileset, tile: Tile, neural: NeuralTile) -> Itera
 
 
 def _check_model(path: Path, tile: Tile, neural: NeuralTile, location: str) -> Iterator[Violation]:
-    """Check the model against the contract, whose probes test its bounds."""
+    """Check a neural tile's generator against the contract, whose probes test its bounds."""
     from gsgen.contract import Level, Settings, open_model, validate
 
     settings = Settings(level=Level.VALUES, severities={_BOUNDS_HOLD: Severity.ERROR})
