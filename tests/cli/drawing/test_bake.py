@@ -62,7 +62,7 @@ def test_poses_are_frames(models: Path, tmp_path: Path) -> None:
         ("drift", ("-o", "a.ply", "--time", "7"), 2, ("--time", "7", "expected 0 to 1")),
         ("drift", ("-o", "a.ply", "--time", "0:1"), 2, ("--time", "FIRST:LAST:COUNT")),
         ("avatar", ("-o", "a.ply", "--time", "0"), 2, ("--time", "no time input")),
-        ("drift", ("-o", "a.sog"), 2, ("a.sog", "can only be read", ".ply")),
+        ("drift", ("-o", "a.ksplat"), 2, ("a.ksplat", "can only be read", ".ply")),
         ("drift", ("-o", "a.ply", "--time", "0:1:2"), 2, ("a.ply", "a_%04d.ply")),
         ("drift", ("-o", "a.ply", "--input", "tme=0"), 2, ("tme", "time")),
         ("drift", ("-o", "a.ply", "--input", "time=0..1"), 2, ("FIRST:LAST:COUNT",)),

@@ -59,7 +59,11 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (("a.ksplat",), 2, "a.ksplat: KSPLAT can only be read, expected a format that can be written: .ply, "),
+        (
+            ("a.ksplat",),
+            2,
+            "a.ksplat: KSPLAT can only be read, expected a format that can be written: .ply, ",
+        ),
         (("a",), 2, "a: has the suffix (none), expected a format"),
         (("a", "--format", "splt"), 2, "--format: unknown format 'splt'\n  Did you mean 'splat'?"),
         (
