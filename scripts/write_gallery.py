@@ -42,7 +42,7 @@ _BLOCK = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Code of the page, and what comes of it.
+    """A code block of the gallery page, with its result.
 
     Attributes:
         name: Of the picture or the script.
@@ -80,7 +80,7 @@ def blocks(text: str) -> list[Block]:
 
 
 def digests(page: list[Block]) -> dict[str, str]:
-    """Return the digest of each picture: of its own block, and of all before it that are none."""
+    """Return the digest of each picture's block and of all earlier blocks without pictures."""
     page_digests, before = {}, hashlib.sha256()
     for block in page:
         digest = hashlib.sha256(before.digest() + repr(block).encode())
@@ -113,7 +113,7 @@ def run(block: Block, folder: Path) -> None:
 
 
 def assembled(block: Block, folder: Path) -> Image.Image:
-    """Return the parts of a picture, row by row on white."""
+    """Compose the parts of a picture, row by row on white."""
     parts = []
     for part in block.parts:
         with Image.open(folder / part) as picture:

@@ -48,7 +48,7 @@ def read_colmap(folder: Path) -> CameraFile:
         lenses = colmap_text.lenses(folder / "cameras.txt")
         images = colmap_text.images(folder / "images.txt")
     if not images:
-        raise ConfigInvalid("has no images", where=str(folder))
+        raise ConfigInvalid("has no images, expected at least one", where=str(folder))
     ordered = sorted(images, key=lambda image: image.name)
     cameras = tuple(NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered)
     used = {number: lenses[number] for number in sorted({image.lens for image in images})}

@@ -106,7 +106,9 @@ def _from_json(content: bytes, location: Path) -> CameraFile:
     if is_own(document):
         return read_own(document, str(location))
     if document in ([], {}):
-        raise ConfigInvalid("has no cameras", where=str(location), hint=_KNOWN)
+        raise ConfigInvalid(
+            "has no cameras, expected at least one", where=str(location), hint=_KNOWN
+        )
     first = document[0] if isinstance(document, list) else document
     keys = ", ".join(map(str, list(first)[:8])) if isinstance(first, dict) else repr(first)[:60]
     raise ConfigInvalid(

@@ -24,7 +24,7 @@ def read_own(document: object, path: str) -> CameraFile:
     """
     entries = document if isinstance(document, list) else [document]
     if not entries:
-        raise ConfigInvalid("has no cameras", where=path)
+        raise ConfigInvalid("has no cameras, expected at least one", where=path)
     cameras = tuple(_camera(entry, number, path) for number, entry in enumerate(entries))
     return CameraFile(path, "cameras of gsgen", cameras)
 

@@ -38,7 +38,7 @@ def read_path(document: Mapping[str, Any], path: str) -> CameraFile:
             f"camera_type is {kind!r}, expected {_STRAIGHT} or {_PANORAMA}", where=path
         )
     if not document["camera_path"]:
-        raise ConfigInvalid("has no frames", where=path)
+        raise ConfigInvalid("has no frames, expected at least one", where=path)
     width, height = (side(document, "render_width", path), side(document, "render_height", path))
     cameras = tuple(
         _camera(frame, index, path, (width, height), kind)

@@ -38,7 +38,7 @@ def read_transforms(document: Mapping[str, Any], path: str) -> CameraFile:
     """
     frames = document["frames"]
     if not frames:
-        raise ConfigInvalid("has no frames", where=path)
+        raise ConfigInvalid("has no frames, expected at least one", where=path)
     cameras: list[NamedCamera] = []
     bent = 0
     size: tuple[int, int] | None = None

@@ -55,7 +55,8 @@ class PostProcessor:
         image = named(self.manifest.inputs, "image")
         graph_inputs = {value.name for value in facts.file.proto.graph.input}
         if not image or image[0].name not in graph_inputs:
-            raise SceneInvalid("declares no image input", where=self.name)
+            message = "declares no image input, expected an input of role image"
+            raise SceneInvalid(message, where=self.name)
         self._image = image[0].name
         self._shapes = {spec.name: spec for spec in _specs(facts)}
         self._known = facts.sizes(self._sizes)

@@ -112,7 +112,8 @@ class GeneratorWorker:
         if self.session.closed:
             from gsgen.sdk.binding import SessionClosed
 
-            raise SessionClosed("the session was closed", where=str(self.session.path))
+            message = "the session was closed, expected an open one"
+            raise SessionClosed(message, where=str(self.session.path))
         self._stop.reset()
         return self._worker.submit(self._compute, camera, values)
 
@@ -165,7 +166,9 @@ def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
             hint = "Run post-process models on the drawn frames with `--post`."
         raise SceneInvalid(f"{kind}, expected a gaussian-generator", where=str(path), hint=hint)
     if manifest.outputs.gaussians is None or manifest.outputs.appearance is None:
-        raise SceneInvalid("declares no gaussians output or no appearance output", where=str(path))
+        raise SceneInvalid(
+            "declares no gaussians output or no appearance output, expected both", where=str(path)
+        )
     return manifest
 
 
