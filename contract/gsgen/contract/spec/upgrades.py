@@ -39,6 +39,8 @@ def upgrade(
         major, minor = document["contract"].split(".")
         reached = (int(major), int(minor))
         if reached <= version:
-            raise ValueError(f"the upgrade from {version} led to {reached}")
+            raise ValueError(
+                f"the upgrade from {version} led to {reached}: expected a newer version"
+            )
         version = reached
     return document

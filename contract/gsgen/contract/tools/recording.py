@@ -44,9 +44,6 @@ def refuse_existing(existing: Sequence[Path], folder: Path, alternative: str) ->
         existing: Files of the earlier recording.
         folder: Their folder.
         alternative: The option to change instead of using --force, for the hint.
-
-    Raises:
-        ConfigInvalid: ``existing`` is not empty.
     """
     if existing:
         message = f"holds {existing[0].name} already"
@@ -113,9 +110,6 @@ def write_recorded_copy(file: ModelFile, changed: Mapping[str, Any], model: Path
 
     Yields:
         A temporary folder; its files are moved next to the copy if the block succeeds.
-
-    Raises:
-        ConfigInvalid: The copy cannot be written.
     """
     document = json.loads(file.manifest_text or "{}") | dict(changed)
     try:

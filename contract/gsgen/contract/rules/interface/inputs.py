@@ -221,7 +221,11 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
         used |= graph.ancestors(tensor.name)[0]
     for entry in subject.manifest.inputs if subject.manifest else ():
         if entry.name not in used and idle.get(entry.role, True):
-            yield Violation.at(f"input {entry.name}", "leads to no output", "an effect")
+            yield Violation.at(
+                f"input {entry.name}",
+                "no output depends on it",
+                "an input that some output depends on",
+            )
 
 
 @rule(
@@ -244,4 +248,6 @@ def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """
     for value in subject.file.proto.graph.input:
         if value.name in subject.graph.initializers:
-            yield Violation.at(f"input {value.name}", "a weight of that name", "a weight alone")
+            yield Violation.at(
+                f"input {value.name}", "is also a weight", "a weight that is not an input"
+            )
