@@ -60,7 +60,7 @@ class _Reader:
         self._data, self._path, self._at = data, path, 0
 
     def count(self, least: int) -> int:
-        """Read a number of records of at least ``least`` bytes each."""
+        """Read the number of the records that follow, of at least ``least`` bytes each."""
         (count,) = self.take(_COUNT)
         if count > (len(self._data) - self._at) // least:
             raise ConfigInvalid(

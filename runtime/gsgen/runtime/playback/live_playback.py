@@ -81,7 +81,7 @@ class LivePlayback(Playback):
         self._position = float(number % self.frames)
 
     def advance(self, seconds: float) -> None:
-        """Advance the current frame by some seconds, if time is playing."""
+        """Advance the playback by some seconds, unless it is paused."""
         if self.playing:
             self._position = (self._position + seconds * self.fps) % self.frames
 
