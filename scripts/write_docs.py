@@ -53,6 +53,7 @@ PARTS: dict[str, Part] = {
     "kinds": manifest.kinds,
     "fields": manifest.fields,
     "limits": contract.limits,
+    "operator-profiles": contract.operator_profiles,
     "plugin-commands": commands.plugins,
     "plugin-list": commands.plugin_list,
     "plugins": commands.plugin_table,

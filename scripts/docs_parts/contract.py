@@ -17,6 +17,7 @@ from gsgen.contract.spec.manifest import (
     Space,
     Tolerances,
 )
+from gsgen.contract.spec.reader_needs import PROFILES
 from gsgen.contract.spec.roles import ROLES
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.spec.targets import load_target
@@ -50,6 +51,19 @@ def roles(kind: str) -> str:
         if kind in role.kinds
     ]
     return table(("role", "dtype", "shape", "`range`", "`convention`", "meaning"), rows)
+
+
+def operator_profiles() -> str:
+    """Return the operator profiles: operator sets and operators."""
+    rows = [
+        (
+            f"`{profile.name}`",
+            f"{profile.opset[0]} to {profile.opset[1]}",
+            f"{profile.summary} {', '.join(sorted(profile.operators))}",
+        )
+        for profile in PROFILES.values()
+    ]
+    return table(("profile", "operator sets", "operators"), rows)
 
 
 def row(of: str = "gaussians") -> str:

@@ -82,11 +82,7 @@ class Replay:
 
 
 def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
-    """Return the inspected model and its planned runs; the manifest must be readable.
-
-    Raises:
-        ModelUnreadable: The file is not an ONNX model at all.
-    """
+    """Return the inspected model and its planned runs; the manifest must be readable."""
     subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
     return subject, make_plan(subject, level, settings.seed)
@@ -122,9 +118,6 @@ def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
 
     The first run's arrays are called ``input.NAME`` and ``output.NAME``, the second's
     ``2.input.NAME`` and so on; ``probe`` and ``2.probe`` are their labels.
-
-    Raises:
-        GsgenError: The file cannot be written.
     """
     arrays: Arrays = {}
     for number, (probe, outputs) in enumerate(runs, start=1):

@@ -110,7 +110,7 @@ def _convert_points(
 ) -> Conversion:
     if codec.name != "ply":
         raise NotSupported(
-            "holds coloured points, which have no size, rotation or opacity",
+            "the file holds coloured points, which have no size, rotation or opacity",
             expected=f"splats, which {codec.title} needs",
             hint="write a PLY file; `gsgen export static` makes a generator of them",
             path=str(source),

@@ -324,11 +324,10 @@ class _Job:
 
 def _camera_inputs(source: GeneratorSource) -> list[str]:
     """Return the camera inputs that the manifest does not declare irrelevant."""
-    depends_on = source.manifest.depends_on
     return [
         spec.name
         for spec in source.inputs
-        if spec.role in _CAMERA_ROLES and depends_on.get(spec.role, True)
+        if spec.role in _CAMERA_ROLES and source.manifest.depends(spec)
     ]
 
 

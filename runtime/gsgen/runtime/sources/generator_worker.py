@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from gsgen.contract.spec.manifest import GeneratorManifest
+from gsgen.contract.spec.reader_needs import REGISTERED
 from gsgen.runtime.errors import SceneInvalid
 
 if TYPE_CHECKING:
@@ -93,9 +94,7 @@ class GeneratorWorker:
         if outputs.cells is not None:
             self._names.append(outputs.cells.name)
         self._unused_inputs = frozenset(
-            spec.name
-            for spec in self.manifest.inputs
-            if not self.manifest.depends_on.get(spec.role, True)
+            spec.name for spec in self.manifest.inputs if not self.manifest.depends(spec)
         )
         self._forget()
 
@@ -164,6 +163,11 @@ def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
         if manifest and manifest.kind == "post-process":
             hint = "It works on images: `--post` runs it on the drawn frames."
         raise SceneInvalid(f"{kind}, expected a gaussian-generator", where=str(path), hint=hint)
+    unknown = [name for name in manifest.extensions_required if name not in REGISTERED]
+    if unknown:
+        hint = "Ask the author of the model for a copy without them."
+        message = f"requires extensions that this runtime does not know: {', '.join(unknown)}"
+        raise SceneInvalid(message, where=str(path), hint=hint)
     if manifest.outputs.gaussians is None or manifest.outputs.appearance is None:
         raise SceneInvalid("declares no gaussians output or no appearance output", where=str(path))
     return manifest

@@ -20,10 +20,6 @@ def open_store(source: str | Path) -> tuple[Store, str]:
     Args:
         source: ``tileset.json``, the folder that holds one, a ``.3tz`` archive, or an address
             (http, https) of a ``tileset.json``.
-
-    Raises:
-        TilesetInvalid: The archive cannot be read.
-        ConfigInvalid: An address is given and urllib3 is not installed.
     """
     text = str(source)
     for scheme in ("http", "https"):

@@ -1,18 +1,18 @@
-"""The protocol of file stores: read a tileset's files by path, within size limits."""
+"""The base class of file stores, which read a tileset's files by path within size limits."""
 
 __all__ = ["MAX_FILE", "Store", "check_range", "missing", "too_large"]
 
-from types import TracebackType
-from typing import Final, Protocol, Self
+from abc import ABC, abstractmethod
+from typing import Final, Self
 
 from gsgen.tiles.errors import ContentMissing, Fault, TilesetInvalid
 
 MAX_FILE: Final = 1 << 30
-"""How many bytes of one file are read, unless the caller says less."""
+"""The most bytes that are read of one file, unless the caller sets a lower limit."""
 
 
-class Store(Protocol):
-    """Protocol: reads files by their paths relative to a folder, from many threads.
+class Store(ABC):
+    """Base class of file stores: reads files by their paths relative to a folder, from many threads.
 
     Attributes:
         name: The folder, archive or address, for messages.
@@ -20,6 +20,7 @@ class Store(Protocol):
 
     name: str
 
+    @abstractmethod
     def size(self, path: str) -> int:
         """Return the size of a file in bytes.
 
@@ -27,8 +28,8 @@ class Store(Protocol):
             ContentMissing: There is no such file.
             StoreUnavailable: The store cannot be read now.
         """
-        ...
 
+    @abstractmethod
     def read(
         self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
     ) -> bytes:
@@ -45,20 +46,15 @@ class Store(Protocol):
             StoreUnavailable: The store cannot be read now.
             TilesetInvalid: The file is larger than ``limit``, or damaged.
         """
-        ...
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  # a store of plain files has nothing to close
         """Close open files and connections of the store."""
-        ...
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 def missing(store: str, path: str, reason: str = "the file does not exist") -> ContentMissing:
