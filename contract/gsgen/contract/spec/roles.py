@@ -1,6 +1,6 @@
 """Input roles: what a frame input means, and the shape and dtype that this fixes."""
 
-__all__ = ["ROLES", "Role", "Shape", "matching_shape", "role"]
+__all__ = ["ROLES", "STATE_SIZES", "Role", "Shape", "matching_shape", "role"]
 
 from dataclasses import dataclass
 
@@ -13,6 +13,9 @@ GENERATOR = "gaussian-generator"
 POST_PROCESS = "post-process"
 TRAJECTORY = "trajectory-predictor"
 KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
+
+STATE_SIZES = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
+"""Numbers in a camera state by its representation: the centre, then the rotation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
