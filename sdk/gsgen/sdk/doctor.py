@@ -11,7 +11,7 @@ _LIVE = "level live"
 
 
 def checks() -> Iterator[Check]:
-    """Yield the state of the packages for exporting, and of those for running models in WebGPU."""
+    """Yield the state of the Python packages for exporting, and of those for running in WebGPU."""
     remedy = "pip install 'gsgen[sdk]'"
     for name in ("torch", "onnxscript", "onnx-ir"):
         yield check_package(name, remedy, purpose="export from torch")
@@ -21,7 +21,7 @@ def checks() -> Iterator[Check]:
 
 
 def _adapter() -> Check:
-    """Run the smallest model in ONNX Runtime's WebGPU provider, in a child process."""
+    """Run a minimal model in ONNX Runtime's WebGPU provider, in a child process."""
     from gsgen.sdk.live.level import survey
 
     try:

@@ -51,9 +51,9 @@ def test_a_full_memory_says_what_wanted_how_much(command: str) -> None:
         ran = gsgen_here(*DRAWING[command])
     assert ran.code == 2, ran.err
     # Rows have 40 bytes, their 27 numbers 112; packed, and in float16, 32 and 64.
-    assert f"{ROWS:,} Gaussians take {ROWS * (40 + 112):,} bytes of it" in ran.err
+    assert f"{ROWS:,} Gaussians take {ROWS * (40 + 112):,} bytes" in ran.err
     assert f"With `--compact` (`compact=True`) they take {ROWS * (32 + 64):,}." in ran.err
-    assert "needs 336,000 bytes, and the memory of" in ran.err
+    assert "needs 336,000 bytes, but the memory of" in ran.err
     assert "gsgen: appearance: " in ran.err
     assert "--sh-degree 0" in ran.err
     assert not list(Path().glob("out.*"))

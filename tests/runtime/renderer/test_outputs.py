@@ -84,7 +84,7 @@ def test_ids_name_the_set_and_the_row(renderer: Renderer) -> None:
     frame = renderer.render(scene, camera(), outputs=("depth",))
     assert scene.locate(int(frame.ids[23, 30])) == (1, 0)
     assert frame.median_depth[23, 30] == pytest.approx(2)
-    with pytest.raises(IndexError, match="Gaussian 31 of 31"):
+    with pytest.raises(IndexError, match="Gaussian 31 is not in the scene: expected 0 to 30"):
         scene.locate(31)
 
 

@@ -190,7 +190,7 @@ def _columns(renderer: Renderer) -> int:
         ({"depth_range": 0.0}, "numbers above 0"),
         ({"depth_range": float("nan")}, "numbers above 0"),
         ({"divisor": 0.0}, "numbers above 0"),
-        ({"background": -0.1}, "weighs the background -0.1"),
+        ({"background": -0.1}, "has the background weight -0.1"),
     ],
 )
 def test_weights_that_are_none(change: dict[str, float], message: str) -> None:
@@ -200,7 +200,7 @@ def test_weights_that_are_none(change: dict[str, float], message: str) -> None:
 
 def test_cells_that_do_not_fit() -> None:
     data = celled(4)
-    with pytest.raises(SceneInvalid, match="have no cells"):
+    with pytest.raises(SceneInvalid, match=r"needs cells .* but the splat data has none"):
         summed(SplatData(data.rows, data.appearance, "rgb"))
     for wrong in (data.cells[:3], data.cells[:, :9], data.cells.astype(np.float64)):
         with pytest.raises(SceneInvalid, match=r"cells: .* expected float16 or float32"):

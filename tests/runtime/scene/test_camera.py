@@ -101,7 +101,7 @@ def test_missing_fields_and_other_json_are_named() -> None:
         Camera.from_json("[1]")
     with pytest.raises(SceneInvalid, match="is not valid JSON"):
         Camera.from_json("{")
-    with pytest.raises(SceneInvalid, match="which is not a direction"):
+    with pytest.raises(SceneInvalid, match="expected two different points"):
         Camera.look_at((1, 1, 1), (1, 1, 1))
     with pytest.raises(SceneInvalid, match=r"camera\.fov_y: is 180"):
         Camera.look_at((1, 1, 1), (0, 1, 1), fov_y=180)

@@ -1,4 +1,4 @@
-"""Input roles: what a frame input means, and the shape and dtype that this fixes."""
+"""Input roles: the meaning of a frame input, which fixes its shape and dtype."""
 
 __all__ = ["ROLES", "STATE_SIZES", "Role", "Shape", "matching_shape", "role"]
 
@@ -20,7 +20,7 @@ STATE_SIZES = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Role:
-    """The meaning of one kind of input.
+    """The meaning, shapes and dtype of one kind of frame input, such as ``view`` or ``time``.
 
     Attributes:
         name: The word the manifest uses.
@@ -166,7 +166,7 @@ ROLES: dict[str, Role] = {
 
 
 def role(name: str) -> Role:
-    """Return the role called ``name``.
+    """Return the input role called ``name``.
 
     Raises:
         UnknownName: No role has that name; the message names the nearest one.
@@ -177,7 +177,7 @@ def role(name: str) -> Role:
 
 
 def matching_shape(entry: Role, dims: Shape) -> Shape | None:
-    """Return the shape of ``entry`` that ``dims`` fits, or None.
+    """Return the shape of the role ``entry`` that ``dims`` fits, or None.
 
     A named size fits any positive number; ``*`` alone fits any shape.
     """

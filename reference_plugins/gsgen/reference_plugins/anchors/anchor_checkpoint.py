@@ -53,26 +53,19 @@ _CHANNELS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorCloud:
-    """N anchors, each of which decodes to K Gaussians.
+    """A point cloud of N anchors, each of which decodes to K Gaussians."""
 
-    Attributes:
-        position: Centres of the anchors.
-        offset: Offset of each Gaussian, in units of the anchor's first three scales.
-        feature: Feature vectors, which the networks decode.
-        log_scale: Logarithms of the scale of offsets (3) and of the Gaussians' scale (3).
-        rotation: Quaternions (w, x, y, z); only the prefilter uses them.
-        level: Octree level, from 0; absent in Scaffold-GS.
-        extra_level: A learnt shift of the level that belongs to a distance.
-        info: Numbers of the scene in the first rows of a column: voxel size, distance, …
-    """
-
-    position: Float[Tensor, "n 3"]
+    position: Float[Tensor, "n 3"]  # centres of the anchors
+    # offset of each Gaussian, in units of the anchor's first three scales
     offset: Float[Tensor, "n k 3"]
-    feature: Float[Tensor, "n f"]
+    feature: Float[Tensor, "n f"]  # feature vectors, which the networks decode
+    # logarithms of the scale of offsets (3) and of the Gaussians' scale (3)
     log_scale: Float[Tensor, "n 6"]
-    rotation: Float[Tensor, "n 4"]
-    level: Float[Tensor, " n"] | None = None
+    rotation: Float[Tensor, "n 4"]  # quaternions (w, x, y, z); only the prefilter uses them
+    level: Float[Tensor, " n"] | None = None  # octree level, from 0; absent in Scaffold-GS
+    # A learnt shift of the level that belongs to a distance
     extra_level: Float[Tensor, " n"] | None = None
+    # numbers of the scene in the first rows of a column: voxel size, distance, …
     info: Float[Tensor, " n"] | None = None
 
     def __len__(self) -> int:
@@ -80,72 +73,48 @@ class AnchorCloud:
 
     @property
     def per_anchor(self) -> int:
-        """Number K of Gaussians of an anchor."""
+        """The number K of Gaussians that an anchor decodes to."""
         return self.offset.shape[1]
 
     @property
     def width(self) -> int:
-        """Length F of a feature vector."""
+        """The length F of an anchor's feature vector."""
         return self.feature.shape[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mlp:
-    """The weights of two layers with ReLU between them, as (out, in) matrices.
+    """The weights of a network of two layers with ReLU between them, as (out, in) matrices."""
 
-    Attributes:
-        hidden: Weight of the first layer, [F, in].
-        hidden_bias: Bias of the first layer.
-        out: Weight of the second layer, [out, F].
-        out_bias: Bias of the second layer.
-        distance: Whether the distance is one of the inputs.
-    """
-
-    hidden: Float[Tensor, "f i"]
-    hidden_bias: Float[Tensor, " f"]
-    out: Float[Tensor, "o f"]
-    out_bias: Float[Tensor, " o"]
-    distance: bool = False
+    hidden: Float[Tensor, "f i"]  # weight of the first layer, [F, in]
+    hidden_bias: Float[Tensor, " f"]  # bias of the first layer
+    out: Float[Tensor, "o f"]  # weight of the second layer, [out, F]
+    out_bias: Float[Tensor, " o"]  # bias of the second layer
+    distance: bool = False  # whether the distance is one of the inputs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorNets:
-    """The decoding networks of an anchor checkpoint.
+    """The decoding networks of a checkpoint of Scaffold-GS, Octree-GS or Duplex-GS."""
 
-    Attributes:
-        opacity: [feature, direction, (distance), (level)] → K.
-        covariance: Same inputs → 7 K.
-        color: Same inputs and an appearance → 3 K.
-        bank: [direction, …] → 3 weights of the feature bank, if there is one.
-        embedding: Appearance of each training camera, [cameras, D].
-        level: Whether the level is one of the inputs.
-    """
-
-    opacity: Mlp
-    covariance: Mlp
-    color: Mlp
-    bank: Mlp | None = None
+    opacity: Mlp  # [feature, direction, (distance), (level)] → K
+    covariance: Mlp  # same inputs → 7 K
+    color: Mlp  # same inputs and an appearance → 3 K
+    bank: Mlp | None = None  # [direction, …] → 3 weights of the feature bank, if there is one
+    # appearance of each training camera, [cameras, D]
     embedding: Float[Tensor, "cameras d"] | None = None
-    level: bool = False
+    level: bool = False  # whether the level is one of the inputs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorCheckpoint:
-    """The contents of an anchor checkpoint.
+    """The anchors, networks and training options of an anchor checkpoint."""
 
-    Attributes:
-        folder: Folder of the training run.
-        iteration: Number of the iteration.
-        cfg: Options of the training run.
-        cloud: The anchors.
-        nets: The networks.
-    """
-
-    folder: Path
-    iteration: int
-    cfg: CfgArgs
+    folder: Path  # folder of the training run
+    iteration: int  # number of the iteration
+    cfg: CfgArgs  # options of the training run
     cloud: AnchorCloud
-    nets: AnchorNets
+    nets: AnchorNets  # the networks
 
 
 def read_anchors(
@@ -153,13 +122,8 @@ def read_anchors(
 ) -> AnchorCheckpoint:
     """Read a checkpoint of Scaffold-GS or Octree-GS.
 
-    Args:
-        folder: Folder of the training run or of one iteration, or a file in either.
-        iteration: Number of the iteration; the last if absent.
-        octree: The checkpoint is of Octree-GS: anchors have levels.
-
-    Raises:
-        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
+    ``folder`` is the training run, one iteration, or a file in either; without ``iteration``, the
+    last is read. With ``octree``, anchors have levels.
     """
     folder, iteration = within_run(folder, iteration)
     number, iteration_folder = find_iteration(folder, iteration)
@@ -178,11 +142,7 @@ def read_anchors(
 
 
 def require_sizes(cfg: CfgArgs, cloud: AnchorCloud, ply: Path) -> None:
-    """Raise if the anchors have other sizes than the training options.
-
-    Raises:
-        CheckpointInvalid: The PLY and ``cfg_args`` are from different runs.
-    """
+    """Raise if sizes of the anchors differ from those in the training options."""
     for option, actual in (("n_offsets", cloud.per_anchor), ("feat_dim", cloud.width)):
         if cfg.integer(option, actual) != actual:
             message = f"{option} is {cfg.values[option]}, but {ply.name} has {actual}"
@@ -217,14 +177,14 @@ def _read_cloud(path: Path, *, octree: bool) -> AnchorCloud:
 
 
 def numbered(pattern: re.Pattern[str], names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the matching names in the order of their numbers; files may sort them as text."""
+    """Return the column names with a prefix, sorted by their numbers instead of as text."""
     matches = [(int(match[1]), name) for name in names if (match := pattern.fullmatch(name))]
     return tuple(name for _, name in sorted(matches))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Sizes:
-    """Sizes that determine the shapes of the networks."""
+    """Sizes that determine the shapes of the decoding networks of anchors."""
 
     per_anchor: int
     width: int
@@ -238,14 +198,7 @@ def read_nets(
 ) -> AnchorNets:
     """Read the networks of an anchor checkpoint.
 
-    Args:
-        iteration_folder: The folder of the iteration.
-        cfg: Options of the training run.
-        cloud: The anchors, whose sizes determine the shapes of the networks.
-        octree: The level may be an input of the networks.
-
-    Raises:
-        CheckpointInvalid: A network is missing, or its shapes do not fit the anchors.
+    ``cloud`` determines the shapes of the networks; with ``octree``, the level may be an input.
     """
     states = _states(iteration_folder)
     path, state = states.get("embedding", (iteration_folder, {}))
@@ -283,7 +236,7 @@ States = Mapping[str, tuple[Path, Mapping[str, Any]]]
 
 
 def _states(iteration_folder: Path) -> States:
-    """Read the state dict of each network, from one file or from one file each."""
+    """Read the state dict of each network of an anchor checkpoint, from one file or several."""
     for united in (
         iteration_folder / name for name in _UNITED if (iteration_folder / name).is_file()
     ):
@@ -331,7 +284,7 @@ def _has_bank(states: States, iteration_folder: Path, cfg: CfgArgs) -> bool:
 
 
 def _bank(states: States, iteration_folder: Path, sizes: _Sizes) -> Mlp:
-    """Read the feature bank; its inputs are direction and distance, in Octree-GS (level)."""
+    """Read the feature bank network; inputs are direction and distance, in Octree-GS also level."""
     path, state = states["bank"]
     if sizes.width % 4:
         message = f"feat_dim is {sizes.width}, expected a multiple of 4 for a feature bank"
@@ -383,12 +336,7 @@ def describe_anchors(checkpoint: AnchorCheckpoint) -> str:
 def require_appearance(
     checkpoint: AnchorCheckpoint, appearance: int | None, option: str
 ) -> int | None:
-    """Return ``appearance``, the number of a training camera, if the checkpoint has it.
-
-    Raises:
-        NotInCheckpoint: The checkpoint has fewer appearances, or none; the error names
-            ``option``.
-    """
+    """Return ``appearance``, the number of a training camera, if the checkpoint has it."""
     embedding = checkpoint.nets.embedding
     if appearance is None:
         return None

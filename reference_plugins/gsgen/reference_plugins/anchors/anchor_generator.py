@@ -24,35 +24,26 @@ MIN_SQUARED_DISTANCE = 1e-12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decoding:
-    """The anchors that a frame decodes, with their decoded values.
+    """The anchors that are decoded for a frame, with their decoded values."""
 
-    Attributes:
-        camera: World→camera matrix in column order.
-        views: Direction and distance of each anchor.
-        anchor: Centres of the anchors.
-        position: Centres of the Gaussians, as x y z triples side by side.
-        decoded: Outputs of the networks.
-        visible: Visible share of each anchor, 0 to 1; 1 for all if absent.
-        rows: Row numbers of the anchors; all in order if absent.
-    """
-
-    camera: Float[Tensor, "4 4"]
-    views: AnchorViews
-    anchor: Float[Tensor, "n 3"]
-    position: Float[Tensor, "n k3"]
-    decoded: Decoded
+    camera: Float[Tensor, "4 4"]  # World→camera matrix in column order
+    views: AnchorViews  # direction and distance of each anchor
+    anchor: Float[Tensor, "n 3"]  # centres of the anchors
+    position: Float[Tensor, "n k3"]  # centres of the Gaussians, as x y z triples side by side
+    decoded: Decoded  # outputs of the networks
+    # visible share of each anchor, 0 to 1; 1 for all if absent
     visible: Float[Tensor, "n 1"] | None = None
-    rows: Int[Tensor, " n"] | None = None
+    rows: Int[Tensor, " n"] | None = None  # row numbers of the anchors; all in order if absent
 
     def of(self, table: Tensor) -> Tensor:
-        """Return the rows of ``table`` for the decoded anchors."""
+        """Return the rows of ``table`` that belong to the decoded anchors."""
         if self.rows is None:
             return table
         return torch.index_select(table, 0, self.rows)
 
 
 class _Offsets(nn.Module):
-    """Computes the centres of Gaussians from offsets in units of the anchor's scale."""
+    """Computes the centres of Gaussians from offsets in units of their anchor's scale."""
 
     offset: Tensor
     reach: Tensor
@@ -92,17 +83,6 @@ class AnchorGenerator(GaussianGenerator):
         appearance: int | None = None,
         selection: Selection = Selection(),  # noqa: B008
     ) -> None:
-        """Precompute every tensor that does not depend on the camera.
-
-        Args:
-            cloud: The anchors.
-            nets: Their networks.
-            appearance: The only appearance to keep; an input selects one if absent.
-            selection: Culling, and the limit on decoded anchors.
-
-        Raises:
-            GsgenError: The number of decoded anchors is limited, but no anchor is ever hidden.
-        """
         super().__init__()
         self.per_anchor = cloud.per_anchor
         self.heads = AnchorHeads(cloud, nets, appearance)
@@ -110,6 +90,7 @@ class AnchorGenerator(GaussianGenerator):
         choices = self.heads.appearances
         declared += (inputs.appearance_id(choices),) if choices else ()
         self.inputs = (inputs.view(), *declared)
+        self.smaller = ("--cull frustum --max-anchors N",)
         self.max_anchors = selection.anchors
         if self.max_anchors is not None and self.cull is None and not self.hides_anchors:
             message = f"at most {self.max_anchors} anchors, but no culling selects them"
@@ -168,7 +149,7 @@ class AnchorGenerator(GaussianGenerator):
         )
 
     def placements(self) -> tuple[Tensor, ...]:
-        """Return the results of :meth:`placement_module` for all anchors."""
+        """Return the centres of Gaussians, and other results of placement, for all anchors."""
         tensors: tuple[Tensor, ...] = self.placement(self.anchor, self.scale)
         return tensors
 
@@ -181,7 +162,7 @@ class AnchorGenerator(GaussianGenerator):
     def renderer_opacity(
         self, opacity: Float[Tensor, "n k"], frame: Decoding
     ) -> Float[Tensor, "n k"]:
-        """Return the opacity for the renderer, given that of the network."""
+        """Convert the opacity of the network to that for the renderer."""
         return opacity
 
     def cells(self, frame: Decoding) -> Cells | None:
@@ -199,7 +180,7 @@ class AnchorGenerator(GaussianGenerator):
 
     @abstractmethod
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"] | None:
-        """Return the visible share of each anchor from ``centre``, 0 to 1; None for all of 1."""
+        """Return each anchor's visible share from ``centre``, 0 to 1; None if all are 1."""
 
 
 def _views(

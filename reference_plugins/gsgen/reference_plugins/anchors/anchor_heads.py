@@ -21,38 +21,26 @@ _COVARIANCE = 7
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """The outputs of the networks for N anchors with K Gaussians each.
+    """The attributes that networks decoded for N anchors with K Gaussians each."""
 
-    Attributes:
-        opacity: tanh of the opacity head, [N, K]; Gaussians of at most 0 are invisible.
-        scale: Three factors of the anchor's scale before the sigmoid, [N, K] each.
-        rotation: w, x, y, z, not normalised, [N, K] each.
-        color: RGB before the sigmoid, [N K, 3].
-    """
-
+    # tanh of the opacity head, [N, K]; Gaussians of at most 0 are invisible
     opacity: Float[Tensor, "n k"]
-    scale: tuple[Tensor, ...]
-    rotation: tuple[Tensor, ...]
-    color: Float[Tensor, "m 3"]
+    scale: tuple[Tensor, ...]  # three factors of the anchor's scale before the sigmoid, [N, K] each
+    rotation: tuple[Tensor, ...]  # w, x, y, z, not normalised, [N, K] each
+    color: Float[Tensor, "m 3"]  # RGB before the sigmoid, [N K, 3]
 
 
 @dataclass(frozen=True, slots=True)
 class AnchorViews:
-    """Direction and distance of N anchors from the camera, and the appearance.
+    """Direction and distance of N anchors from the camera, and the appearance."""
 
-    Attributes:
-        direction: Unit vectors from the camera, [N, 3].
-        distance: Distances from the camera, [N, 1].
-        appearance_id: Number of the appearance, if there are several.
-    """
-
-    direction: Float[Tensor, "n 3"]
-    distance: Float[Tensor, "n 1"]
-    appearance_id: Int[Tensor, "1"] | None = None
+    direction: Float[Tensor, "n 3"]  # unit vectors from the camera, [N, 3]
+    distance: Float[Tensor, "n 1"]  # distances from the camera, [N, 1]
+    appearance_id: Int[Tensor, "1"] | None = None  # number of the appearance, if there are several
 
 
 class _Layers(nn.Module):
-    """Two layers with ReLU between them; the second gives its outputs in equal parts.
+    """Two dense layers with ReLU between them; the second returns its outputs in equal parts.
 
     Each part is a product of its own, because columns of one wide product would need copies.
     """
@@ -68,14 +56,14 @@ class _Layers(nn.Module):
         )
 
     def forward(self, inputs: Tensor, bias: Tensor | None = None) -> list[Tensor]:
-        """Apply both layers; ``bias`` replaces that of the first one."""
+        """Apply both dense layers; ``bias`` replaces that of the first layer."""
         first = self.hidden
         hidden = torch.relu(first(inputs) if bias is None else inputs @ first.weight + bias)
         return [out(hidden) for out in self.outs]
 
 
 class AnchorHeads(nn.Module):
-    """Decodes features for the direction and the distance of the camera.
+    """Decodes anchor features to Gaussians for the direction and the distance of the camera.
 
     The published networks concatenate feature, direction, (distance), (level), (appearance). Here
     all heads share one tensor of the first four; a head without one of these inputs has zeros in
@@ -88,13 +76,6 @@ class AnchorHeads(nn.Module):
     appearance_bias: Tensor | None
 
     def __init__(self, cloud: AnchorCloud, nets: AnchorNets, appearance: int | None = None) -> None:
-        """Precompute every tensor that does not depend on the camera.
-
-        Args:
-            cloud: The anchors.
-            nets: Their networks.
-            appearance: The only appearance to keep; all if absent.
-        """
         super().__init__()
         self.per_anchor = cloud.per_anchor
         self.width = cloud.width
@@ -113,7 +94,7 @@ class AnchorHeads(nn.Module):
 
     @property
     def appearances(self) -> int:
-        """Number of selectable appearances; 0 if there is at most one."""
+        """The number of selectable appearances; 0 if there is at most one."""
         appearance_bias = self.appearance_bias
         return (
             0
@@ -133,7 +114,7 @@ class AnchorHeads(nn.Module):
         return _Layers(torch.cat(hidden, dim=1), mlp, self.per_anchor, parts)
 
     def _appearance_bias(self, nets: AnchorNets, appearance: int | None) -> Tensor | None:
-        """Return the first bias of the colour head for each appearance; None if there is none."""
+        """Return the colour network's first bias per appearance; None without appearances."""
         if nets.embedding is None:
             return None
         rows = nets.embedding if appearance is None else nets.embedding[appearance][None]
@@ -141,12 +122,7 @@ class AnchorHeads(nn.Module):
         return rows @ weight.t() + nets.color.hidden_bias
 
     def forward(self, views: AnchorViews, rows: Int[Tensor, " n"] | None = None) -> Decoded:
-        """Decode anchors for one camera.
-
-        Args:
-            views: Direction and distance of each anchor.
-            rows: Row numbers of the anchors; all in order if absent.
-        """
+        """Decode the features of anchors for one camera."""
         feature = self.feature
         levels = [] if self.level is None else [self.level]
         if rows is not None:
@@ -164,7 +140,7 @@ class AnchorHeads(nn.Module):
         return Decoded(torch.tanh(opacity), planes[:3], planes[3:], color.reshape(-1, 3))
 
     def _mixed(self, feature: Tensor, levels: list[Tensor], views: AnchorViews) -> Tensor:
-        """Mix three resolutions of a feature: every fourth number, every second, all.
+        """Mix three resolutions of a feature vector: every fourth number, every second, all.
 
         The coarse ones are repeated (a b a b), not stretched (a a b b).
         """

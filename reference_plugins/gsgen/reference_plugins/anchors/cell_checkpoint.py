@@ -54,45 +54,29 @@ _MIN_BACKGROUND = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Weighting:
-    """How the renderer of Duplex-GS weights Gaussians.
+    """The parameters of Duplex-GS' weighted blending."""
 
-    Attributes:
-        sigma: The depth at which a weight falls to 0.
-        background: Weight of the background: ReLU of the stored number, plus 0.1.
-        grade: Divisor of opacities in the transmittance.
-        depth: Whether weights fall with depth.
-    """
-
-    sigma: float
-    background: float
-    grade: float
-    depth: bool
+    sigma: float  # the depth at which a weight falls to 0
+    background: float  # weight of the background: ReLU of the stored number, plus 0.1
+    grade: float  # divisor of opacities in the transmittance
+    depth: bool  # whether weights fall with depth
 
 
 @dataclass(frozen=True, slots=True)
 class CellCheckpoint:
-    """The contents of a Duplex-GS checkpoint.
+    """The contents of a Duplex-GS checkpoint."""
 
-    Attributes:
-        anchors: The cells as anchors, with the cell's size as both scales.
-        visibility: SH coefficients of each cell's visibility before the sigmoid, [N, K].
-        weighting: Weights of the method's renderer.
-    """
-
-    anchors: AnchorCheckpoint
+    anchors: AnchorCheckpoint  # the cells as anchors, with the cell's size as both scales
+    # SH coefficients of each cell's visibility before the sigmoid, [N, K]
     visibility: Float[Tensor, "n k"]
-    weighting: Weighting
+    weighting: Weighting  # weights of the method's renderer
 
 
 def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
     """Read a checkpoint of Duplex-GS.
 
-    Args:
-        folder: Folder of the training run or of one iteration, or a file in either.
-        iteration: Number of the iteration; the last if absent.
-
-    Raises:
-        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
+    ``folder`` is the training run, one iteration, or a file in either; without ``iteration``, the
+    last is read.
     """
     folder, iteration = within_run(folder, iteration)
     number, iteration_folder = find_iteration(folder, iteration)
@@ -173,7 +157,7 @@ def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> Weighting:
 
 
 def _shortest_decimal(value: float) -> float:
-    """Return the shortest decimal of a float32 number: 0.15, not 0.15000000596."""
+    """Return the shortest decimal that rounds to a float32 number: 0.15, not 0.15000000596."""
     return float(str(np.float32(value)))
 
 

@@ -59,7 +59,7 @@ class _Bounded(nn.Module):
 
 @final
 class DuplexGS(AnchorGenerator):
-    """A generator of N cells with K Gaussians each; row a K + k is Gaussian k of cell a.
+    """Duplex-GS: a generator of N cells with K Gaussians each; row a K + k is Gaussian k of cell a.
 
     The opacity is that of the network or, if ``weighted``, that of the method's renderer: times
     the cell's visibility from the camera, and times 1 − depth / σ.
@@ -77,19 +77,6 @@ class DuplexGS(AnchorGenerator):
         appearance: int | None = None,
         selection: Selection = Selection(),  # noqa: B008
     ) -> None:
-        """Precompute every tensor that does not depend on the camera.
-
-        Args:
-            checkpoint: Cells and networks.
-            levels: Levels of detail.
-            opacity: ``decoded`` by the network, or ``weighted`` as in the method's renderer.
-            blend: ``alpha`` for sorted Gaussians, ``wsr`` for a weighted sum cell by cell.
-            appearance: The only appearance to keep; an input selects one if absent.
-            selection: Culling, and the limit on decoded cells.
-
-        Raises:
-            GsgenError: Weighted opacities with ``wsr``: the renderer would weight them again.
-        """
         if blend == "wsr" and opacity == "weighted":
             message = "a renderer of weighted sums weights opacities itself"
             hint = "Leave out --opacity, or give --blend alpha."
@@ -111,7 +98,7 @@ class DuplexGS(AnchorGenerator):
 
     @property
     def hides_anchors(self) -> bool:
-        """True: a distant camera does not see cells of fine levels."""
+        """Return True: a distant camera does not see cells of fine levels."""
         return True
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
@@ -122,7 +109,7 @@ class DuplexGS(AnchorGenerator):
     def scale_factors(
         self, factors: tuple[Tensor, ...], rows: Int[Tensor, " n"] | None
     ) -> list[Float[Tensor, "n k"]]:
-        """Return the Gaussians' scale factors, limited so that they stay within their cell."""
+        """Return the scale factors of Gaussians, limited so that they stay within their cell."""
         limit = self.placements()[1]
         limit = limit if rows is None else torch.index_select(limit, 0, rows)
         return [torch.minimum(proportion(factor), limit) for factor in factors]
@@ -130,7 +117,7 @@ class DuplexGS(AnchorGenerator):
     def renderer_opacity(
         self, opacity: Float[Tensor, "n k"], frame: Decoding
     ) -> Float[Tensor, "n k"]:
-        """Multiply opacities by visibility and depth weight, if they are to be weighted."""
+        """Multiply opacities by the cell's visibility and depth weight, in the weighted mode."""
         if not self.weighted:
             return opacity
         opacity = opacity * self._visibility(frame)
@@ -152,7 +139,7 @@ class DuplexGS(AnchorGenerator):
         return Cells(frame.anchor, visibility, covariance=stacked(planes))
 
     def _visibility(self, frame: Decoding) -> Float[Tensor, "n 1"]:
-        """Return the visibility of each cell from the camera, 0 to 1."""
+        """Return the visibility of each cell from the camera, from 0 to 1."""
         return torch.sigmoid(_evaluated(frame.of(self.visibility), frame.views.direction))
 
 

@@ -60,7 +60,7 @@ def build(
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
 ) -> "DuplexGS":
-    """Read a checkpoint, report its contents, and return its generator."""
+    """Read a checkpoint of Duplex-GS, report its contents, and return its generator."""
     from gsgen.reference_plugins.anchors.anchor_checkpoint import require_appearance
     from gsgen.reference_plugins.anchors.cell_checkpoint import describe_cells, read_cells
     from gsgen.reference_plugins.anchors.duplex_gs import DuplexGS
@@ -94,12 +94,12 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Whether the point cloud has cells: anchors with a size."""
+    """Return whether a run's point cloud has cells, which are anchors with a size."""
     return "anchor_size_0" in point_columns(iteration)
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a checkpoint of 3,000 cells."""
+    """Write a synthetic Duplex-GS checkpoint of 3,000 cells, and return the export options."""
     from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_duplex
 
     write_duplex(folder, AnchorOptions(anchors=3000, iteration=40_000))

@@ -38,29 +38,17 @@ _NEVER = -1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """The levels of detail of a checkpoint, and the distances where they change.
+    """The levels of detail of an anchor checkpoint, and the distances where they change."""
 
-    Attributes:
-        mode: Rounding of levels, one of ``MODES``.
-        fork: Ratio of the cell sizes of a level and the next finer one.
-        voxel: Edge of a cell of level 0.
-        standard: The distance that belongs to level 0.
-        top: The finest level.
-    """
-
-    mode: str
-    fork: float
-    voxel: float
-    standard: float
-    top: int
+    mode: str  # rounding of levels, one of ``MODES``
+    fork: float  # ratio of the cell sizes of a level and the next finer one
+    voxel: float  # edge of a cell of level 0
+    standard: float  # the distance that belongs to level 0
+    top: int  # the finest level
 
     @classmethod
     def of(cls, checkpoint: AnchorCheckpoint) -> "Levels":
-        """Read the levels of a checkpoint.
-
-        Raises:
-            CheckpointInvalid: A number is outside its range.
-        """
+        """Read the levels of detail of an anchor checkpoint."""
         cloud, cfg = checkpoint.cloud, checkpoint.cfg
         assert cloud.level is not None
         assert cloud.info is not None
@@ -123,13 +111,6 @@ class LevelGate(nn.Module):
     anchor: Tensor
 
     def __init__(self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True) -> None:
-        """Compute the largest distance of each anchor.
-
-        Args:
-            cloud: The anchors, with levels.
-            levels: Levels of detail.
-            half_cell: Measure distances to the middle of an anchor's cell, not to its corner.
-        """
         super().__init__()
         self.per_level = 1 / math.log(levels.fork)
         self.register_buffer("anchor", cloud.position)
@@ -154,7 +135,7 @@ class LevelGate(nn.Module):
 
 @final
 class OctreeGS(AnchorGenerator):
-    """A generator of anchors in levels of detail."""
+    """Octree-GS: a generator of anchors in levels of detail."""
 
     def __init__(
         self,
@@ -165,21 +146,12 @@ class OctreeGS(AnchorGenerator):
         appearance: int | None = None,
         selection: Selection = Selection(),  # noqa: B008
     ) -> None:
-        """Precompute every tensor that does not depend on the camera.
-
-        Args:
-            cloud: The anchors, with levels.
-            nets: Their networks.
-            levels: Levels of detail.
-            appearance: The only appearance to keep; an input selects one if absent.
-            selection: Culling, and the limit on decoded anchors.
-        """
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
         self.gate = LevelGate(cloud, levels)
 
     @property
     def hides_anchors(self) -> bool:
-        """True: a distant camera does not see anchors of fine levels."""
+        """Return True: a distant camera does not see anchors of fine levels."""
         return True
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:

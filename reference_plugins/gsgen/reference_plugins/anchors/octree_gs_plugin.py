@@ -35,7 +35,7 @@ def build(
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
 ) -> "OctreeGS":
-    """Read a checkpoint, report its contents, and return its generator."""
+    """Read a checkpoint of Octree-GS, report its contents, and return its generator."""
     from gsgen.reference_plugins.anchors.anchor_checkpoint import (
         describe_anchors,
         read_anchors,
@@ -59,13 +59,13 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Whether the point cloud has anchors with levels, which are not cells."""
+    """Return whether a run's point cloud has anchors with levels, which are not cells."""
     columns = point_columns(iteration)
     return {"f_offset_0", "level"} <= set(columns) and "anchor_size_0" not in columns
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a checkpoint of 3,000 anchors in five levels."""
+    """Write a synthetic Octree-GS checkpoint of 3,000 anchors, and return the export options."""
     from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_octree
 
     options = AnchorOptions(anchors=3000, iteration=40_000)

@@ -40,7 +40,7 @@ class _Axes(nn.Module):
 
 
 class Prefilter(nn.Module):
-    """Tests every anchor against the image, for a lens centred on the image."""
+    """Tests whether each anchor's ellipsoid is in the image, for a centred principal point."""
 
     takes = ("projection", "viewport")
 
@@ -54,12 +54,10 @@ class Prefilter(nn.Module):
     def forward(
         self, camera: Float[Tensor, "4 4"], proj: Float[Tensor, "4 4"], viewport: Float[Tensor, "2"]
     ) -> Float[Tensor, "n 1"]:
-        """Return 1 for anchors that touch the image and 0 for others.
+        """Return 1 for anchors whose ellipsoid touches the image, and 0 for others.
 
-        Args:
-            camera: World→camera, memory order ``column``.
-            proj: Camera→clip; only the two focal lengths are read.
-            viewport: Width and height of the image in pixels.
+        ``camera`` is world→camera in column order; of ``proj``, camera→clip, only the two focal
+        lengths are read; ``viewport`` is in pixels.
         """
         position = self.anchor @ camera[:3, :3] + camera[3:4, :3]
         depth = position[:, 2:3]

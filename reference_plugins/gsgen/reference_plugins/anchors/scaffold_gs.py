@@ -17,8 +17,8 @@ from gsgen.reference_plugins.anchors.anchor_generator import AnchorGenerator
 
 @final
 class ScaffoldGS(AnchorGenerator):
-    """A generator whose anchors are visible from every camera."""
+    """Scaffold-GS: a generator whose anchors are visible from every camera."""
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> None:
-        """Return None: every anchor is visible."""
+        """Return None: every anchor of Scaffold-GS is visible."""
         return

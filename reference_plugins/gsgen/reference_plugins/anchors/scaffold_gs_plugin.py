@@ -34,7 +34,7 @@ def build(
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
 ) -> "ScaffoldGS":
-    """Read a checkpoint, report its contents, and return its generator."""
+    """Read a checkpoint of Scaffold-GS, report its contents, and return its generator."""
     from gsgen.reference_plugins.anchors.anchor_checkpoint import (
         describe_anchors,
         read_anchors,
@@ -56,13 +56,13 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Whether the point cloud has anchors without levels."""
+    """Return whether a run's point cloud has anchors without levels."""
     columns = point_columns(iteration)
     return "f_offset_0" in columns and not {"level", "anchor_size_0"} & set(columns)
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a checkpoint of 3,000 anchors."""
+    """Write a synthetic Scaffold-GS checkpoint of 3,000 anchors, and return the export options."""
     from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_scaffold
 
     write_scaffold(folder, AnchorOptions(anchors=3000))

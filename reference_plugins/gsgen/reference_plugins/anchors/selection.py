@@ -24,15 +24,12 @@ _EXTENT = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Options that select the decoded anchors.
+    """Options that select which anchors a frame decodes."""
 
-    Attributes:
-        cull: ``none`` keeps anchors out of view; ``frustum`` hides those whose Gaussians cannot
-            reach into the image; ``published`` those that the published renderer skips.
-        anchors: Largest number of visible anchors to decode, in order; all if absent.
-    """
-
+    # ``none`` keeps anchors out of view; ``frustum`` hides those whose Gaussians cannot reach into
+    # the image; ``published`` those that the published renderer skips
     cull: Cull = "none"
+    # largest number of visible anchors to decode, in order; all if absent
     anchors: int | None = None
 
 
@@ -55,7 +52,7 @@ class Frustum(nn.Module):
     def forward(
         self, camera: Float[Tensor, "4 4"], proj: Float[Tensor, "4 4"]
     ) -> Float[Tensor, "n 1"]:
-        """Return 1 for anchors that may be visible and 0 for others."""
+        """Return 1 for anchors whose Gaussians may be in the image, and 0 for others."""
         return frustum_mask(self.anchor, camera, proj, self.reach).reshape(-1, 1)
 
 

@@ -25,33 +25,20 @@ _HUES = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorOptions:
-    """Sizes and options of a synthetic anchor checkpoint.
+    """Sizes and options of a synthetic anchor checkpoint."""
 
-    Attributes:
-        anchors: Number of anchors.
-        per_anchor: Gaussians of an anchor.
-        width: Length of a feature vector, a multiple of 4.
-        bank: Mix features of three resolutions by a feature bank.
-        distance: Whether the distance is an input of the opacity, covariance and colour networks.
-        level: Whether the level is an input of all networks (Octree-GS).
-        cameras: Training cameras, each with an appearance.
-        appearance: Length of an appearance vector; 0 for no appearances.
-        united: Write all networks to one file of state dicts.
-        iteration: Number of the iteration.
-        seed: Seed of all random numbers.
-    """
-
-    anchors: int = 64
-    per_anchor: int = 5
-    width: int = 16
-    bank: bool = False
+    anchors: int = 64  # number of anchors
+    per_anchor: int = 5  # Gaussians of an anchor
+    width: int = 16  # length of a feature vector, a multiple of 4
+    bank: bool = False  # mix features of three resolutions by a feature bank
+    # whether the distance is an input of the opacity, covariance and colour networks
     distance: tuple[bool, bool, bool] = (False, False, False)
-    level: bool = False
-    cameras: int = 0
-    appearance: int = 0
-    united: bool = False
-    iteration: int = 30000
-    seed: int = 0
+    level: bool = False  # whether the level is an input of all networks (Octree-GS)
+    cameras: int = 0  # training cameras, each with an appearance
+    appearance: int = 0  # length of an appearance vector; 0 for no appearances
+    united: bool = False  # write all networks to one file of state dicts
+    iteration: int = 30000  # number of the iteration
+    seed: int = 0  # seed of all random numbers
 
 
 def write_scaffold(folder: Path, options: AnchorOptions = AnchorOptions()) -> Path:
@@ -75,13 +62,8 @@ def write_octree(
 ) -> Path:
     """Write a synthetic checkpoint of Octree-GS, and return ``folder``.
 
-    Args:
-        folder: The folder to write.
-        options: Options of all anchor methods.
-        mode: Rounding of levels: round, floor, ceil or progressive.
-        fork: Ratio of the cell sizes of a level and the next finer one.
-        levels: Number of levels.
-        distance: The distance that belongs to level 0.
+    ``mode`` rounds levels: round, floor, ceil or progressive. ``fork`` is the ratio of the cell
+    sizes of two levels, and ``distance`` belongs to level 0.
     """
     rng = np.random.default_rng(options.seed)
     columns = _positions(options) | _levels(options, levels, rng) | _payload(options, rng)
@@ -103,15 +85,8 @@ def write_duplex(
 ) -> Path:
     """Write a synthetic checkpoint of Duplex-GS, and return ``folder``.
 
-    Args:
-        folder: The folder to write.
-        options: Options of all anchor methods.
-        mode: Rounding of levels: round, floor, ceil or progressive.
-        fork: Ratio of the cell sizes of a level and the next finer one.
-        levels: Number of levels.
-        degree: SH degree of the visibility.
-        sigma: The depth at which weights fall to 0.
-        depth: Whether weights fall with depth.
+    ``mode``, ``fork`` and ``levels`` are as in :func:`write_octree`; ``degree`` is the SH degree of
+    the visibility, and weights fall to 0 at the depth ``sigma`` if ``depth``.
     """
     rng = np.random.default_rng(options.seed)
     n = options.anchors
@@ -223,7 +198,7 @@ def _networks(options: AnchorOptions, *, octree: bool) -> dict[str, nn.Module]:
 
 
 class _Embedding(nn.Module):
-    """Wraps an embedding as the published code does."""
+    """Wraps an embedding of appearances as a module, as the published code does."""
 
     def __init__(self, options: AnchorOptions, generator: torch.Generator) -> None:
         super().__init__()
@@ -246,7 +221,7 @@ def _network(inputs: int, width: int, outputs: int, generator: torch.Generator) 
 
 
 def _shape_head(name: str, head: nn.Sequential, per_anchor: int) -> None:
-    """Make the colour follow the hue in the feature, and raise opacities."""
+    """Set a decoding network so that the colour follows the feature's hue and opacity is high."""
     first, last = head[0], head[2]
     assert isinstance(first, nn.Linear)
     assert isinstance(last, nn.Linear)

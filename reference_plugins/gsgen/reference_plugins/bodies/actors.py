@@ -22,48 +22,33 @@ _FAR = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Actor:
-    """The pose inputs of K bodies in one frame, as tensors.
+    """The pose inputs of K bodies in one frame, as tensors."""
 
-    Attributes:
-        pose: Axis-angles of the joints.
-        turn: Root rotation of each body; None if the root joint's rotation is the only one.
-        shift: Root translation of each body.
-        shape: Shape coefficients, the same for all bodies; None if they were baked.
-        expression: Expression coefficients of each body.
-        frame: Index of a training frame for each body.
-    """
-
-    pose: Float[Tensor, "k j 3"]
+    pose: Float[Tensor, "k j 3"]  # Axis-angles of the joints
+    # root rotation of each body; None if the root joint's rotation is the only one
     turn: Float[Tensor, "k 3 3"] | None
-    shift: Float[Tensor, "k 3"]
+    shift: Float[Tensor, "k 3"]  # root translation of each body
+    # shape coefficients, the same for all bodies; None if they were baked
     shape: Float[Tensor, " s"] | None = None
-    expression: Float[Tensor, "k e"] | None = None
-    frame: tuple[Int[Tensor, "1"], ...] | None = None
+    expression: Float[Tensor, "k e"] | None = None  # expression coefficients of each body
+    frame: tuple[Int[Tensor, "1"], ...] | None = None  # index of a training frame for each body
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActorInputs:
-    """The set of inputs that an avatar declares.
+    """The set of pose inputs that an avatar declares."""
 
-    Attributes:
-        joints: Number of joints in a pose.
-        rotation: Convention of the root rotation input; no such input if None.
-        shape: Number of shape coefficients in the input; 0 for no input.
-        expression: Number of expression coefficients in the input; 0 for no input.
-        frames: Number of training frames; 0 if the avatar does not depend on them.
-        bodies: Number of bodies. Those after the first have their own inputs ``pose_1`` and so
-            on, but share the first body's shape.
-    """
-
-    joints: int
-    rotation: Rotation | None = None
-    shape: int = 0
-    expression: int = 0
-    frames: int = 0
+    joints: int  # number of joints in a pose
+    rotation: Rotation | None = None  # convention of the root rotation input; no such input if None
+    shape: int = 0  # number of shape coefficients in the input; 0 for no input
+    expression: int = 0  # number of expression coefficients in the input; 0 for no input
+    frames: int = 0  # number of training frames; 0 if the avatar does not depend on them
+    # Number of bodies. Those after the first have their own inputs ``pose_1`` and so on, but share
+    # the first body's shape.
     bodies: int = 1
 
     def declared(self) -> tuple[Input, ...]:
-        """Return the inputs as the manifest declares them."""
+        """Return the pose inputs of an avatar as the manifest declares them."""
         input_list = [
             declared for body in range(self.bodies) for declared in self._body_inputs(body)
         ]
@@ -84,7 +69,7 @@ class ActorInputs:
         return body_inputs
 
     def actor_from(self, tensors: Sequence[Tensor]) -> Actor:
-        """Assemble an :class:`Actor` from the tensors of one frame, in the order of :meth:`declared`."""
+        """Assemble an :class:`Actor` from the input tensors of one frame, in declared order."""
         remaining = list(tensors)
         shape = remaining.pop() if self.shape else None
         inputs_per_body = len(remaining) // self.bodies

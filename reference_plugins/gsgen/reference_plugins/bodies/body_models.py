@@ -28,36 +28,27 @@ _HANDS = ("hands_meanl", "hands_meanr")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """A skinned body of V vertices and J joints, in float64.
-
-    Attributes:
-        path: The file.
-        template: Vertices of the rest pose, [V, 3].
-        shape_dirs: Vertex offsets per shape coefficient, [V, 3, S].
-        pose_dirs: Vertex offsets per entry of the joints' R − I without the root, [V, 3, 9(J−1)].
-        weights: Skinning weight of each joint for each vertex, [V, J].
-        regressor: Matrix from vertices to joint positions, [J, V].
-        parents: The parent of each joint; −1 for the root.
-        hand_mean: Mean pose of both hands in SMPL-X, [90], if the file has one.
-    """
+    """A skinned body model of V vertices and J joints, in float64."""
 
     path: Path
-    template: Float[np.ndarray, "v 3"]
-    shape_dirs: Float[np.ndarray, "v 3 s"]
+    template: Float[np.ndarray, "v 3"]  # vertices of the rest pose, [V, 3]
+    shape_dirs: Float[np.ndarray, "v 3 s"]  # vertex offsets per shape coefficient, [V, 3, S]
+    # vertex offsets per entry of the joints' R − I without the root, [V, 3, 9(J−1)]
     pose_dirs: Float[np.ndarray, "v 3 p"]
-    weights: Float[np.ndarray, "v j"]
-    regressor: Float[np.ndarray, "j v"]
-    parents: tuple[int, ...]
+    weights: Float[np.ndarray, "v j"]  # skinning weight of each joint for each vertex, [V, J]
+    regressor: Float[np.ndarray, "j v"]  # matrix from vertices to joint positions, [J, V]
+    parents: tuple[int, ...]  # the parent of each joint; −1 for the root
+    # mean pose of both hands in SMPL-X, [90], if the file has one
     hand_mean: Float[np.ndarray, "90"] | None = None
 
     @property
     def joints(self) -> int:
-        """Number of joints."""
+        """The number of joints of the body model."""
         return len(self.parents)
 
     @property
     def kind(self) -> str:
-        """Name of the body model: SMPL or SMPL-X."""
+        """The name of the body model: SMPL or SMPL-X."""
         return KINDS[self.joints][0]
 
     def describe(self) -> str:
@@ -71,13 +62,8 @@ class Body:
 def required_body(requested: Path | None, candidates: Mapping[str, Path], joints: int) -> Path:
     """Return the path of a body model: the requested file, or else the first existing candidate.
 
-    Args:
-        requested: The user's choice, if any.
-        candidates: Label → path at which the training code looks for the file.
-        joints: Number of joints of the body: 24 or 55.
-
-    Raises:
-        CheckpointInvalid: No file exists; the hint tells where to download it.
+    ``candidates`` maps a label to the path at which the training code looks for the file. The hint
+    of the error tells where to download it.
     """
     for path in (requested,) if requested is not None else candidates.values():
         if path.is_file():
@@ -99,11 +85,7 @@ def required_body(requested: Path | None, candidates: Mapping[str, Path], joints
 
 
 def read_body(path: Path, joints: int) -> Body:
-    """Read a body model of ``joints`` joints from a ``.pkl`` or ``.npz``.
-
-    Raises:
-        CheckpointInvalid: The file is damaged, lacks arrays, or holds another body model.
-    """
+    """Read a body model of ``joints`` joints from a ``.pkl`` or ``.npz``."""
     required_body(path, {}, joints)
     read = _arrays(path)
     missing = [name for name in _NEEDED if name not in read]
@@ -130,11 +112,7 @@ def read_body(path: Path, joints: int) -> Body:
 
 
 def joints_of_file(path: Path) -> int:
-    """Return the number of joints of the body model in a file; 0 without a kintree_table.
-
-    Raises:
-        CheckpointInvalid: The file is damaged.
-    """
+    """Return the number of joints of the body model in a file; 0 without a kintree_table."""
     shape = np.shape(_arrays(path).get("kintree_table", ()))
     return int(shape[-1]) if shape else 0
 

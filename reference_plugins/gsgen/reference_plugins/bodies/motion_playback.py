@@ -34,17 +34,10 @@ class MotionPlayback(GaussianGenerator):
         *,
         spacing: float = 1.0,
     ) -> None:
-        """Store a table of values for each input of ``avatar``.
+        """Store the motion's values for each input of ``avatar`` as a table of frames.
 
-        Args:
-            avatar: The avatar; its shape is baked, and its inputs are those of ``actors``.
-            actors: The inputs of the avatar.
-            motion: The values of the inputs in each frame.
-            time: The declared time input; by default, it has the motion's frames and speed.
-            spacing: Distance between neighbouring bodies along x.
-
-        Raises:
-            CheckpointInvalid: The motion has other joints or an unsupported root rotation.
+        The shape of ``avatar`` is baked, and its inputs are those of ``actors``. ``time`` has the
+        motion's frames and speed by default; ``spacing`` separates bodies along x.
         """
         super().__init__()
         if motion.pose.shape[1] != actors.joints:
@@ -61,11 +54,7 @@ class MotionPlayback(GaussianGenerator):
             self.register_buffer(f"table_{role}", torch.from_numpy(table))
 
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
-        """Return the Gaussians of frame floor(time · frames), or of the last frame at the end.
-
-        Args:
-            time: Position in the motion, from 0 to 1.
-        """
+        """Return the Gaussians of frame floor(time · frames), or of the last frame at the end."""
         position = (time * float(self.frames) + _ROUNDING).clamp(0.0, float(self.frames - 1))
         frame = torch.floor(position).to(torch.int32)
         values = [self._input_value(declared, frame) for declared in self.actors.declared()]
@@ -74,7 +63,7 @@ class MotionPlayback(GaussianGenerator):
         return gaussians
 
     def _input_value(self, declared: Input, frame: Int[Tensor, "1"]) -> Tensor:
-        """Look up the value of an input in a frame."""
+        """Look up the value of an avatar's input in a frame of the motion."""
         table: Any = getattr(self, f"table_{declared.role}")
         value: Tensor = torch.index_select(table, 0, frame).reshape(declared.shape or (-1,))
         body = int(declared.name.rpartition("_")[2]) if declared.name[-1].isdecimal() else 0

@@ -1,4 +1,4 @@
-"""Reads motion files: poses of a body for each frame, in one of these layouts.
+"""Reads motion files, which hold the poses of a body in each frame, in several layouts.
 
 - an ``.npz`` of AMASS (``poses``, ``trans``, ``mocap_framerate``),
 - a folder of ``.npz``, one per frame, as R3-Avatar caches its data sets (``poses``, ``R``, ``Th``,
@@ -46,26 +46,19 @@ _KNOWN = (*("poses", "trans", "mocap_framerate", "mocap_frame_rate"), *("R", "Rh
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """A motion of T frames.
+    """A motion of a body over T frames."""
 
-    Attributes:
-        path: The file or folder.
-        pose: Axis-angles of J joints.
-        shift: Root translation.
-        turn: Root rotation; None if the pose's first joint holds it.
-        shape: Shape coefficients of the person that the avatar was trained on, if the file has
-            them. The betas of AMASS and LHM belong to another person and are not read.
-        expression: Expression coefficients, if the file has them.
-        fps: Frames per second, if the file has it.
-    """
-
-    path: Path
-    pose: Float[np.ndarray, "t j 3"]
-    shift: Float[np.ndarray, "t 3"]
+    path: Path  # the file or folder
+    pose: Float[np.ndarray, "t j 3"]  # Axis-angles of J joints
+    shift: Float[np.ndarray, "t 3"]  # root translation
+    # root rotation; None if the pose's first joint holds it
     turn: Float[np.ndarray, "t 3 3"] | None = None
+    # Shape coefficients of the person that the avatar was trained on, if the file has them. The
+    # betas of AMASS and LHM belong to another person and are not read.
     shape: Float[np.ndarray, " s"] | None = None
+    # expression coefficients, if the file has them
     expression: Float[np.ndarray, "t e"] | None = None
-    fps: float | None = None
+    fps: float | None = None  # frames per second, if the file has it
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -77,11 +70,7 @@ class Motion:
 
 
 def read_motion(path: Path, joints: int) -> Motion:
-    """Read the motion at ``path`` for a body of ``joints`` joints.
-
-    Raises:
-        CheckpointInvalid: The motion is missing, damaged, or of an unknown format.
-    """
+    """Read the motion at ``path`` for a body of ``joints`` joints."""
     if path.is_dir():
         return _read_folder(path, joints)
     if not path.is_file():

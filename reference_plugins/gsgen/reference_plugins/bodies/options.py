@@ -85,11 +85,7 @@ def warn_about_body(cfg: "CfgArgs", body: "Body") -> None:
 
 
 def read_shape(text: str | None, motion: "Motion | None", most: int) -> list[float] | None:
-    """Return the shape coefficients to bake, from the option or the motion; None for an input.
-
-    Raises:
-        ConfigInvalid: ``text`` is not a list of numbers.
-    """
+    """Return the shape coefficients to bake, from the option or the motion; None for an input."""
     coefficients = parse_numbers(text, most, "--shape")
     if coefficients is not None or motion is None:
         return coefficients
@@ -110,12 +106,7 @@ def with_motion(
     loop: bool,
     spacing: float,
 ) -> "GaussianGenerator":
-    """Wrap ``avatar`` in a :class:`MotionPlayback` if a motion is given, and set its licence.
-
-    Raises:
-        ConfigInvalid: An option requires a motion, which is missing.
-        CheckpointInvalid: The motion does not fit the body model.
-    """
+    """Wrap ``avatar`` to play a motion file, if one is given, and add the motion's licence."""
     from importlib.metadata import version
 
     from gsgen.contract.spec.manifest import Producer
@@ -136,11 +127,7 @@ def with_motion(
 
 
 def parse_numbers(text: str | None, most: int, option: str) -> list[float] | None:
-    """Parse a comma-separated list of numbers and pad it with zeros to ``most`` entries.
-
-    Raises:
-        ConfigInvalid: An entry is not a number, or there are more than ``most``.
-    """
+    """Parse a comma-separated list of numbers and pad it with zeros to ``most`` entries."""
     if text is None:
         return None
     try:

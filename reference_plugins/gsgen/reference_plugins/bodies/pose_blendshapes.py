@@ -21,7 +21,7 @@ from gsgen.reference_plugins.tensors.layers import Dense
 
 
 class PoseBlendshapes(nn.Module):
-    """Joints of a body model, and offsets of the vertices that Gaussians are attached to."""
+    """Pose and shape blendshapes of the vertices that Gaussians are attached to."""
 
     joints: Tensor
     joint_dirs: Tensor
@@ -40,14 +40,10 @@ class PoseBlendshapes(nn.Module):
         *,
         add_hands: bool = False,
     ) -> None:
-        """Store the blendshapes of ``vertices``.
+        """Store the blendshapes of the vertices with the indices ``vertices``.
 
-        Args:
-            body: The body model.
-            vertices: Indices of the vertices in use.
-            shape: Shape coefficients to bake; None if they are an input.
-            nets: Networks that correct joint rotations, if any.
-            add_hands: Add the mean pose of the hands to poses.
+        Without ``shape``, the shape coefficients are an input; ``add_hands`` adds the mean pose of
+        the hands to poses.
         """
         super().__init__()
         mean = body.hand_mean if add_hands else None

@@ -31,25 +31,16 @@ SKIP = 3
 
 @dataclass(frozen=True, slots=True)
 class PoseNets:
-    """Layers of the pose network and of the weight network.
+    """Layers of the networks that correct joint rotations and skinning weights."""
 
-    Attributes:
-        pose: Three layers, from 3(J−1) axis-angles to as many.
-        weights: Five layers, from an encoded point to J offsets.
-    """
-
-    pose: tuple[Layer, ...]
-    weights: tuple[Layer, ...]
+    pose: tuple[Layer, ...]  # three layers, from 3(J−1) axis-angles to as many
+    weights: tuple[Layer, ...]  # five layers, from an encoded point to J offsets
 
 
 def read_pose_nets(
     path: Path, pose: Mapping[str, Any], weights: Mapping[str, Any], joints: int
 ) -> PoseNets:
-    """Extract the layers from the two state dicts, and check their shapes.
-
-    Raises:
-        CheckpointInvalid: A tensor is missing, unexpected or of another shape.
-    """
+    """Extract the layers of both correction networks from their state dicts; check the shapes."""
     turns = 3 * (joints - 1)
     width = _width(pose.get("block_mlps.0.weight"))
     sizes = [(turns, width), (width, width), (width, turns)]
@@ -76,7 +67,7 @@ def _width(weight: Any) -> int | None:
 
 
 def weight_offsets(nets: PoseNets, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n j"]:
-    """Return offsets of the logarithms of the skinning weights at ``points``, in float64."""
+    """Return offsets of the logarithms of skinning weights at ``points``, in float64."""
     first = hidden = positional_encoding(points.double(), POINT_OCTAVES)
     *inner, last = nets.weights
     for index, (weight, bias) in enumerate(inner):

@@ -39,7 +39,7 @@ def rodrigues(vectors: Float[np.ndarray, "j 3"]) -> Float[np.ndarray, "j 3 3"]:
 
 
 def joints_of(body: Body, shape: Float[np.ndarray, " s"]) -> Float[np.ndarray, "j 3"]:
-    """Return the joint positions of the rest pose for given shape coefficients."""
+    """Return the joint positions of a body's rest pose for given shape coefficients."""
     used = body.shape_dirs[:, :, : len(shape)]
     joints: np.ndarray = body.regressor @ (body.template + used @ shape)
     return joints

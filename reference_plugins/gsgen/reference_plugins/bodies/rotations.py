@@ -26,7 +26,7 @@ _CROSS = (
 
 
 def rotation_matrices(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
-    """Convert rotation vectors to matrices: I + a K + b K², a = sin θ/θ and b = 2 (sin ½θ/θ)².
+    """Convert rotation vectors to matrices by Rodrigues' formula, stable at small angles.
 
     It uses few operators on small matrices: for a few dozen joints, launches are the only cost.
     """
@@ -59,12 +59,7 @@ def _cross(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
 def nearest_rotation(
     matrix: Float[Tensor, "k 3 3 n"], stiff: Float[Tensor, "1 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Return the rotation nearest to each matrix; the identity where ``stiff`` is 1.
-
-    Args:
-        matrix: Matrices close to rotations, such as means of several.
-        stiff: 1 for Gaussians that do not rotate, 0 for all others.
-    """
+    """Return the rotation nearest to each matrix; the identity where ``stiff`` is 1."""
     rows = [row.unbind(dim=1) for row in matrix.unbind(dim=1)]
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
     squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
@@ -89,7 +84,7 @@ def nearest_rotation(
 def _larger(
     a: Tensor, b: Tensor, quaternion_a: Tensor, quaternion_b: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the larger of two numbers and its quaternion; the first where they are equal."""
+    """Select the larger of two numbers with its quaternion; the first where they are equal."""
     first = a >= b
     quaternion = torch.where(first[:, None], quaternion_a, quaternion_b)
     return torch.maximum(a, b), quaternion

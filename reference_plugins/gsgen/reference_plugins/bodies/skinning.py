@@ -32,14 +32,10 @@ def posed_transforms(
     turn: Float[Tensor, "k 3 3"] | None,
     shift: Float[Tensor, "k 3"],
 ) -> Float[Tensor, "k j 3 4"]:
-    """Return the transforms of all joints, followed by root rotation and translation.
+    """Return the rigid transforms of all joints, followed by root rotation and translation.
 
-    Args:
-        turns: Rotation of each joint in its parent's frame.
-        joints: Joint positions in the rest pose; the same for all bodies.
-        parents: The parent of each joint; −1 for the root.
-        turn: Root rotation of each body; None if the root joint's rotation is the only one.
-        shift: Root translation of each body.
+    ``turns`` are in the parent's frame, and ``joints`` in the rest pose. Without ``turn``, the root
+    joint's rotation is the only one.
     """
     bodies, count = turns.shape[:2]
     # All bodies form one forest, so their chains are multiplied in the same rounds.
@@ -56,7 +52,7 @@ def posed_transforms(
 def blend_transforms(
     transforms: Float[Tensor, "k j 3 4"], weights: Float[Tensor, "j n"]
 ) -> Float[Tensor, "k 3 4 n"]:
-    """Return each Gaussian's mean of the joint transforms, by its skinning weights."""
+    """Return each Gaussian's mean of the joint transforms, weighted by skinning weights."""
     bodies, joints = transforms.shape[:2]
     flat = transforms.reshape(bodies, joints, 12).transpose(1, 2)
     return (flat @ weights).reshape(bodies, 3, 4, -1)
@@ -89,10 +85,10 @@ def covariance(root: Float[Tensor, "k 3 3 n"]) -> Float[Tensor, "k 6 n"]:
 
 
 def planes_to_rows(planes: Float[Tensor, "k c n"]) -> Float[Tensor, "m c"]:
-    """Convert planes to rows, body after body."""
+    """Convert one tensor per component (planes) to rows of Gaussians, body after body."""
     return planes.transpose(1, 2).reshape(-1, planes.shape[1])
 
 
 def repeat_rows(rows: Float[Tensor, "n ..."], bodies: int) -> Float[Tensor, "m ..."]:
-    """Repeat rows that are stored once for each body."""
+    """Repeat a table that is stored once, for each of K bodies."""
     return rows if bodies == 1 else torch.cat([rows] * bodies, dim=0)

@@ -25,7 +25,7 @@ _GAUSSIANS = ("position", "scale", "rotation")
 
 
 class _WeightOffsets(nn.Module):
-    """GauHuman's network of offsets to skinning weights at a point; see ``weight_offsets``."""
+    """GauHuman's network that returns offsets to skinning weights at a point."""
 
     def __init__(self, nets: PoseNets) -> None:
         super().__init__()
@@ -59,14 +59,11 @@ class BigPoseGaussians(nn.Module):
         gaussians: tuple[Tensor, Tensor, Tensor],
         nets: PoseNets | None,
     ) -> None:
-        """Store the tables.
+        """Store Gaussians, body vertices and networks as buffers of the module.
 
-        Args:
-            near: Skinning weights of the vertices in use.
-            vertex: Index of the vertex nearest to each Gaussian.
-            transforms: Joint transforms from the rest pose to the big pose.
-            gaussians: Positions, standard deviations and quaternions in the big pose.
-            nets: Networks that correct the weights, if any.
+        ``near`` are skinning weights of the vertices in use, ``vertex`` the index of each
+        Gaussian's nearest one, and ``transforms`` lead from the rest pose to the big pose.
+        ``gaussians`` are positions, standard deviations and quaternions in the big pose.
         """
         super().__init__()
         # Added here and not at the logarithm: exporters remove the addition of so small a number.
@@ -112,15 +109,11 @@ class SurfaceGaussians(nn.Module):
         transforms: Float[np.ndarray, "j 3 4"],
         gaussians: tuple[Tensor, Tensor, Tensor],
     ) -> None:
-        """Store the tables.
+        """Store Gaussians and surface points of the body as buffers of the module.
 
-        Args:
-            near: Skinning weights of the vertices in use.
-            vertex: Index of the vertex nearest to each Gaussian.
-            added: Offsets of these vertices for the person's shape.
-            stiff: 1 for vertices whose Gaussians do not rotate.
-            transforms: Joint transforms to the neutral pose.
-            gaussians: Positions, standard deviations and quaternions.
+        ``near``, ``vertex`` and ``gaussians`` are as in :class:`BigPoseGaussians`. ``added`` are
+        offsets of the vertices for the person's shape; ``stiff`` is 1 for vertices whose Gaussians
+        do not rotate.
         """
         super().__init__()
         _register(self, near=near, vertex=vertex, added=added, stiff=stiff[:, None])
@@ -141,7 +134,7 @@ class SurfaceGaussians(nn.Module):
 
 
 def _register(module: nn.Module, **tables: Tensor | np.ndarray) -> None:
-    """Register tables as buffers of a module; NumPy arrays become float32."""
+    """Register arrays as buffers of a torch module; NumPy arrays become float32."""
     for name, table in tables.items():
         if not isinstance(table, Tensor):
             table = torch.from_numpy(table.astype(np.float32))
@@ -149,7 +142,7 @@ def _register(module: nn.Module, **tables: Tensor | np.ndarray) -> None:
 
 
 def _root(rotation: Float[Tensor, "n 4"], scale: Float[Tensor, "n 3"]) -> Float[Tensor, "1 3 3 n"]:
-    """Return R S as planes, from quaternions and standard deviations."""
+    """Return R S, a root of the covariance, as planes, from quaternions and standard deviations."""
     columns = rotation_columns(planes_of(rotation))
     turn = torch.stack([torch.cat(column) for column in columns], dim=1)
     return (turn * scale.transpose(0, 1)[None])[None]

@@ -59,44 +59,30 @@ _REACH = 0.06  # metres over which a bone's skinning weight falls off
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PersonOptions:
-    """Options of a synthetic training run of a person.
+    """Options of a synthetic training run of a person."""
 
-    Attributes:
-        count: Number of Gaussians.
-        kind: ``smpl`` or ``smplx``.
-        vertices: Number of vertices of the body model.
-        shapes: Number of its shape coefficients.
-        nets: Networks correct joints and weights (GauHuman's ``motion_offset_flag``).
-        hands: The body model of SMPL-X has a mean pose of the hands.
-        degree: Degree of the spherical harmonics.
-        npz: The body model is an ``.npz``, not a ``.pkl``. SMPL-X always is.
-        width: Width of the networks; 128 in the published code.
-        resolution: Cells of R3-Avatar's planes along x, y, z and t.
-        channels: Channels of each plane.
-        seed: Seed of all noise.
-    """
-
-    count: int = 60
-    kind: str = "smpl"
-    vertices: int = 150
-    shapes: int = 10
-    nets: bool = False
-    hands: bool = False
-    degree: int = 3
-    npz: bool = False
-    width: int = 16
+    count: int = 60  # number of Gaussians
+    kind: str = "smpl"  # ``smpl`` or ``smplx``
+    vertices: int = 150  # number of vertices of the body model
+    shapes: int = 10  # number of its shape coefficients
+    nets: bool = False  # networks correct joints and weights (GauHuman's ``motion_offset_flag``)
+    hands: bool = False  # the body model of SMPL-X has a mean pose of the hands
+    degree: int = 3  # degree of the spherical harmonics
+    npz: bool = False  # The body model is an ``.npz``, not a ``.pkl``. SMPL-X always is.
+    width: int = 16  # width of the networks; 128 in the published code
+    # cells of R3-Avatar's planes along x, y, z and t
     resolution: tuple[int, int, int, int] = (6, 5, 7, 8)
-    channels: int = 4
-    seed: int = 0
+    channels: int = 4  # channels of each plane
+    seed: int = 0  # seed of all noise
 
     @property
     def joints(self) -> int:
-        """Number of joints of the body model."""
+        """The number of joints of the synthetic body model."""
         return 24 if self.kind == "smpl" else 55
 
 
 def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
-    """Return the arrays of a body model, named as in its files."""
+    """Return the arrays of a synthetic body model, named as in SMPL files."""
     rng = np.random.default_rng([options.seed, 1])
     count, joints = options.vertices, options.joints
     joint_positions = _joint_positions(joints)
@@ -130,7 +116,7 @@ def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
 
 
 def _joint_positions(joints: int) -> Float[np.ndarray, "j 3"]:
-    """Return the joint positions of the stick figure."""
+    """Return the joint positions of the synthetic stick figure."""
     bones = _BONES + (_PALMS if joints == 24 else _FACE)
     positions = np.zeros((joints, 3))
     for joint, parent in enumerate(_PARENTS[joints][1:], start=1):
@@ -147,7 +133,7 @@ def _joint_positions(joints: int) -> Float[np.ndarray, "j 3"]:
 def _tubes(
     joint_positions: Float[np.ndarray, "j 3"],
 ) -> tuple[Float[np.ndarray, "j 3"], Float[np.ndarray, "j 3"], Float[np.ndarray, " j"]]:
-    """Return begin, end and radius of each joint's tube."""
+    """Return begin, end and radius of the tube around each bone of the stick figure."""
     begin = joint_positions[np.maximum(np.array(_PARENTS[len(joint_positions)]), 0)]
     end = joint_positions.copy()
     begin[_HEAD], end[_HEAD] = joint_positions[_HEAD], joint_positions[_HEAD] + _CROWN
@@ -161,7 +147,7 @@ def _tubes(
 def _chosen_tubes(
     joint_positions: Float[np.ndarray, "j 3"], count: int, rng: np.random.Generator
 ) -> Int[np.ndarray, " n"]:
-    """Draw random tubes, with probability proportional to their surface."""
+    """Draw random tubes of the body, with probability proportional to their surface."""
     begin, end, radius = _tubes(joint_positions)
     surface = radius * (np.linalg.norm(end - begin, axis=1) + 0.3 * radius)
     return rng.choice(len(joint_positions), count, p=surface / surface.sum())
@@ -170,7 +156,7 @@ def _chosen_tubes(
 def _tube_points(
     joint_positions: Float[np.ndarray, "j 3"], tube: Int[np.ndarray, " n"], rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
-    """Draw random points on the surface of the tubes."""
+    """Draw random points on the surface of the tubes of a synthetic body."""
     begin, end, radius = (values[tube] for values in _tubes(joint_positions))
     along = end - begin
     length = np.linalg.norm(along, axis=1, keepdims=True)
@@ -193,7 +179,7 @@ def _tube_points(
 def _bone_distances(
     points: Float[np.ndarray, "n 3"], joint_positions: Float[np.ndarray, "j 3"]
 ) -> Float[np.ndarray, "n j"]:
-    """Return the distance of points from the bones that begin at each joint."""
+    """Return the distances from points to the bones that begin at each joint."""
     distance: Float[np.ndarray, "n j"] = np.linalg.norm(
         points[:, None] - joint_positions[None], axis=2
     )
@@ -245,7 +231,7 @@ def clothing_colors(
 
 
 def write_body(path: Path, options: PersonOptions = PersonOptions()) -> Path:
-    """Write a body model as ``.pkl`` or ``.npz``, by the suffix, and return ``path``."""
+    """Write a synthetic body model as ``.pkl`` or ``.npz``, by the suffix, and return ``path``."""
     from scipy.sparse import csc_matrix
 
     path.parent.mkdir(parents=True, exist_ok=True)

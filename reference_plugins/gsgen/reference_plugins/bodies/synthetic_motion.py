@@ -14,13 +14,9 @@ _DOWN, _ELBOW = 1.25, 0.5  # arms hang down, slightly bent
 
 
 def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0) -> Path:
-    """Write a motion of two repeated steps in the layout of AMASS, and return ``path``.
+    """Write a synthetic motion of two repeated steps in AMASS layout, and return ``path``.
 
-    Args:
-        path: The ``.npz`` to write.
-        frames: Number of frames.
-        width: Numbers of a pose: 66, 72, 156 or 165.
-        seed: Seed of the slight movement of fingers and face.
+    ``width`` is the count of numbers of a pose: 66, 72, 156 or 165.
     """
     rng = np.random.default_rng(seed)
     phase = rng.uniform(0, 2 * np.pi, width)
@@ -45,7 +41,7 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
 
 
 def write_demo_motion(folder: Path) -> list[str]:
-    """Write the motion of a demo, and return the options that export ``folder`` with it."""
+    """Write a synthetic motion, and return the options that export ``folder`` with it."""
     motion = write_motion(folder / "walk.npz", frames=24)
     return ["--checkpoint", str(folder), "--motion", str(motion)]
 
@@ -55,7 +51,7 @@ def _turn(poses: Float[np.ndarray, "f w"], joint: int, turn: Float[np.ndarray, "
 
 
 def _arm(swing: Float[np.ndarray, " f"], sign: float) -> Float[np.ndarray, "3 f"]:
-    """Return the axis-angle that lets an arm hang down and then swing about x."""
+    """Return the axis-angle of a shoulder for a hanging arm that swings about x."""
     half_swing, half_down = swing / 2, -sign * _DOWN / 2
     # The product of two quaternions, (cos, sin, 0, 0) of the swing and (cos, 0, 0, sin).
     w = np.cos(half_swing) * np.cos(half_down)

@@ -56,7 +56,7 @@ class _SplitLayer(nn.Module):
 
 @final
 class Deformable3DGS(GaussianGenerator):
-    """A generator of Gaussians that a network deforms over time."""
+    """Deformable-3D-Gaussians: a generator whose Gaussians a network deforms over time."""
 
     family = "4d"
 
@@ -74,14 +74,6 @@ class Deformable3DGS(GaussianGenerator):
         *,
         rows: int = MAX_ROWS,
     ) -> None:
-        """Precompute every tensor that does not depend on time.
-
-        Args:
-            canonical: The canonical Gaussians.
-            net: The deformation network.
-            time: Declaration of the input; a time from 0 to 1 if absent.
-            rows: Largest number of Gaussians in one evaluation of the network.
-        """
         super().__init__()
         self.inputs = (time or inputs.time(),)
         self.rows, self.skip = rows, net.skip
@@ -104,7 +96,7 @@ class Deformable3DGS(GaussianGenerator):
         self.register_buffer("sh", canonical.sh)
 
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
-        """Return the Gaussians at ``time``."""
+        """Return the deformed Gaussians at ``time``."""
         moment = self._moment(time)
         count = self.position.shape[0]
         parts = [
@@ -126,7 +118,7 @@ class Deformable3DGS(GaussianGenerator):
         return moment
 
     def _deformed(self, part: slice, moment: Tensor) -> tuple[Tensor, Tensor]:
-        """Return centres and covariances of a range of Gaussians."""
+        """Return centres and covariances of a range of Gaussians after the deformation."""
         position = self.position[part]
         encoded = positional_encoding(position, POINT_OCTAVES)
         hidden = torch.relu(self.layers[0](encoded, moment))

@@ -37,7 +37,7 @@ def build(
     *,
     loop: Loop = False,
 ) -> "Deformable3DGS":
-    """Read a checkpoint, report its contents, and return its generator."""
+    """Read a checkpoint of Deformable-3D-Gaussians, and return its generator."""
     from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
     from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
     from gsgen.reference_plugins.loading.provenance import producer_of
@@ -56,12 +56,12 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Whether the run has a folder of deformation networks."""
+    """Return whether a training run has a folder of deformation networks."""
     return (run / "deform").is_dir()
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a checkpoint of 8,000 Gaussians that move visibly."""
+    """Write a synthetic checkpoint of 8,000 Gaussians that move visibly."""
     from gsgen.reference_plugins.deformation.synthetic_deformations import write_deformable
 
     write_deformable(folder, count=8000, sway=1.0)

@@ -34,56 +34,42 @@ Layer = tuple[Tensor, Tensor]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deformation:
-    """The layers of the deformation network.
+    """The layers of the network that deforms Gaussians over time."""
 
-    Attributes:
-        layers: Layers as (weight, bias); the first takes the encoded point and time.
-        skip: Index of the layer that takes these inputs again, before its hidden inputs.
-        time: Two further layers for the encoded time, in scenes of Blender.
-        warp: The translation; with six degrees of freedom the axis and the moment of a screw.
-        rotation: The change of the quaternion, which is added.
-        scaling: The change of the scale, which is added.
-    """
-
+    # layers as (weight, bias); the first takes the encoded point and time
     layers: tuple[Layer, ...]
-    skip: int
+    skip: int  # index of the layer that takes these inputs again, before its hidden inputs
+    # two further layers for the encoded time, in scenes of Blender
     time: tuple[Layer, Layer] | None
+    # the translation; with six degrees of freedom the axis and the moment of a screw
     warp: tuple[Layer] | tuple[Layer, Layer]
-    rotation: Layer
-    scaling: Layer
+    rotation: Layer  # the change of the quaternion, which is added
+    scaling: Layer  # the change of the scale, which is added
 
     @property
     def has_six_degrees(self) -> bool:
-        """Whether points move by screw motions."""
+        """Whether the deformation network moves points by screw motions."""
         return len(self.warp) == 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeformationCheckpoint:
-    """The contents of a Deformable-3D-Gaussians checkpoint.
+    """The Gaussians and the network of a Deformable-3D-Gaussians checkpoint."""
 
-    Attributes:
-        folder: Folder of the training run.
-        iteration: Number of the iteration.
-        cfg: Options of the training run.
-        canonical: The canonical Gaussians.
-        net: The deformation network.
-    """
-
-    folder: Path
-    iteration: int
-    cfg: CfgArgs
-    canonical: Canonical
-    net: Deformation
+    folder: Path  # folder of the training run
+    iteration: int  # number of the iteration
+    cfg: CfgArgs  # options of the training run
+    canonical: Canonical  # the canonical Gaussians
+    net: Deformation  # the deformation network
 
     @property
     def operations(self) -> int:
-        """Number of multiplications and additions in a frame."""
+        """The number of multiplications and additions that the network needs for a frame."""
         weights = [weight.numel() for weight, _ in self.net.layers]
         return 2 * len(self.canonical) * sum(weights)
 
     def describe(self) -> str:
-        """Return the sizes and the variant of the network as one line."""
+        """Return the sizes and the variant of the deformation network as one line."""
         kind = "Blender" if self.net.time is not None else "real"
         motion = "screws (6 degrees of freedom)" if self.net.has_six_degrees else "shifts"
         return (
@@ -94,15 +80,7 @@ class DeformationCheckpoint:
 
 
 def read_deformation(folder: Path, iteration: int | None = None) -> DeformationCheckpoint:
-    """Read a checkpoint of Deformable-3D-Gaussians.
-
-    Args:
-        folder: Folder of the training run or of one iteration, or a file in either.
-        iteration: Number of the iteration; the last if absent.
-
-    Raises:
-        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
-    """
+    """Read a checkpoint of Deformable-3D-Gaussians."""
     folder, iteration = within_run(folder, iteration)
     number, iteration_folder = find_iteration(folder, iteration)
     refuse_other_method("deformable-3dgs", folder, iteration_folder)

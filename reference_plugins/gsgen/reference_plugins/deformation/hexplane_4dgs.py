@@ -25,7 +25,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 
 
 class _Head(nn.Module):
-    """Two layers with ReLU between them, for features that already passed a ReLU."""
+    """Two dense layers with ReLU between them, for features that already passed a ReLU."""
 
     def __init__(self, pair: tuple[Layer, Layer]) -> None:
         super().__init__()
@@ -38,7 +38,7 @@ class _Head(nn.Module):
 
 @final
 class HexPlane4DGS(GaussianGenerator):
-    """A generator of Gaussians that a hexplane deforms over time."""
+    """4DGaussians: a generator whose Gaussians a hexplane deforms over time."""
 
     family = "4d"
 
@@ -58,15 +58,6 @@ class HexPlane4DGS(GaussianGenerator):
         *,
         bake: Bake = "auto",
     ) -> None:
-        """Precompute every tensor that does not depend on time.
-
-        Args:
-            canonical: The canonical Gaussians.
-            nets: The hexplane and its networks.
-            flags: The active parts of the networks.
-            time: Declaration of the input; a time from 0 to 1 if absent.
-            bake: Storage of the planes of space; see :class:`HexPlaneField`.
-        """
         super().__init__()
         self.rows = len(canonical)
         self.inputs = (time or inputs.time(),)
@@ -84,7 +75,7 @@ class HexPlane4DGS(GaussianGenerator):
         self.register_buffer("sh", canonical.sh.flatten(1))
 
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
-        """Return the Gaussians at ``time``."""
+        """Return the deformed Gaussians at ``time``."""
         hidden = self.field(time, self.position)
         for index, layer in enumerate(self.feature):
             hidden = layer(torch.relu(hidden) if index else hidden)
@@ -101,7 +92,7 @@ class HexPlane4DGS(GaussianGenerator):
     def _deformed(
         self, head: str, canonical: Tensor, hidden: Tensor, share: Tensor | None
     ) -> Tensor:
-        """Return the masked ``canonical`` values plus the output of their head."""
+        """Return the masked ``canonical`` values plus the change that the network predicts."""
         if head not in self.heads:
             return canonical
         masked = canonical if share is None else canonical * share
@@ -109,7 +100,7 @@ class HexPlane4DGS(GaussianGenerator):
         return moved
 
     def _rotation(self, hidden: Tensor) -> list[Tensor]:
-        """Return the quaternions as planes; masks do not apply to them."""
+        """Return the deformed quaternions, one tensor per component; masks do not apply to them."""
         rotation = planes_of(self.rotation)
         if "rotations" not in self.heads:
             return rotation
@@ -132,7 +123,7 @@ def _quaternion_product(a: Sequence[Tensor], b: Sequence[Tensor]) -> list[Tensor
 
 
 def _static_share(canonical: Canonical, nets: HexPlaneNets) -> Float[Tensor, "n 1"]:
-    """Interpolate the static share of each Gaussian in the voxels; it is 0 outside."""
+    """Interpolate the static share of each Gaussian in the voxels; outside, it is 0."""
     assert nets.voxels is not None
     grid, low, high = nets.voxels
     position = (canonical.position - low) / (high - low) * 2 - 1

@@ -45,7 +45,7 @@ def build(
     loop: Loop = False,
     bake: _Bake = "auto",
 ) -> "HexPlane4DGS":
-    """Read a checkpoint, report its contents, and return its generator."""
+    """Read a checkpoint of 4DGaussians, report its contents, and return its generator."""
     from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
     from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
     from gsgen.reference_plugins.loading.provenance import producer_of
@@ -62,12 +62,12 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Whether the hexplane and its network are among the files of the iteration."""
+    """Return whether an iteration's files include a hexplane and its network."""
     return (iteration / "deformation.pth").is_file()
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a checkpoint of 8,000 Gaussians that move visibly."""
+    """Write a synthetic checkpoint of 8,000 Gaussians that move visibly."""
     from gsgen.reference_plugins.deformation.synthetic_deformations import (
         HexPlaneOptions,
         write_hexplane,

@@ -38,25 +38,15 @@ Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 @dataclass(frozen=True, slots=True)
 class Flags:
-    """The active parts of the networks.
+    """The parts of the 4DGaussians networks that are active."""
 
-    Attributes:
-        active: Names of the active heads, in the order of ``HEADS``.
-        apply_rotation: Multiply the rotation by the change, instead of adding it.
-        mask: Factor of the canonical values: ``static_mlp``, ``empty_voxel`` or empty.
-    """
-
-    active: tuple[str, ...]
-    apply_rotation: bool
-    mask: str
+    active: tuple[str, ...]  # names of the active heads, in the order of ``HEADS``
+    apply_rotation: bool  # multiply the rotation by the change, instead of adding it
+    mask: str  # factor of the canonical values: ``static_mlp``, ``empty_voxel`` or empty
 
     @classmethod
     def of(cls, cfg: CfgArgs) -> "Flags":
-        """Read the flags of a training run, with the defaults of the published code.
-
-        Raises:
-            CheckpointInvalid: An option that never worked in that code, or no active head.
-        """
+        """Read the active parts of the networks from training options, with published defaults."""
         if cfg.flag("no_grid"):
             hint = "The published code fails with it, too."
             raise CheckpointInvalid("no_grid is True", where=str(cfg.path), hint=hint)
@@ -82,48 +72,33 @@ class Flags:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneNets:
-    """The hexplane and its networks.
+    """The hexplane of 4DGaussians and the networks behind it."""
 
-    Attributes:
-        aabb: Box of the planes; the first row is the upper corner.
-        grids: For each resolution six planes [C, second axis, first axis], of the axes
-            xy xz xt yz yt zt.
-        feature: Layers behind the planes, with ReLU between them.
-        heads: For each active head two layers, with ReLU before each.
-        static: Two layers of the mask of static parts, if there is one.
-        voxels: Voxel grid [x, y, z] with its lower and upper corner, if there is one.
-    """
-
-    aabb: Float[Tensor, "2 3"]
+    aabb: Float[Tensor, "2 3"]  # box of the planes; the first row is the upper corner
+    # for each resolution six planes [C, second axis, first axis], of the axes xy xz xt yz yt zt
     grids: tuple[tuple[Tensor, ...], ...]
-    feature: tuple[Layer, ...]
+    feature: tuple[Layer, ...]  # layers behind the planes, with ReLU between them
+    # for each active head two layers, with ReLU before each
     heads: Mapping[str, tuple[Layer, Layer]]
+    # two layers of the mask of static parts, if there is one
     static: tuple[Layer, Layer] | None = None
+    # voxel grid [x, y, z] with its lower and upper corner, if there is one
     voxels: tuple[Tensor, Tensor, Tensor] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneCheckpoint:
-    """The contents of a 4DGaussians checkpoint.
+    """The Gaussians, hexplane and networks of a 4DGaussians checkpoint."""
 
-    Attributes:
-        folder: Folder of the training run.
-        iteration: Number of the iteration.
-        cfg: Options of the training run.
-        flags: The active parts of the networks.
-        canonical: The canonical Gaussians.
-        nets: The hexplane and its networks.
-    """
-
-    folder: Path
-    iteration: int
-    cfg: CfgArgs
-    flags: Flags
-    canonical: Canonical
-    nets: HexPlaneNets
+    folder: Path  # folder of the training run
+    iteration: int  # number of the iteration
+    cfg: CfgArgs  # options of the training run
+    flags: Flags  # the active parts of the networks
+    canonical: Canonical  # the canonical Gaussians
+    nets: HexPlaneNets  # the hexplane and its networks
 
     def describe(self) -> str:
-        """Return the sizes and the active heads as one line."""
+        """Return the sizes and the active networks of a 4DGaussians checkpoint as one line."""
         grids = self.nets.grids
         sizes = ["×".join(map(str, _sizes(planes))) for planes in grids]
         parts = [
@@ -139,19 +114,14 @@ class HexPlaneCheckpoint:
 
 
 def _sizes(planes: tuple[Tensor, ...]) -> tuple[int, int, int, int]:
-    """Return the resolution along x, y, z and t."""
+    """Return the resolution of the planes along x, y, z and t."""
     return (planes[0].shape[2], planes[0].shape[1], planes[1].shape[1], planes[2].shape[1])
 
 
 def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckpoint:
     """Read a checkpoint of 4DGaussians.
 
-    Args:
-        folder: Folder of the training run or of one iteration, or a file in either.
-        iteration: Number of the iteration; the last of the fine stage if absent.
-
-    Raises:
-        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
+    Without ``iteration``, the last one of the fine stage is read.
     """
     folder, iteration = within_run(folder, iteration)
     number, iteration_folder = find_iteration(folder, iteration)
@@ -199,7 +169,7 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
 
 
 def _counts(path: Path, net: Mapping[str, Any]) -> tuple[int, int]:
-    """Return the number of resolutions and of layers behind the planes."""
+    """Return the number of plane resolutions and of layers behind the planes."""
     scales = {int(match[1]) for name in net if (match := _GRID.fullmatch(name))}
     layers = {int(match[1]) for name in net if (match := _OUT.fullmatch(name))}
     if scales != set(range(len(scales))) or not scales or not layers:
@@ -258,7 +228,7 @@ def _voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _require_sizes(path: Path, grids: tuple[tuple[Tensor, ...], ...]) -> None:
-    """Raise if the six planes differ in the resolution along an axis."""
+    """Raise if the six planes of a hexplane differ in the resolution along an axis."""
     pairs = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
     for scale, planes in enumerate(grids):
         size = _sizes(planes)

@@ -33,7 +33,7 @@ def _cell_below(
 
 
 class _CellIndex(nn.Module):
-    """Computes the cell below each point, and the weight of the next cell."""
+    """Computes the grid cell below each point, and the interpolation weight of the next cell."""
 
     def __init__(self, cells: int) -> None:
         super().__init__()
@@ -45,7 +45,7 @@ class _CellIndex(nn.Module):
 
 
 class _TimePlane(nn.Module):
-    """A plane of one axis of space and time, evaluated at fixed points."""
+    """A hexplane's plane of one axis of space and time, evaluated at fixed points."""
 
     table: Tensor
     ticks: Tensor
@@ -77,7 +77,7 @@ class _TimePlane(nn.Module):
 
 
 class _SpacePlane(nn.Module):
-    """A plane of two axes of space, interpolated bilinearly."""
+    """A hexplane's plane of two axes of space, interpolated bilinearly."""
 
     table: Tensor
 
@@ -103,7 +103,7 @@ class _SpacePlane(nn.Module):
 
 
 class _SpacePlanes(nn.Module):
-    """The product of the three planes without time."""
+    """The product of a hexplane's three planes without time."""
 
     def __init__(self, planes: Sequence[Tensor]) -> None:
         super().__init__()
@@ -117,7 +117,7 @@ class _SpacePlanes(nn.Module):
 
 
 class _Resolution(nn.Module):
-    """The product of the six planes of one resolution."""
+    """The product of a hexplane's six planes of one resolution."""
 
     def __init__(
         self, planes: Sequence[Tensor], position: Float[Tensor, "n 3"], bake: Bake
@@ -151,13 +151,10 @@ class HexPlaneField(nn.Module):
     def __init__(
         self, nets: HexPlaneNets, position: Float[Tensor, "n 3"], bake: Bake = "auto"
     ) -> None:
-        """Store the products of the planes of space, or the planes.
+        """Store the products of the planes of space at the points, or the planes themselves.
 
-        Args:
-            nets: The planes.
-            position: The points; those outside the box take the values of its border.
-            bake: ``always`` stores products of the planes of space, ``never`` the planes, ``auto``
-                the smaller ones.
+        Points outside the box take the values of its border. ``bake``: ``always`` stores products
+        of the planes of space, ``never`` the planes, ``auto`` the smaller ones.
         """
         super().__init__()
         # The first row of the box is its upper corner, so coordinates are mirrored.
@@ -170,6 +167,6 @@ class HexPlaneField(nn.Module):
     def forward(
         self, time: Float[Tensor, "1"], position: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "n f"]:
-        """Return the features of the points at ``time``, of all resolutions side by side."""
+        """Return the hexplane features of the points at ``time``, all resolutions side by side."""
         scaled = (position - self.corner) * self.per_size
         return torch.cat([resolution(time, scaled) for resolution in self.resolutions], dim=1)

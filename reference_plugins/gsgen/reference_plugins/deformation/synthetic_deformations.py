@@ -24,31 +24,20 @@ _UNUSED = ("time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneOptions:
-    """Sizes and options of a synthetic 4DGaussians checkpoint.
+    """Sizes and options of a synthetic 4DGaussians checkpoint."""
 
-    Attributes:
-        count: Number of Gaussians.
-        channels: Channels of each plane.
-        resolution: Cells along x, y, z and t.
-        multires: Factors of the cells along x, y and z, one for each set of planes.
-        width: Width of the network.
-        depth: Number of layers behind the planes; 0 means 1.
-        flags: Options of ``cfg_args`` that differ from the defaults, such as ``no_dshs=False``.
-        degree: SH degree.
-        sway: Approximate movement of Gaussians; the knot is three units wide.
-        seed: Seed of all random numbers.
-    """
-
-    count: int = 64
-    channels: int = 4
-    resolution: tuple[int, int, int, int] = (8, 8, 8, 6)
+    count: int = 64  # number of Gaussians
+    channels: int = 4  # channels of each plane
+    resolution: tuple[int, int, int, int] = (8, 8, 8, 6)  # cells along x, y, z and t
+    # factors of the cells along x, y and z, one for each set of planes
     multires: tuple[int, ...] = (1, 2)
-    width: int = 16
-    depth: int = 1
+    width: int = 16  # width of the network
+    depth: int = 1  # number of layers behind the planes; 0 means 1
+    # options of ``cfg_args`` that differ from the defaults, such as ``no_dshs=False``
     flags: Mapping[str, bool] = field(default_factory=dict)
-    degree: int = 3
-    sway: float = 0.15
-    seed: int = 0
+    degree: int = 3  # SH degree
+    sway: float = 0.15  # approximate movement of Gaussians; the knot is three units wide
+    seed: int = 0  # seed of all random numbers
 
 
 def write_hexplane(folder: Path, options: HexPlaneOptions = HexPlaneOptions()) -> Path:
@@ -120,14 +109,8 @@ def write_deformable(
 ) -> Path:
     """Write a synthetic checkpoint of Deformable-3D-Gaussians, and return ``folder``.
 
-    Args:
-        folder: The folder to write.
-        count: Number of Gaussians.
-        blender: Encode time by a network of its own.
-        six_degrees: Move points by screw motions.
-        width: Width of the network; 256 in the published code.
-        sway: Approximate movement of Gaussians; the knot is three units wide.
-        seed: Seed of all random numbers.
+    ``blender`` encodes time by a network of its own, and ``six_degrees`` moves points by screw
+    motions. ``width`` is 256 in the published code; ``sway`` is the approximate movement.
     """
     noise = torch.Generator().manual_seed(seed)
     embedded = 63 + (30 if blender else 21)

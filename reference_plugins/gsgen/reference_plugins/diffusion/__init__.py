@@ -1,1 +1,1 @@
-"""Networks of image diffusion and their LoRA files, named as in checkpoints of diffusers."""
+"""Which networks of image diffusion can be read from checkpoints, and which LoRA files?"""

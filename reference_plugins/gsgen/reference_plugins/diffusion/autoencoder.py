@@ -21,7 +21,7 @@ SKIP = "skip_conv_"
 
 
 class _Level(nn.Module):
-    """Residual blocks of one resolution, then a change of resolution."""
+    """Residual blocks of one image resolution, then a change of resolution."""
 
     def __init__(self, options: AutoencoderOptions, inputs: int, outputs: int, layers: int) -> None:
         super().__init__()
@@ -120,10 +120,9 @@ class _Decoder(nn.Module):
 
 
 class Autoencoder(nn.Module):
-    """An encoder and a decoder; latents are means, not samples, so that frames are consistent."""
+    """An image autoencoder; latents are means, not samples, so that frames are consistent."""
 
     def __init__(self, options: AutoencoderOptions) -> None:
-        """Create the layers; the weights are loaded later."""
         super().__init__()
         self.options = options
         before, behind = options.quantised

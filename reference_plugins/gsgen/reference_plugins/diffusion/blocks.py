@@ -36,17 +36,6 @@ class Residual(nn.Module):
         shifts: bool = False,
         shrink: float = 1.0,
     ) -> None:
-        """Create the layers.
-
-        Args:
-            inputs: Input channels.
-            outputs: Output channels.
-            groups: Groups of both norms.
-            eps: Epsilon of both norms.
-            time: Length of the embedded time; None without time.
-            shifts: Time scales and shifts the second norm.
-            shrink: Divisor of the sum.
-        """
         super().__init__()
         self.shifts, self.shrink = shifts, shrink
         self.norm1 = nn.GroupNorm(groups, inputs, eps=eps)
@@ -60,7 +49,7 @@ class Residual(nn.Module):
     def forward(
         self, image: Float[Tensor, "b i h w"], time: Float[Tensor, "b t"] | None = None
     ) -> Float[Tensor, "b o h w"]:
-        """Apply the block to an image."""
+        """Apply the residual block to a feature image."""
         features = self.conv1(F.silu(self.norm1(image)))
         moment = None
         if time is not None:
@@ -77,7 +66,7 @@ class Residual(nn.Module):
 
 
 class Attention(nn.Module):
-    """softmax(Q Kᵀ / √d) V of several heads (Vaswani et al. 2017, equation 1)."""
+    """Attention of several heads, softmax(Q Kᵀ / √d) V (Vaswani et al. 2017, equation 1)."""
 
     def __init__(
         self,
@@ -88,15 +77,6 @@ class Attention(nn.Module):
         context: int | None = None,
         bias: bool = False,
     ) -> None:
-        """Create the projections.
-
-        Args:
-            channels: Channels of the tokens.
-            heads: Number of heads.
-            width: Width of one head.
-            context: Channels of the context; those of the tokens by default.
-            bias: Queries, keys and values have a bias.
-        """
         super().__init__()
         self.heads, self.width = heads, width
         inner, source = heads * width, channels if context is None else context
@@ -128,7 +108,7 @@ class ImageAttention(Attention):
     def __init__(
         self, channels: int, heads: int, width: int, *, groups: int, eps: float, shrink: float = 1.0
     ) -> None:
-        """Create the layers; ``groups`` and ``eps`` are the norm's, ``shrink`` divides the sum."""
+        """Create an attention block of pixels with norm options, and a divisor of the sum."""
         super().__init__(channels, heads, width, bias=True)
         self.shrink = shrink
         self.group_norm = nn.GroupNorm(groups, channels, eps=eps)
@@ -136,7 +116,7 @@ class ImageAttention(Attention):
     def forward(  # type: ignore[override]
         self, image: Float[Tensor, "b c h w"]
     ) -> Float[Tensor, "b c h w"]:
-        """Apply the block to an image."""
+        """Apply self-attention to the pixels of a feature image."""
         # The norm is applied to the image: flattening first would need one more copy.
         tokens = self.group_norm(image).flatten(2).transpose(1, 2)
         attended = super().forward(tokens).transpose(1, 2).reshape(image.shape)
@@ -144,7 +124,7 @@ class ImageAttention(Attention):
 
 
 class _FeedForward(nn.Module):
-    """A layer gated by GELU (Shazeer 2020, "GLU Variants Improve Transformer"), then a linear one."""
+    """A dense layer gated by GELU (Shazeer 2020, "GLU Variants"), then a linear layer."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -180,7 +160,7 @@ class _TransformerBlock(nn.Module):
 
 
 class Transformer(nn.Module):
-    """A transformer on pixels, with cross-attention to the conditioning."""
+    """A transformer on pixels, with cross-attention to the conditioning vectors."""
 
     def __init__(
         self,
@@ -192,16 +172,6 @@ class Transformer(nn.Module):
         depth: int = 1,
         linear: bool = False,
     ) -> None:
-        """Create the layers.
-
-        Args:
-            channels: Channels of the image.
-            heads: Heads of each attention.
-            groups: Groups of the norm.
-            context: Length of one conditioning vector.
-            depth: Number of blocks.
-            linear: Projections are linear layers, not 1×1 convolutions.
-        """
         super().__init__()
         self.linear = linear
         self.norm = nn.GroupNorm(groups, channels, eps=_TRANSFORMER_EPS)
@@ -215,7 +185,7 @@ class Transformer(nn.Module):
     def forward(
         self, image: Float[Tensor, "b c h w"], context: Float[Tensor, "b m d"]
     ) -> Float[Tensor, "b c h w"]:
-        """Apply all blocks."""
+        """Apply all transformer blocks to a feature image."""
         features = self.norm(image)
         features = features if self.linear else self.proj_in(features)
         tokens = features.flatten(2).transpose(1, 2)
@@ -237,13 +207,13 @@ class Downsample(nn.Module):
     """Halves the resolution by a convolution of stride 2."""
 
     def __init__(self, channels: int, padding: int = 1) -> None:
-        """Create the convolution; without padding, the image gets a row and a column of zeros."""
+        """Create a convolution; without padding, the image gets a row and a column of zeros."""
         super().__init__()
         self.behind = padding == 0
         self.conv = nn.Conv2d(channels, channels, 3, stride=2, padding=padding)
 
     def forward(self, image: Float[Tensor, "b c h w"]) -> Tensor:
-        """Apply the convolution."""
+        """Halve the resolution of a feature image."""
         output: Tensor = self.conv(F.pad(image, (0, 1, 0, 1)) if self.behind else image)
         return output
 
@@ -252,11 +222,10 @@ class Upsample(nn.Module):
     """Doubles the resolution by nearest-neighbour upsampling and a convolution."""
 
     def __init__(self, channels: int) -> None:
-        """Create the convolution."""
         super().__init__()
         self.conv = nn.Conv2d(channels, channels, 3, padding=1)
 
     def forward(self, image: Float[Tensor, "b c h w"]) -> Tensor:
-        """Apply the upsampling and the convolution."""
+        """Double the resolution of a feature image."""
         output: Tensor = self.conv(F.interpolate(image, scale_factor=2.0, mode="nearest"))
         return output

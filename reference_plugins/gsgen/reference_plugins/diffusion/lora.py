@@ -60,41 +60,27 @@ _UNSUPPORTED = {
 
 @dataclass(slots=True)
 class Pair:
-    """The two matrices that change one layer, and their scale.
+    """The two low-rank matrices that change one layer, and their scale."""
 
-    Attributes:
-        down: A, [r, i] or [r, i, h, w].
-        up: B, [o, r] or [o, r, 1, 1].
-        alpha: α of the layer, if the file has it.
-    """
-
-    down: Tensor | None = None
-    up: Tensor | None = None
-    alpha: float | None = None
+    down: Tensor | None = None  # A, [r, i] or [r, i, h, w]
+    up: Tensor | None = None  # B, [o, r] or [o, r, 1, 1]
+    alpha: float | None = None  # α of the layer, if the file has it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adapter:
-    """The contents of a LoRA file.
-
-    Attributes:
-        path: The file.
-        pairs: Name of a layer in the file → its change.
-        text: Names of tensors of text encoders, which are not part of these networks.
-        alpha: α of layers without their own; their rank by default.
-        alphas: Suffix of a layer's name → α.
-        by_root: α is divided by √r, not by r (Kalajdzievski 2023, "rsLoRA").
-    """
+    """The contents of a LoRA file: a pair of matrices for each changed layer."""
 
     path: Path
-    pairs: Mapping[str, Pair]
+    pairs: Mapping[str, Pair]  # name of a layer in the file → its change
+    # names of tensors of text encoders, which are not part of these networks
     text: tuple[str, ...] = ()
-    alpha: float | None = None
-    alphas: Mapping[str, float] = field(default_factory=dict)
-    by_root: bool = False
+    alpha: float | None = None  # α of layers without their own; their rank by default
+    alphas: Mapping[str, float] = field(default_factory=dict)  # suffix of a layer's name → α
+    by_root: bool = False  # α is divided by √r, not by r (Kalajdzievski 2023, "rsLoRA")
 
     def share(self, layer: str, pair: Pair, rank: int) -> float:
-        """Return the factor α/r of a layer's change."""
+        """Return the factor α/r that scales the change of a layer."""
         alpha = pair.alpha
         if alpha is None:
             matches = (
@@ -105,14 +91,10 @@ class Adapter:
 
 
 def read_lora(path: Path) -> Adapter:
-    """Read a LoRA.
+    """Read a LoRA file, with the names of its tool.
 
-    Args:
-        path: A safetensors file, a file of ``torch.save``, or the folder of either under the name
-            that peft or diffusers gives it.
-
-    Raises:
-        CheckpointInvalid: The file cannot be read, or holds tensors that are not of a LoRA.
+    ``path`` is a safetensors file, a file of ``torch.save``, or the folder of either under the name
+    that peft or diffusers gives it.
     """
     path = _adapter_file(path)
     safe = is_safetensors(path)
@@ -146,11 +128,7 @@ def _adapter_file(path: Path) -> Path:
 def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], dict[str, Any]]:
     """Separate the LoRA tensors of a state dict from all others.
 
-    Returns:
-        Layer → its change; and all other entries, those of text encoders included.
-
-    Raises:
-        CheckpointInvalid: A value is not a finite tensor, or a layer has two of one kind.
+    Returns layer → its change, and all other entries, those of text encoders included.
     """
     pairs: dict[str, Pair] = {}
     unpaired: dict[str, Any] = {}
@@ -177,7 +155,7 @@ def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], 
 
 
 def _parse_name(name: str) -> tuple[str, str] | None:
-    """Parse a tensor's name into its layer and its kind: down, up or alpha."""
+    """Parse the name of a LoRA tensor into its layer and its kind: down, up or alpha."""
     unwrapped = name.replace(_WRAPPED, "")
     if match := _PROCESSOR.fullmatch(unwrapped):
         projection = "to_out.0" if match["what"] == "to_out" else match["what"]
@@ -191,7 +169,7 @@ def _parse_name(name: str) -> tuple[str, str] | None:
 
 
 def _settings(path: Path, metadata: Mapping[str, str]) -> tuple[dict[str, Any], Path]:
-    """Return the settings that peft saved, and their file: a config file or the adapter itself."""
+    """Return the LoRA settings that peft saved, and their file: a config or the adapter file."""
     config_file = path.parent / _CONFIG
     if path.name.startswith("adapter_model") and config_file.is_file():
         return dict(read_model_config(path.parent, _CONFIG).values), config_file
@@ -207,7 +185,7 @@ def _settings(path: Path, metadata: Mapping[str, str]) -> tuple[dict[str, Any], 
 
 
 def _checked_settings(settings: Mapping[str, Any], where: Path) -> dict[str, float]:
-    """Raise if a setting is not supported; return α by suffix of the layer's name."""
+    """Raise if a LoRA setting is not supported; return α for each suffix of a layer name."""
     for name, usual in {"use_dora": False, "fan_in_fan_out": False}.items():
         if settings.get(name, usual) not in (usual, None):
             message = f"{name} is {settings[name]!r}, supported: {usual!r}"

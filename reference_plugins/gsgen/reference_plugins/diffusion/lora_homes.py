@@ -37,7 +37,7 @@ _LAYER = re.compile(
 
 
 def layers_by_name(unet: UNet, autoencoder: nn.Module | None) -> dict[str, nn.Module]:
-    """Return the linear and convolution layers of both networks, by each of their names."""
+    """Return all linear and convolution layers of U-Net and autoencoder, by each LoRA name."""
     layers: dict[str, nn.Module] = {}
     for name, layer in _layers(unet):
         for known in (name, _original(name, unet)):

@@ -20,14 +20,8 @@ from gsgen.reference_plugins.loading.states import first_names
 def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str:
     """Add a LoRA to the layers of networks in place, and return a summary.
 
-    Args:
-        adapter: The LoRA.
-        scale: Factor of its changes.
-        homes: The layers, by each of their names.
-
-    Raises:
-        CheckpointInvalid: A tensor has no layer, no partner, or does not fit its layer's shape.
-            The message lists the first of them; no layer is changed.
+    ``homes`` are the layers by each of their names. The error lists the first tensors without a
+    layer, a partner or a fitting shape; no layer is changed then.
     """
     troubles = [
         f"{name} {trouble}"
@@ -56,7 +50,7 @@ def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str
 
 
 def _mismatch(pair: Pair, layer: nn.Module | None) -> str:
-    """Return the reason why a change does not fit a layer; empty if it fits."""
+    """Return the reason why a LoRA change does not fit a layer; empty if it fits."""
     if layer is None:
         return "is not a layer of the networks"
     if pair.down is None or pair.up is None:
@@ -72,7 +66,7 @@ def _mismatch(pair: Pair, layer: nn.Module | None) -> str:
 
 
 def _product(pair: Pair, weight: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """Return the product B A in float64, in the shape of a layer's weight."""
+    """Return the product B A of the LoRA matrices in float64, in the layer's weight shape."""
     assert pair.down is not None
     assert pair.up is not None
     down, up = _kernel(pair.down.double()), pair.up.double().flatten(1)

@@ -17,22 +17,17 @@ _MOST_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
-    """The options of one network.
-
-    Attributes:
-        path: The file.
-        values: Option → JSON value.
-    """
+    """The options of one network, from a ``config.json`` of diffusers."""
 
     path: Path
-    values: Mapping[str, Any]
+    values: Mapping[str, Any]  # option → JSON value
 
     def option_error(self, name: str, problem: str) -> CheckpointInvalid:
-        """Return an error about the value of an option, to be raised by the caller."""
+        """Return an error about the value of a network option, to be raised by the caller."""
         return CheckpointInvalid(f"{name} {problem}", where=str(self.path))
 
     def choice(self, name: str, values: Sequence[Any], default: Any = None) -> Any:
-        """Return the value of an option, which must be one of ``values``."""
+        """Return a network option that must be one of ``values``."""
         value = self.values.get(name, default)
         if isinstance(value, list | dict) or value not in values:
             words = ", ".join(json.dumps(allowed) for allowed in values)
@@ -40,14 +35,14 @@ class ModelConfig:
         return value
 
     def integer(self, name: str, default: int, *, least: int = 1) -> int:
-        """Return the value of an option, which must be an integer of at least ``least``."""
+        """Return a network option that must be an integer of at least ``least``."""
         value = self.values.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise self.option_error(name, f"is {value!r}, expected an integer of at least {least}")
         return value
 
     def number(self, name: str, default: float) -> float:
-        """Return the value of an option, which must be a finite number."""
+        """Return a network option that must be a finite number."""
         value = self.values.get(name, default)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not math.isfinite(value):
@@ -55,14 +50,14 @@ class ModelConfig:
         return float(value)
 
     def flag(self, name: str, *, default: bool) -> bool:
-        """Return the value of an option, which must be true or false."""
+        """Return a network option that must be true or false."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
             raise self.option_error(name, f"is {value!r}, expected true or false")
         return value
 
     def integers(self, name: str) -> tuple[int, ...]:
-        """Return the value of an option, which must be a list of positive integers."""
+        """Return a network option that must be a list of positive integers."""
         value = self.values.get(name)
         fits = isinstance(value, list) and value and all(type(n) is int and n > 0 for n in value)
         if not fits:
@@ -70,7 +65,7 @@ class ModelConfig:
         return tuple(value or ())
 
     def per_level(self, name: str, levels: int, default: int) -> tuple[int, ...]:
-        """Return an integer for each level; a single number in the file applies to all levels."""
+        """Return a network option as one integer per level; a single number counts for all."""
         if not isinstance(self.values.get(name), list):
             return (self.integer(name, default),) * levels
         numbers = self.integers(name)
@@ -81,7 +76,7 @@ class ModelConfig:
         return numbers
 
     def kinds(self, name: str, known: Mapping[str, str], levels: int) -> tuple[str, ...]:
-        """Return the value in ``known`` of each level's block type."""
+        """Return for each level the value that ``known`` has for the level's block type."""
         names = self.values.get(name)
         if not isinstance(names, list) or len(names) != levels:
             raise self.option_error(name, f"is {names!r}, expected a list of {levels} block types")
@@ -91,7 +86,7 @@ class ModelConfig:
         return tuple(known[kind] for kind in names)
 
     def size(self, name: str) -> tuple[int, int] | None:
-        """Return a height and a width; a single number is both, and a missing option is None."""
+        """Return a network option as height and width; a single number is both."""
         value = self.values.get(name)
         if value is None:
             return None
@@ -103,15 +98,7 @@ class ModelConfig:
 
 
 def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
-    """Read the options of a network.
-
-    Args:
-        folder: The folder of the file.
-        name: Name of the file.
-
-    Raises:
-        CheckpointInvalid: The file is missing, or does not hold a JSON object.
-    """
+    """Read the options of a network from a ``config.json`` of diffusers."""
     path = folder / name
     if not path.is_file():
         near = likely_folders(

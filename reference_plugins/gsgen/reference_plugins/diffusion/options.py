@@ -42,23 +42,14 @@ _REQUIRED = {
 
 @dataclass(frozen=True, slots=True)
 class VectorOptions:
-    """Shape of the vector that SDXL adds to the embedded time: prompt and image sizes.
+    """Shape of the vector that SDXL adds to the embedded time: prompt and image sizes."""
 
-    Attributes:
-        length: Length of the vector: the pooled prompt, then features of each size.
-        features: Number of sines and cosines for one size.
-    """
-
-    length: int
-    features: int
+    length: int  # length of the vector: the pooled prompt, then features of each size
+    features: int  # number of sines and cosines for one size
 
     @classmethod
     def of(cls, config: ModelConfig) -> "VectorOptions | None":
-        """Parse the options of a configuration; None if no vector is added.
-
-        Raises:
-            CheckpointInvalid: The network needs another kind of vector.
-        """
+        """Parse the options of SDXL's added vector; None for networks without it."""
         if config.choice("addition_embed_type", (None, "text_time")) is None:
             return None
         length = config.integer("projection_class_embeddings_input_dim", 0)
@@ -71,71 +62,42 @@ class VectorOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UNetOptions:
-    """The shape of a U-Net.
+    """The shape of a U-Net."""
 
-    Attributes:
-        inputs: Channels of the image.
-        outputs: Channels of the result.
-        channels: Channels of each level, finest first.
-        down: Attention after the residual blocks of each level on the way down: empty for no
-            attention, ``image`` for self-attention, or ``context`` for a transformer.
-        middle: The same for the middle block; None without a middle block.
-        up: The same on the way up, coarsest first.
-        layers: Residual blocks of each level.
-        heads: Heads of attention of each level.
-        depth: Transformer blocks of each level.
-        context: Length of a conditioning vector; None without conditioning.
-        groups: Groups of every norm.
-        eps: Epsilon of the norms of residual blocks.
-        shrink: Divisor of the sums in the middle block.
-        shifts: Time scales and shifts norms.
-        linear: Transformers project by linear layers.
-        padding: Padding of the convolutions of stride 2.
-        kernels: Kernel sizes of the first and the last convolution.
-        flip: Cosines of the time come before its sines.
-        shift: Number subtracted from the number of frequencies.
-        centre: The image is converted from 0 … 1 to −1 … 1 first.
-        attends: The middle block has attention.
-        sample: Height and width of training samples, if known.
-        vector: Options of the vector that is added to the embedded time, if any.
-    """
-
-    inputs: int
-    outputs: int
-    channels: tuple[int, ...]
+    inputs: int  # channels of the image
+    outputs: int  # channels of the result
+    channels: tuple[int, ...]  # channels of each level, finest first
+    # attention after the residual blocks of each level on the way down: empty for no attention,
+    # ``image`` for self-attention, or ``context`` for a transformer
     down: tuple[str, ...]
-    middle: str | None
-    up: tuple[str, ...]
-    layers: int
-    heads: tuple[int, ...]
-    depth: tuple[int, ...]
-    context: int | None
-    groups: int
-    eps: float
-    shrink: float
-    shifts: bool
-    linear: bool
-    padding: int
-    kernels: tuple[int, int]
-    flip: bool
-    shift: float
-    centre: bool
-    attends: bool
-    sample: tuple[int, int] | None
-    vector: VectorOptions | None
+    middle: str | None  # the same for the middle block; None without a middle block
+    up: tuple[str, ...]  # the same on the way up, coarsest first
+    layers: int  # residual blocks of each level
+    heads: tuple[int, ...]  # heads of attention of each level
+    depth: tuple[int, ...]  # transformer blocks of each level
+    context: int | None  # length of a conditioning vector; None without conditioning
+    groups: int  # groups of every norm
+    eps: float  # epsilon of the norms of residual blocks
+    shrink: float  # divisor of the sums in the middle block
+    shifts: bool  # time scales and shifts norms
+    linear: bool  # transformers project by linear layers
+    padding: int  # padding of the convolutions of stride 2
+    kernels: tuple[int, int]  # kernel sizes of the first and the last convolution
+    flip: bool  # cosines of the time come before its sines
+    shift: float  # number subtracted from the number of frequencies
+    centre: bool  # the image is converted from 0 … 1 to −1 … 1 first
+    attends: bool  # the middle block has attention
+    sample: tuple[int, int] | None  # height and width of training samples, if known
+    vector: VectorOptions | None  # options of the vector that is added to the embedded time, if any
 
     @property
     def stride(self) -> int:
-        """Number that the sides of an image must be multiples of."""
+        """The number that width and height of an image must be multiples of."""
         return int(2 ** (len(self.channels) - 1))
 
     @classmethod
     def of(cls, config: ModelConfig) -> "UNetOptions":
-        """Parse the options of a U-Net.
-
-        Raises:
-            CheckpointInvalid: The configuration is not of a supported U-Net.
-        """
+        """Parse the options of a U-Net from a ``config.json`` of diffusers."""
         kind = config.choice("_class_name", (_UNCONDITIONAL, _CONDITIONAL))
         for name, values in _REQUIRED.items():
             config.choice(name, values, values[0])
@@ -180,14 +142,14 @@ class UNetOptions:
 
     @property
     def time(self) -> int:
-        """Length of the embedded time."""
+        """The length of the embedded time vector of a U-Net."""
         return _TIME * self.channels[0]
 
 
 def _heads_per_level(
     config: ModelConfig, channels: tuple[int, ...], *, conditional: bool
 ) -> tuple[int, ...]:
-    """Return the number of attention heads of each level.
+    """Return the number of attention heads at each level of a U-Net.
 
     In conditional U-Nets, ``attention_head_dim`` is this number, in spite of its name.
     """
@@ -212,51 +174,31 @@ def _heads_per_level(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutoencoderOptions:
-    """The shape of an autoencoder (AutoencoderKL).
+    """The shape of an autoencoder (AutoencoderKL)."""
 
-    Attributes:
-        inputs: Channels of the image.
-        outputs: Channels of the decoded image.
-        latent: Channels of the latent.
-        channels: Channels of each level, finest first.
-        layers: Residual blocks of each level of the encoder; the decoder has one more.
-        groups: Groups of every norm.
-        scale: Factor of the latent that the U-Net receives.
-        shift: Number subtracted from the latent before scaling.
-        attends: The middle block has attention.
-        quantised: Whether a 1×1 convolution precedes the latent, and whether one follows it.
-        skips: Factor of the skip connections, which lead the input of each encoder level through
-            a 1×1 convolution to the decoder (Difix); None without them.
-    """
-
-    inputs: int
-    outputs: int
-    latent: int
-    channels: tuple[int, ...]
-    layers: int
-    groups: int
-    scale: float
-    shift: float
-    attends: bool
+    inputs: int  # channels of the image
+    outputs: int  # channels of the decoded image
+    latent: int  # channels of the latent
+    channels: tuple[int, ...]  # channels of each level, finest first
+    layers: int  # residual blocks of each level of the encoder; the decoder has one more
+    groups: int  # groups of every norm
+    scale: float  # factor of the latent that the U-Net receives
+    shift: float  # number subtracted from the latent before scaling
+    attends: bool  # the middle block has attention
+    # whether a 1×1 convolution precedes the latent, and whether one follows it
     quantised: tuple[bool, bool]
+    # factor of the skip connections, which lead the input of each encoder level through a 1×1
+    # convolution to the decoder (Difix); None without them
     skips: float | None = None
 
     @property
     def stride(self) -> int:
-        """Number of image pixels along one latent pixel."""
+        """The number of image pixels along one latent pixel."""
         return int(2 ** (len(self.channels) - 1))
 
     @classmethod
     def of(cls, config: ModelConfig, *, skips: bool = False) -> "AutoencoderOptions":
-        """Parse the options of an autoencoder.
-
-        Args:
-            config: The configuration.
-            skips: The checkpoint has weights for skip connections.
-
-        Raises:
-            CheckpointInvalid: The configuration is not of a supported autoencoder.
-        """
+        """Parse the options of an autoencoder from a ``config.json`` of diffusers."""
         if skips:
             config.choice("ignore_skip", (False,), False)
         config.choice("_class_name", ("AutoencoderKL",))

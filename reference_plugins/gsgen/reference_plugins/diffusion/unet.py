@@ -25,13 +25,9 @@ _SLOWEST = 10000.0
 def time_features(
     moment: Float[Tensor, " b"], width: int, *, flip: bool, shift: float
 ) -> Float[Tensor, "b width"]:
-    """Return sines and cosines of a timestep (Vaswani et al. 2017, section 3.5).
+    """Return sines and cosines of a diffusion timestep (Vaswani et al. 2017, section 3.5).
 
-    Args:
-        moment: The timestep.
-        width: Number of features; must be even.
-        flip: Cosines come first.
-        shift: Number subtracted from the number of frequencies.
+    ``flip`` puts cosines first; ``shift`` is subtracted from the number of frequencies.
     """
     half = width // 2
     exponent = -math.log(_SLOWEST) * torch.arange(half, dtype=torch.float32) / (half - shift)
@@ -43,17 +39,11 @@ def time_features(
 def added_vector(
     pooled: Float[Tensor, "1 p"], time_ids: Sequence[float], options: UNetOptions
 ) -> Float[Tensor, "1 v"]:
-    """Return the vector that SDXL adds to the embedded time, before its layers.
+    """Return the vector of prompt and sizes that SDXL adds to the time, before its layers.
 
     It joins the pooled prompt and the features of each size (Podell et al. 2023, section 2.2).
 
-    Args:
-        pooled: The pooled prompt of the text encoder.
-        time_ids: Original height and width, top and left of the crop, target height and width.
-        options: Options of a U-Net that takes such a vector.
-
-    Raises:
-        ValueError: The vector has another length than the U-Net expects.
+    ``time_ids`` are original height and width, top and left of the crop, target height and width.
     """
     vector = options.vector
     assert vector is not None
@@ -68,7 +58,7 @@ def added_vector(
 
 
 class _Level(nn.Module):
-    """Residual blocks of one resolution, with optional attention after each."""
+    """Residual blocks of one U-Net resolution, with optional attention after each."""
 
     def __init__(
         self, options: UNetOptions, index: int, kind: str, sizes: list[tuple[int, int]]
@@ -85,7 +75,7 @@ class _Level(nn.Module):
     def apply_block(
         self, index: int, image: Tensor, time: Tensor, context: Tensor | None
     ) -> Tensor:
-        """Apply one residual block and its attention, if any."""
+        """Apply one residual block of a U-Net level, and the attention after it if any."""
         features: Tensor = self.resnets[index](image, time)
         return (
             _apply_attention(self.attentions[index], features, context) if self.kind else features
@@ -210,7 +200,6 @@ class UNet(nn.Module):
     """A U-Net: levels down, a middle block, and levels up with skip connections."""
 
     def __init__(self, options: UNetOptions) -> None:
-        """Create the layers; the weights are loaded later."""
         super().__init__()
         self.options = options
         first, last = options.kernels
@@ -237,13 +226,10 @@ class UNet(nn.Module):
         context: Float[Tensor, "b m d"] | None = None,
         vector: Float[Tensor, "b v"] | None = None,
     ) -> Float[Tensor, "b o h w"]:
-        """Return the prediction of the network, such as noise.
+        """Return the prediction of the U-Net, such as noise.
 
-        Args:
-            image: An image whose sides are multiples of the options' stride.
-            moment: The timestep.
-            context: Conditioning vectors, if the network takes them.
-            vector: The vector that is added to the embedded time, if any (:func:`added_vector`).
+        The sides of ``image`` are multiples of the options' stride; :func:`added_vector` gives
+        ``vector``.
         """
         options = self.options
         features = time_features(

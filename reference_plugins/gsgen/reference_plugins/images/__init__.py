@@ -1,1 +1,1 @@
-"""Post-process networks for rendered images: diffusion denoisers and style transfer."""
+"""How are networks exported that process rendered images: diffusion denoisers, style transfer?"""

@@ -31,26 +31,18 @@ Share = Tensor | float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """Options of the denoising step.
-
-    Attributes:
-        timestep: The timestep.
-        timestep_is_input: The timestep is an input, and ``timestep`` its default.
-        size: Height and width of images; None for any size.
-        is_unit_range: Images of the model are 0 … 1, not −1 … 1.
-        returns_prediction: The result is the network's prediction, not the clean image.
-    """
+    """Options of the denoising step of a diffusion network."""
 
     timestep: float
-    timestep_is_input: bool = False
-    size: tuple[int, int] | None = None
-    is_unit_range: bool = False
-    returns_prediction: bool = False
+    timestep_is_input: bool = False  # the timestep is an input, and ``timestep`` its default
+    size: tuple[int, int] | None = None  # height and width of images; None for any size
+    is_unit_range: bool = False  # images of the model are 0 … 1, not −1 … 1
+    returns_prediction: bool = False  # the result is the network's prediction, not the clean image
 
 
 @final
 class Denoiser(PostProcess):
-    """One step of a U-Net, in pixels or in the latents of an autoencoder.
+    """One denoising step of a U-Net, in pixels or in the latents of an autoencoder.
 
     An image whose sides are not multiples of the stride is padded by its edge on the right and at
     the bottom, and cropped afterwards.
@@ -68,17 +60,10 @@ class Denoiser(PostProcess):
         context: Float[Tensor, "1 m d"] | None = None,
         vector: Float[Tensor, "1 v"] | None = None,
     ) -> None:
-        """Combine a checkpoint's networks into one model.
+        """Combine the networks of a diffusion checkpoint into one model.
 
-        Args:
-            read: The checkpoint.
-            step: Options of the step.
-            context: Conditioning vectors, if the network takes them.
-            vector: The vector that is added to the embedded time, if the network takes one
-                (:func:`gsgen.reference_plugins.diffusion.unet.added_vector`).
-
-        Raises:
-            ConfigInvalid: The options do not fit the checkpoint.
+        ``context`` are conditioning vectors, and ``vector`` is that of
+        :func:`gsgen.reference_plugins.diffusion.unet.added_vector`, if the network takes them.
         """
         super().__init__()
         _check_step(read, step, context, vector)
@@ -104,7 +89,7 @@ class Denoiser(PostProcess):
     def forward(
         self, image: Float[Tensor, "1 c h w"], timestep: Float[Tensor, "1"] | None = None
     ) -> Float[Tensor, "1 c h w"]:
-        """Return the image without the noise that the network predicts."""
+        """Return the image without the noise that the U-Net predicts."""
         height, width = image.shape[2], image.shape[3]
         result = self._denoise(
             self._pad(2 * image - 1 if self.step.is_unit_range else image), timestep
@@ -139,7 +124,7 @@ class Denoiser(PostProcess):
         return result
 
     def _signal_and_noise_at(self, timestep: Tensor | None) -> tuple[Share, Share]:
-        """Return √ᾱ and √(1 − ᾱ) of the timestep, rounded to an existing one."""
+        """Return √ᾱ and √(1 − ᾱ) of the diffusion timestep, rounded to an existing one."""
         if timestep is None:
             return self.fixed
         whole = torch.floor(timestep + 0.5).clamp(0.0, float(len(self.table) - 1))
@@ -154,7 +139,7 @@ def _signal_and_noise(noise: Noise) -> Float[Tensor, "steps 2"]:
 def _clean(
     prediction: str, noisy: Tensor, predicted: Tensor, signal: Share, noise: Share
 ) -> Tensor:
-    """Solve xₜ = √ᾱ x₀ + √(1 − ᾱ) ε for x₀."""
+    """Solve xₜ = √ᾱ x₀ + √(1 − ᾱ) ε for the clean image x₀."""
     if prediction == "epsilon":
         return (noisy - noise * predicted) / signal
     if prediction == "v_prediction":  # Salimans and Ho 2022, appendix D

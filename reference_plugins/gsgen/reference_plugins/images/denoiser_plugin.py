@@ -1,4 +1,4 @@
-"""`gsgen export denoiser`: exports one step of a diffusion network as a post-process model."""
+"""`gsgen export denoiser`: one step of a diffusion network as a post-process model."""
 
 __all__ = ["PLUGIN"]
 
@@ -102,7 +102,7 @@ def build(
     *,
     timestep_input: Steers = False,
 ) -> "Denoiser":
-    """Read a checkpoint, report its contents, and return its model."""
+    """Read a diffusion checkpoint, report its contents, and return the post-process model."""
     from importlib.metadata import version
 
     from gsgen.contract.spec.manifest import Producer
@@ -132,7 +132,7 @@ def build(
 
 
 def _parse_lora(word: str) -> tuple[Path, float]:
-    """Parse ``FILE[:SCALE]`` into a path and a scale; the default scale is 1."""
+    """Parse the option ``FILE[:SCALE]`` of a LoRA; the default scale is 1."""
     name, colon, text = word.rpartition(":")
     if not colon or Path(word).exists():
         return Path(word), 1.0
@@ -178,7 +178,7 @@ def _conditioning(
 def _vector(
     read: "DiffusionCheckpoint", prompt: "Embeddings", ids: str | None, size: tuple[int, int] | None
 ) -> "Tensor | None":
-    """Return the vector that is added to the embedded time: pooled prompt and image sizes."""
+    """Return SDXL's vector for the embedded time: pooled prompt and image sizes."""
     from gsgen.reference_plugins.diffusion.unet import added_vector
 
     if read.unet.options.vector is None:

@@ -26,7 +26,7 @@ _WEIGHTS = "diffusion_pytorch_model.safetensors"
 
 
 def config_of(values: Mapping[str, Any]) -> ModelConfig:
-    """Wrap options as if they were read from a ``config.json``."""
+    """Wrap network options in a ModelConfig, as if they were read from a ``config.json``."""
     return ModelConfig(Path("config.json"), values)
 
 
@@ -39,11 +39,9 @@ def write_network(
 
 
 def write_schedule(folder: Path, changes: Mapping[str, Any] | None = None) -> None:
-    """Write ``scheduler/`` into ``folder``.
+    """Write a synthetic noise schedule as ``scheduler/`` into ``folder``.
 
-    Args:
-        folder: The folder of the checkpoint.
-        changes: Options that differ from those of :data:`SCHEDULE`.
+    ``changes`` are options that differ from those of :data:`SCHEDULE`.
     """
     path = folder / "scheduler" / "scheduler_config.json"
     path.parent.mkdir(parents=True, exist_ok=True)

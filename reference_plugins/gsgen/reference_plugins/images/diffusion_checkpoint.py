@@ -45,54 +45,40 @@ _LARGEST_BETA = 0.999
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """The noise schedule of training.
+    """The noise schedule that a diffusion network was trained with."""
 
-    Attributes:
-        signal: ᾱ of each timestep: the remaining share of the image's variance, float64.
-        prediction: The quantity that the network predicts.
-    """
-
+    # ᾱ of each timestep: the remaining share of the image's variance, float64
     signal: Float[Tensor, " steps"]
-    prediction: Prediction
+    prediction: Prediction  # the quantity that the network predicts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffusionCheckpoint:
-    """The networks and the noise schedule of one checkpoint.
+    """The networks and the noise schedule of one diffusion checkpoint."""
 
-    Attributes:
-        folder: The folder that was read.
-        unet: The U-Net, its weights loaded.
-        autoencoder: The autoencoder; None if the U-Net works on pixels.
-        noise: The noise schedule; None if the folder has none.
-        digest: SHA-256 of the concatenated weight files.
-        added: Descriptions of the LoRAs that were merged.
-        warnings: Descriptions of tensors that have no effect.
-    """
-
-    folder: Path
-    unet: UNet
-    autoencoder: Autoencoder | None
-    noise: Noise | None
-    digest: str
-    added: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    folder: Path  # the folder that was read
+    unet: UNet  # the U-Net, its weights loaded
+    autoencoder: Autoencoder | None  # the autoencoder; None if the U-Net works on pixels
+    noise: Noise | None  # the noise schedule; None if the folder has none
+    digest: str  # SHA-256 of the concatenated weight files
+    added: tuple[str, ...] = ()  # descriptions of the LoRAs that were merged
+    warnings: tuple[str, ...] = ()  # descriptions of tensors that have no effect
 
     @property
     def stride(self) -> int:
-        """Number that the sides of an image must be multiples of."""
+        """The number that width and height of an image must be multiples of."""
         pixels = 1 if self.autoencoder is None else self.autoencoder.options.stride
         return pixels * self.unet.options.stride
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """Height and width of training images, if the checkpoint records them."""
+        """Height and width of the training images, if the checkpoint records them."""
         sample = self.unet.options.sample
         pixels = 1 if self.autoencoder is None else self.autoencoder.options.stride
         return None if sample is None else (pixels * sample[0], pixels * sample[1])
 
     def describe(self) -> str:
-        """Describe the checkpoint in one line: networks, schedule and LoRAs."""
+        """Describe a diffusion checkpoint in one line: networks, schedule and LoRAs."""
         options = self.unet.options
         count = sum(weight.numel() for weight in self.unet.parameters())
         parts = [f"U-Net of {count:,} weights, {len(options.channels)} levels"]
@@ -118,14 +104,8 @@ def read_diffusion(
 ) -> DiffusionCheckpoint:
     """Read a diffusion checkpoint, and merge LoRAs into its weights.
 
-    Args:
-        folder: The folder of ``unet/``, or of a U-Net alone.
-        vae: The autoencoder's folder; by default ``vae/`` in ``folder``, if it exists.
-        difix: The ``model.pkl`` of Difix, if any.
-        loras: LoRA files with the factor of each.
-
-    Raises:
-        CheckpointInvalid: A file is missing, not supported, or does not fit the others.
+    ``folder`` holds ``unet/``, or is a U-Net alone; ``vae`` is ``vae/`` in it by default. ``loras``
+    are files with the factor of each.
     """
     change = Difix() if difix is None else read_difix(difix)
     unet_folder = folder / "unet" if (folder / "unet").is_dir() else folder
@@ -162,7 +142,7 @@ def read_diffusion(
 
 @dataclass(frozen=True, slots=True)
 class _Read(Generic[_Net]):
-    """A network, the file of its weights, and the LoRA that was saved in it, if any."""
+    """A diffusion network, the file of its weights, and the LoRA saved in the file, if any."""
 
     network: _Net
     path: Path
@@ -229,7 +209,7 @@ def _weights(folder: Path) -> tuple[Path, dict[str, Any]]:
 def _rename_attention(
     state: dict[str, Any], expected: dict[str, tuple[int, ...]]
 ) -> dict[str, Any]:
-    """Convert attention layers of old files to today's names and shapes."""
+    """Convert attention layers of old diffusers files to today's names and shapes."""
     renamed = {}
     for name, value in state.items():
         *parents, layer, kind = name.split(".") if name.count(".") else ("", "", name)

@@ -28,23 +28,15 @@ _PARTS = ("state_dict_unet", "state_dict_vae")
 
 @dataclass(frozen=True, slots=True)
 class Difix:
-    """Tensors that replace or extend the weights of U-Net and autoencoder.
+    """Tensors of Difix that replace or extend the weights of U-Net and autoencoder."""
 
-    Attributes:
-        unet: Tensors of the U-Net by name, including those of a LoRA.
-        vae: Tensors of the autoencoder, likewise.
-    """
-
+    # tensors of the U-Net by name, including those of a LoRA
     unet: Mapping[str, Any] = field(default_factory=dict)
-    vae: Mapping[str, Any] = field(default_factory=dict)
+    vae: Mapping[str, Any] = field(default_factory=dict)  # tensors of the autoencoder, likewise
 
 
 def read_difix(path: Path) -> Difix:
-    """Read a ``model.pkl`` of Difix.
-
-    Raises:
-        CheckpointInvalid: The file cannot be read, or is not of Difix.
-    """
+    """Read a ``model.pkl`` of Difix."""
     hint = "Give the model.pkl of Difix; use --lora FILE for a LoRA alone."
     if is_safetensors(required_file(path, "the model.pkl of Difix")):
         raise CheckpointInvalid("is a safetensors file", where=str(path), hint=hint)
@@ -60,8 +52,7 @@ def read_difix(path: Path) -> Difix:
 def split_fused_lora(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Any], Adapter | None]:
     """Split a state dict that was saved with a LoRA inside, as peft wraps layers.
 
-    Returns:
-        The weights, named as without the LoRA; and the LoRA, if any.
+    Returns the weights, named as without the LoRA, and the LoRA, if any.
     """
     if not any(_BASE in name or ".lora_" in name for name in state):
         return dict(state), None

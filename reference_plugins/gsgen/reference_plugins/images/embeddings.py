@@ -1,4 +1,4 @@
-"""Reads the embeddings of a prompt from a file of arrays.
+"""Reads the text embeddings of a prompt from a file of arrays.
 
 Text encoders are never exported, because the prompt of an enhancer does not change.
 """
@@ -25,20 +25,15 @@ _TIME_IDS = ("time_ids", "add_time_ids")
 
 @dataclass(frozen=True, slots=True)
 class Embeddings:
-    """The embeddings of a prompt.
+    """The text embeddings of a prompt."""
 
-    Attributes:
-        context: A vector for each token.
-        pooled: A vector for the whole prompt, if the network takes one (SDXL).
-        time_ids: Sizes of the image for SDXL, if the file has them.
-    """
-
-    context: Float[Tensor, "1 m d"] | None = None
+    context: Float[Tensor, "1 m d"] | None = None  # A vector for each token
+    # A vector for the whole prompt, if the network takes one (SDXL)
     pooled: Float[Tensor, "1 p"] | None = None
-    time_ids: tuple[float, ...] | None = None
+    time_ids: tuple[float, ...] | None = None  # sizes of the image for SDXL, if the file has them
 
     def describe(self) -> str:
-        """Describe the arrays in one line: shapes and sizes."""
+        """Describe the arrays of a prompt's embeddings in one line: shapes and sizes."""
         parts = [] if self.context is None else [f"{list(self.context.shape)}"]
         parts += [] if self.pooled is None else [f"pooled {list(self.pooled.shape)}"]
         parts += [] if self.time_ids is None else [f"time_ids {list(self.time_ids)}"]
@@ -46,16 +41,11 @@ class Embeddings:
 
 
 def read_embeddings(path: Path, *, pooled: bool = False) -> Embeddings:
-    """Read the embeddings of a prompt from an npz file.
+    """Read the text embeddings of a prompt from an npz file.
 
-    Args:
-        path: A file with one array, [1, L, D], of any name.
-        pooled: The file has several arrays, told apart by name: ``prompt_embeds`` [1, L, D],
-            ``pooled_prompt_embeds`` [1, P], and ``time_ids`` to override the image size.
-
-    Raises:
-        CheckpointInvalid: The file cannot be read as npz.
-        ConfigInvalid: An array is missing, unknown, or not of finite numbers.
+    Without ``pooled``, the file has one array [1, L, D] of any name. With it, arrays are told apart
+    by name: ``prompt_embeds`` [1, L, D], ``pooled_prompt_embeds`` [1, P], and ``time_ids`` to
+    override the image size.
     """
     arrays = {name: _numbers(name, array, path) for name, array in read_npz(path).items()}
     if pooled:
@@ -78,7 +68,7 @@ def _numbers(name: str, array: np.ndarray, path: Path) -> Float32[np.ndarray, ".
 
 
 def _named_embeddings(arrays: Mapping[str, np.ndarray], path: Path) -> Embeddings:
-    """Assign the arrays of SDXL by their names."""
+    """Assign the arrays of an npz file to SDXL's two embeddings by their names."""
     known = (*_CONTEXT, *_POOLED, *_TIME_IDS)
     unknown = [name for name in arrays if name not in known]
     matches = [[name for name in names if name in arrays] for names in (_CONTEXT, _POOLED)]

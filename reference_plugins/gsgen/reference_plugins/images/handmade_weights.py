@@ -29,12 +29,8 @@ def set_denoising_weights(unet: UNet) -> None:
     The upper level keeps the image, the lower one a blurred copy. The last GroupNorm normalises
     their difference to variance 1, as noise has, and two SiLU clip it at ±1.2.
 
-    Args:
-        unet: A U-Net of 3 input and output channels, two levels of one layer, and 8 channels in
-            4 groups at the upper level.
-
-    Raises:
-        ConfigInvalid: The U-Net has another shape.
+    ``unet`` has 3 input and output channels, two levels of one layer, and 8 channels in 4 groups at
+    the upper level.
     """
     options = unet.options
     shape = (options.inputs, options.outputs, len(options.channels), options.layers)
@@ -66,9 +62,6 @@ def set_outline_weights(network: Stylise) -> None:
 
     Channels hold red, green, blue, brightness, and positive and negative local contrast, each
     standardised by the norms; the last layer combines them.
-
-    Raises:
-        ConfigInvalid: The network has fewer than six channels.
     """
     channels = network.last.in_channels
     if channels < 6:
@@ -89,7 +82,7 @@ def set_outline_weights(network: Stylise) -> None:
 
 
 class Weights:
-    """Access to a network's weights by name; all are set to zero first."""
+    """Access to the weights of a network by name; all weights are set to zero first."""
 
     def __init__(self, network: nn.Module) -> None:
         self._named = {name: parameter.data for name, parameter in network.named_parameters()}
@@ -100,12 +93,12 @@ class Weights:
         return self._named[name]
 
     def __call__(self, name: str, change: Callable[[Tensor], None]) -> None:
-        """Apply ``change`` to the weight of a layer."""
+        """Apply ``change`` to the weight tensor of a layer."""
         change(self._named[f"{name}.weight"])
 
 
 def _centre(weight: Float[Tensor, "o i h w"]) -> None:
-    """Set a kernel that copies the first three channels."""
+    """Set a convolution kernel that copies the first three channels."""
     for color in range(COLORS):
         weight[color, color, weight.shape[2] // 2, weight.shape[3] // 2] = 1.0
 

@@ -10,11 +10,7 @@ _SIZE = re.compile(r"(\d{1,6})[x×](\d{1,6})")
 
 
 def read_size(size: str) -> tuple[int, int] | None:
-    """Parse ``HEIGHTxWIDTH`` into height and width; ``any`` gives None.
-
-    Raises:
-        ConfigInvalid: ``size`` is neither.
-    """
+    """Parse ``HEIGHTxWIDTH`` into height and width; ``any`` gives None."""
     word = size.strip().lower()
     if word == "any":
         return None

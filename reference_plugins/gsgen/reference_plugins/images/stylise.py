@@ -23,15 +23,10 @@ _STRIDE = 4
 
 @dataclass(frozen=True, slots=True)
 class StyliseOptions:
-    """The shape of the network.
+    """The shape of the style transfer network: widths and number of blocks."""
 
-    Attributes:
-        channels: Channels of the first convolution; each of the next two doubles them.
-        blocks: Residual blocks at a quarter of the size.
-    """
-
-    channels: int = 16
-    blocks: int = 3
+    channels: int = 16  # channels of the first convolution; each of the next two doubles them
+    blocks: int = 3  # residual blocks at a quarter of the size
 
 
 class _Block(nn.Module):
@@ -68,13 +63,6 @@ class Stylise(PostProcess):
     def __init__(
         self, options: StyliseOptions, size: tuple[int, int] | None, *, slider: bool = True
     ) -> None:
-        """Create the layers; the weights are loaded later.
-
-        Args:
-            options: The shape of the network.
-            size: Height and width of images; None for any size.
-            slider: The strength of the style is an input; it is 1 otherwise.
-        """
         super().__init__()
         c = options.channels
         self.down = nn.ModuleList(
@@ -90,7 +78,7 @@ class Stylise(PostProcess):
     def forward(
         self, image: Float[Tensor, "1 3 h w"], style: Float[Tensor, "1"] | None = None
     ) -> Float[Tensor, "1 3 h w"]:
-        """Return the image in the network's style."""
+        """Return the image in the style that the network was trained for."""
         height, width = image.shape[2], image.shape[3]
         below, right = -height % _STRIDE, -width % _STRIDE
         features = 2 * image - 1

@@ -1,4 +1,4 @@
-"""`gsgen export stylise`: exports a style transfer network as a post-process model."""
+"""`gsgen export stylise`: a style transfer network as a post-process model."""
 
 __all__ = ["PLUGIN"]
 
@@ -30,7 +30,7 @@ Slider = Annotated[
 
 
 def build(checkpoint: Folder, size: Size = "360x640", *, slider: Slider = True) -> "Stylise":
-    """Read a checkpoint, report its contents, and return its model."""
+    """Read a style transfer checkpoint, report its contents, and return the model."""
     import hashlib
     from importlib.metadata import version
 
@@ -55,7 +55,7 @@ def build(checkpoint: Folder, size: Size = "360x640", *, slider: Slider = True) 
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a network that draws outlines, and return the options that export it."""
+    """Write a style transfer network that draws outlines, and return its export options."""
     from gsgen.reference_plugins.images.synthetic_images import write_stylise
 
     write_stylise(folder, drawing=True)

@@ -68,7 +68,7 @@ _TIMESTEP = 199
 
 
 def write_difix(folder: Path) -> Path:
-    """Write a base in the layout of diffusers and a ``model.pkl``, and return ``folder``."""
+    """Write a synthetic Difix checkpoint, a diffusers base and a ``model.pkl``, to ``folder``."""
     coder = Autoencoder(AutoencoderOptions.of(config_of(_VAE)))
     scale = coder.options.scale
     _set_identity(coder)
@@ -156,7 +156,7 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
 
 
 def _skips() -> Iterator[tuple[str, Tensor]]:
-    """Yield the skip connections: zero weights, and a LoRA that copies the image."""
+    """Yield the skip connections of Difix: zero weights, and a LoRA that copies the image."""
     for index in (1, 2):
         name = f"decoder.skip_conv_{index}"
         down, up = torch.zeros(_RANK, _WIDTH, 1, 1), torch.zeros(_WIDTH, _RANK, 1, 1)
@@ -178,7 +178,7 @@ def _fix(bias: Float[Tensor, " o"], color: int) -> None:
 
 
 def _read_out(weights: Weights, part: str) -> None:
-    """Set the output layer to the colours of groups that hold x, −x, K and −K."""
+    """Set the U-Net's output layer to the colours of groups that hold x, −x, K and −K."""
     for color in range(COLORS):
         pair = slice(4 * color, 4 * color + 2)
         weights[f"{part}.conv_norm_out.weight"][pair] = _LARGE / math.sqrt(2)

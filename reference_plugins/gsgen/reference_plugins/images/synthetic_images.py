@@ -48,15 +48,10 @@ def write_denoiser(
     smoothing: bool = False,
     seed: int = 0,
 ) -> Path:
-    """Write a checkpoint in the layout of diffusers, and return ``folder``.
+    """Write a synthetic diffusion checkpoint in the layout of diffusers, and return ``folder``.
 
-    Args:
-        folder: The folder to write.
-        unet: Changed options of the U-Net; the default is a small one.
-        latent: The U-Net works on latents of 4 channels of an autoencoder.
-        schedule: Changed options of the scheduler.
-        smoothing: The U-Net removes fine noise, by weights set by formula instead of random ones.
-        seed: Seed of the random weights.
+    ``unet`` and ``schedule`` are changed options. With ``latent``, the U-Net works on latents of 4
+    channels; with ``smoothing``, it removes fine noise, by weights set by formula.
     """
     torch.manual_seed(seed)
     channels = {"in_channels": 4, "out_channels": 4} if latent else {}
@@ -82,12 +77,7 @@ def write_stylise(
 ) -> Path:
     """Write an untrained style transfer network, and return ``folder``.
 
-    Args:
-        folder: The folder to write.
-        channels: Channels of the first convolution.
-        blocks: Number of residual blocks.
-        drawing: The network draws outlines on paper, by weights set by formula.
-        seed: Seed of the random weights.
+    With ``drawing``, the network draws outlines on paper, by weights set by formula.
     """
     torch.manual_seed(seed)
     network = Stylise(StyliseOptions(channels, blocks), (16, 16))
@@ -99,7 +89,7 @@ def write_stylise(
 
 
 def _disturb(network: nn.Module) -> None:
-    """Add noise to all weights, so that norms and biases differ from 1 and 0."""
+    """Add noise to all weights of a network, so that norms and biases differ from 1 and 0."""
     with torch.no_grad():
         for weight in network.parameters():
             weight.add_(0.1 * torch.randn_like(weight))

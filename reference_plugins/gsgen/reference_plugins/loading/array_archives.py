@@ -20,16 +20,7 @@ _DAMAGED = (
 
 
 def read_npz(path: Path, names: Iterable[str] | None = None, hint: str = "") -> dict[str, Any]:
-    """Return the named arrays that an ``.npz`` archive has; other entries are not read.
-
-    Args:
-        path: The file.
-        names: Names of the arrays; all of the archive if absent.
-        hint: Hint of the error.
-
-    Raises:
-        CheckpointInvalid: The file is damaged or not an archive, or a named entry is an object.
-    """
+    """Return the named arrays that an ``.npz`` archive has; other entries are not read."""
     try:
         # NumPy does not close a stream that it opened itself if it fails.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:

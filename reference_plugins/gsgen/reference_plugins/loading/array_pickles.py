@@ -22,9 +22,6 @@ def read_array_pickle(path: Path) -> dict[str, Any]:
 
     An ``.npy`` file may hold the dict as ``np.save`` writes it: one object in an array without
     axes.
-
-    Raises:
-        CheckpointInvalid: The file is damaged, does not hold a dict, or names other classes.
     """
     try:
         with path.open("rb") as file:
@@ -71,7 +68,7 @@ class _Inert:
 
 @final
 class _Sparse(_Inert):
-    """A sparse matrix, compressed by columns or by rows."""
+    """A sparse matrix of SciPy, compressed by columns or by rows."""
 
     by_columns = True
 

@@ -18,22 +18,14 @@ from gsgen.reference_plugins.loading.folder import required_file
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Canonical:
-    """N Gaussians before activation, float32.
+    """N canonical Gaussians of a deformation before activation, float32."""
 
-    Attributes:
-        position: Centres.
-        rotation: Quaternions (w, x, y, z), not normalised.
-        log_scale: Logarithms of the standard deviations.
-        logit_opacity: Opacity before the sigmoid.
-        sh: SH coefficients of red, green and blue.
-        stored: SH degree of the file, if ``sh`` was cut to the highest degree of renderers.
-    """
-
-    position: Float[Tensor, "n 3"]
-    rotation: Float[Tensor, "n 4"]
-    log_scale: Float[Tensor, "n 3"]
-    logit_opacity: Float[Tensor, "n 1"]
-    sh: Float[Tensor, "n k 3"]
+    position: Float[Tensor, "n 3"]  # centres
+    rotation: Float[Tensor, "n 4"]  # quaternions (w, x, y, z), not normalised
+    log_scale: Float[Tensor, "n 3"]  # logarithms of the standard deviations
+    logit_opacity: Float[Tensor, "n 1"]  # opacity before the sigmoid
+    sh: Float[Tensor, "n k 3"]  # SH coefficients of red, green and blue
+    # SH degree of the file, if ``sh`` was cut to the highest degree of renderers
     stored: int | None = None
 
     def __len__(self) -> int:
@@ -41,21 +33,17 @@ class Canonical:
 
     @property
     def degree(self) -> int:
-        """SH degree of ``sh``."""
+        """The degree of the spherical harmonics ``sh``."""
         return math.isqrt(self.sh.shape[1]) - 1
 
     def describe(self) -> str:
-        """Return the number of Gaussians and their SH degree as text."""
+        """Return the number of canonical Gaussians and their SH degree as text."""
         cut = "" if self.stored is None else f" (cut from {self.stored})"
         return f"{len(self):,} Gaussians of SH degree {self.degree}{cut}"
 
 
 def read_canonical(path: Path) -> Canonical:
-    """Read splats from a 3DGS PLY.
-
-    Raises:
-        CheckpointInvalid: The file is missing or damaged, or holds points without splats.
-    """
+    """Read the canonical Gaussians of a deformation from a 3DGS PLY."""
     required_file(path, "the canonical Gaussians")
     try:
         splats = read_ply(path)

@@ -36,52 +36,45 @@ _TEXT_OR_NOT_PYTHON = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """The printed text of a value that is not a literal; it is never run."""
+    """The printed text of a training option that is not a literal; it is never run."""
 
     text: str
 
     def __repr__(self) -> str:
-        """Return the text."""
         return self.text
 
 
 @dataclass(frozen=True, slots=True)
 class CfgArgs:
-    """The options of one training run.
-
-    Attributes:
-        path: The file.
-        values: Option → literal, or :class:`Printed`; empty if the file is absent.
-        present: Whether the file exists.
-    """
+    """The options of one training run, read from ``cfg_args``."""
 
     path: Path
-    values: dict[str, Any]
-    present: bool = True
+    values: dict[str, Any]  # option → literal, or :class:`Printed`; empty if the file is absent
+    present: bool = True  # whether the file exists
 
     def flag(self, name: str, *, default: bool = False) -> bool:
-        """Return a boolean option."""
+        """Return a boolean training option."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
             raise self._unlike(name, "True or False")
         return value
 
     def integer(self, name: str, default: int) -> int:
-        """Return an integer option."""
+        """Return an integer training option."""
         value = self.values.get(name, default)
         if not isinstance(value, int) or isinstance(value, bool):
             raise self._unlike(name, "a whole number")
         return value
 
     def number(self, name: str, default: float) -> float:
-        """Return a numeric option as float."""
+        """Return a numeric training option as float."""
         value = self.values.get(name, default)
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise self._unlike(name, "a number")
         return float(value)
 
     def word(self, name: str, default: str, known: Iterable[str] = ()) -> str:
-        """Return a text option; it must be one of ``known`` unless that is empty."""
+        """Return a text option of the training, one of ``known`` unless that is empty."""
         value = self.values.get(name, default)
         choices = tuple(known)
         if not isinstance(value, str) or (choices and value not in choices):
@@ -89,7 +82,7 @@ class CfgArgs:
         return value
 
     def printed(self) -> dict[str, Printed]:
-        """Return the options whose values are not literals, and so cannot be read."""
+        """Return the training options whose values are not literals, and so cannot be read."""
         return {name: value for name, value in self.values.items() if isinstance(value, Printed)}
 
     def _unlike(self, name: str, expected: str) -> CheckpointInvalid:
@@ -98,15 +91,7 @@ class CfgArgs:
 
 
 def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
-    """Read ``cfg_args`` of the training run in ``folder``.
-
-    Args:
-        folder: The output folder of a training run.
-        required: Raise if the file is missing.
-
-    Raises:
-        CheckpointInvalid: The file is required but missing, or not a printed ``Namespace``.
-    """
+    """Read the training options from ``cfg_args`` of the training run in ``folder``."""
     path = folder / _NAME
     if not path.is_file():
         if required:
@@ -157,7 +142,7 @@ def _tree(text: str) -> ast.expr:
 
 
 def _is_unspellable(value: ast.expr) -> bool:
-    """Whether argparse printed options whose names are not identifiers: ``**{'a-b': 1}``."""
+    """Return whether argparse printed options that are not identifiers, as ``**{'a-b': 1}``."""
     return isinstance(value, ast.Dict) and all(
         isinstance(key, ast.Constant)
         and isinstance(key.value, str)

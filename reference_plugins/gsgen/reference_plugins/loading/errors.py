@@ -1,4 +1,4 @@
-"""Errors of checkpoints."""
+"""Exceptions raised for checkpoints that cannot be read."""
 
 __all__ = ["CheckpointInvalid", "NotInCheckpoint"]
 

@@ -24,12 +24,8 @@ _MOST_NAMED = 3
 def within_run(path: Path, iteration: int | None = None) -> tuple[Path, int | None]:
     """Return the folder of the training run around a path, and the number of the iteration.
 
-    Args:
-        path: The folder of the run or of an iteration in it, or a file in either.
-        iteration: The requested iteration; −1 is the last, as in training code.
-
-    Raises:
-        NotInCheckpoint: The path is of another iteration.
+    ``path`` is the run, an iteration, or a file in either; iteration −1 is the last, as in training
+    code. Raises :class:`NotInCheckpoint` if the path is of another iteration.
     """
     iteration = None if iteration == _LAST else iteration
     file = path.is_file() and _RUN_FILE.fullmatch(path.name) is not None
@@ -51,15 +47,9 @@ def within_run(path: Path, iteration: int | None = None) -> tuple[Path, int | No
 def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Path]:
     """Return the number and the folder of an iteration, by default the last.
 
-    Args:
-        folder: Folder with ``point_cloud/iteration_N``; other names, such as
-            ``coarse_iteration_N``, are ignored. Or the files of one iteration by themselves:
-            the number is that of the folder's name, or 0.
-        iteration: N.
-
-    Raises:
-        CheckpointInvalid: The folder holds no iteration; the hint has likely folders nearby.
-        NotInCheckpoint: Only other iterations exist; the hint lists them.
+    ``folder`` has ``point_cloud/iteration_N``; other names, such as ``coarse_iteration_N``, are
+    ignored. Or it has the files of one iteration by themselves: the number is that of its name, or
+    0. The hint of an error names likely folders, or the existing iterations.
     """
     parent = folder / _CLOUD
     if not folder.is_dir():
@@ -122,11 +112,7 @@ def _below(folder: Path, levels: int = _LEVELS) -> Iterator[Path]:
 
 
 def required_file(path: Path, content: str) -> Path:
-    """Return ``path`` if the file exists.
-
-    Raises:
-        CheckpointInvalid: The file is missing; the message names its ``content``.
-    """
+    """Return ``path``; raise with the files of other iterations if it does not exist."""
     if not path.is_file():
         hint = _elsewhere(path)
         raise CheckpointInvalid(f"is missing: {content}", where=str(path), hint=hint)
@@ -134,7 +120,7 @@ def required_file(path: Path, content: str) -> Path:
 
 
 def _elsewhere(path: Path) -> str:
-    """Return a hint that names the other iterations with such a file."""
+    """Return a hint that names the other iterations of the run that have a file."""
     home = path.parent.parent
     if not _ITERATION.fullmatch(path.parent.name) or not home.is_dir():
         return ""

@@ -12,13 +12,7 @@ from gsgen.sdk.plugins.plugin import installed_plugins
 def refuse_other_method(name: str, run: Path, iteration: Path) -> None:
     """Raise if a training run is certainly of another method than that of a plugin.
 
-    Args:
-        name: Name of the plugin that reads the run.
-        run: The folder of the training run.
-        iteration: The folder of the iteration that is read.
-
-    Raises:
-        CheckpointInvalid: Only other plugins recognise the run; the hint has the command.
+    The hint has the command of the plugin that recognises the run.
     """
     recognising = {
         plugin.name: plugin
@@ -35,7 +29,7 @@ def refuse_other_method(name: str, run: Path, iteration: Path) -> None:
 
 
 def point_columns(iteration: Path) -> tuple[str, ...]:
-    """Return the column names of an iteration's point cloud; none if it cannot be read.
+    """Return the column names of an iteration's point cloud; empty if it cannot be read.
 
     The reader of the file reports its faults.
     """

@@ -82,9 +82,7 @@ def report_checkpoint(description: str, cfg: "CfgArgs") -> None:
 def warn_unsupported(cfg: "CfgArgs", expected: Mapping[str, tuple[Any, str]]) -> None:
     """Warn of training options that change the method's own result, but not the exported model.
 
-    Args:
-        cfg: The options of the training run.
-        expected: Option → the supported value, and the meaning of any other value.
+    ``expected`` maps an option to its supported value, and to the meaning of any other value.
     """
     for name, (value, meaning) in expected.items():
         actual = cfg.values.get(name, value)

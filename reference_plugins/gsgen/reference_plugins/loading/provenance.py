@@ -15,11 +15,6 @@ _PARENTS = ("point_cloud", "deform", "mlp_ckpt")
 def producer_of(source: str, folder: Path, iteration: int) -> Producer:
     """Return the producer entry of the manifest: version, source and checksum of the weights.
 
-    Args:
-        source: Address of the method's code.
-        folder: Folder of the training run, or of one iteration by itself.
-        iteration: Number of the iteration.
-
     The digest is that of the contents of all PLY and torch files of the iteration, one after
     another in the order of their paths.
     """

@@ -36,11 +36,7 @@ _NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 
 
 def read_safetensors(path: Path) -> dict[str, Tensor]:
-    """Read every tensor of a file.
-
-    Raises:
-        CheckpointInvalid: The file is missing or damaged, or has a dtype unknown to torch.
-    """
+    """Read every tensor of a safetensors file."""
     required_file(path, "the weights")
     try:
         data = bytearray(path.read_bytes())
@@ -51,7 +47,7 @@ def read_safetensors(path: Path) -> dict[str, Tensor]:
 
 
 def is_safetensors(path: Path) -> bool:
-    """Whether a file has the suffix or the first bytes of safetensors."""
+    """Return whether a file has the suffix or the first bytes of safetensors."""
     if path.suffix == ".safetensors":
         return True
     with path.open("rb") as stream:
@@ -59,11 +55,7 @@ def is_safetensors(path: Path) -> bool:
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """Read the metadata of a safetensors file: texts by name.
-
-    Raises:
-        CheckpointInvalid: The file is missing or damaged.
-    """
+    """Read the metadata of a safetensors file: texts by name."""
     required_file(path, "the weights")
     try:
         with path.open("rb") as stream:
@@ -76,7 +68,7 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def _header(data: bytes | bytearray, size: int) -> tuple[dict[str, Any], int]:
-    """Parse the header from the first bytes of a file, and return it with its end offset."""
+    """Parse the header from the first bytes of a safetensors file; return it and its end offset."""
     length = int.from_bytes(data[:_LENGTH], "little")
     if size < _LENGTH or length > min(_MAX_HEADER_BYTES, size - _LENGTH):
         raise ValueError(f"the header claims {length:,} of {size:,} bytes")
@@ -116,13 +108,7 @@ def _tensor(data: bytearray, start: int, name: str, entry: Any) -> Tensor:
 def write_safetensors(
     path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str] | None = None
 ) -> None:
-    """Write tensors to a safetensors file, sorted by name.
-
-    Args:
-        path: The file.
-        tensors: Name → tensor.
-        metadata: Metadata of the file, besides ``format``.
-    """
+    """Write tensors to a safetensors file, sorted by name."""
     header: dict[str, Any] = {_METADATA: {"format": "pt", **(metadata or {})}}
     parts, offset = [], 0
     for name in sorted(tensors):

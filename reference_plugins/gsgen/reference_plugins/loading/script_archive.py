@@ -35,7 +35,7 @@ _DTYPES = {
 
 
 def is_script_archive(path: Path) -> bool:
-    """Whether ``torch.jit.save`` wrote the file, and not ``torch.save``: it has constants.
+    """Return whether ``torch.jit.save``, and not ``torch.save``, wrote a file.
 
     True for an archive too damaged to be listed: :func:`read_script_state` then refuses it.
     """
@@ -51,9 +51,7 @@ def is_script_archive(path: Path) -> bool:
 def read_script_state(path: Path) -> dict[str, Tensor]:
     """Return the parameters and buffers of a TorchScript archive by dotted name.
 
-    Raises:
-        CheckpointInvalid: The file is not a TorchScript archive, or refers to objects other
-            than tensors and modules.
+    The archive may refer to tensors and modules only.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -83,7 +81,7 @@ class _Module:
 
 @final
 class _Storage:
-    """Names a storage's dtype; never called."""
+    """Placeholder that names the dtype of a tensor storage; it is never called."""
 
     def __init__(self, dtype: torch.dtype) -> None:
         self.dtype = dtype
@@ -91,7 +89,7 @@ class _Storage:
 
 @final
 class _Reader:
-    """Reads the pickle of one archive."""
+    """Reads the pickle of one TorchScript archive without running code."""
 
     def __init__(self, archive: zipfile.ZipFile) -> None:
         self._archive = archive

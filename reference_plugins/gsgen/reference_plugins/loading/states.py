@@ -25,12 +25,7 @@ _WRAPPERS = ("module.", "_orig_mod.")
 def load_state(path: Path, content: str) -> dict[str, Any]:
     """Read a dict that ``torch.save`` wrote, without running code of the file.
 
-    Args:
-        path: The file.
-        content: Content of the file, for the error if it is missing.
-
-    Raises:
-        CheckpointInvalid: The file is missing, damaged, or holds more than tensors.
+    ``content`` describes the file in the error if it is missing.
     """
     required_file(path, content)
     hint = "Expected a file of tensors, as torch.save writes it; code in files is not run."
@@ -43,11 +38,7 @@ def load_state(path: Path, content: str) -> dict[str, Any]:
 
 
 def load_network(path: Path) -> dict[str, Any]:
-    """Read the tensors of one network, of a TorchScript archive or of a state dict.
-
-    Raises:
-        CheckpointInvalid: The file is missing, damaged, or holds more than tensors.
-    """
+    """Read the tensors of one network, of a TorchScript archive or of a state dict."""
     if path.is_file() and is_script_archive(path):
         return dict(read_script_state(path))
     return load_state(path, "a network")
@@ -62,7 +53,7 @@ def _unwrapped(value: Any) -> Any:
 
 
 def entries_below(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """Return the entries whose names start with ``prefix``, without that prefix."""
+    """Return the dict entries whose names start with ``prefix``, without that prefix."""
     return {
         name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)
     }
@@ -73,15 +64,7 @@ def require_tensors(
 ) -> dict[str, Tensor]:
     """Return the expected tensors as float32; raise if any is missing, invalid or unexpected.
 
-    Args:
-        path: The file, for the error.
-        state: The state dict of the file.
-        expected: Name → shape.
-        ignored: Prefixes of names that inference does not use.
-
-    Raises:
-        CheckpointInvalid: Tensors are missing, unexpected, of another shape, or not finite;
-            the message lists them.
+    ``ignored`` are prefixes of names that inference does not use; the message lists all faults.
     """
     ignored_prefixes = tuple(ignored)
     extra = [
@@ -105,7 +88,7 @@ def require_tensors(
 
 
 def first_names(names: Iterable[str], between: str = ", ") -> str:
-    """Join the first names, and add how many more there are."""
+    """Join the first names of a list, and add how many more there are."""
     shown = list(names)
     remainder = f"{between}and {len(shown) - _MAX_SHOWN} more" if len(shown) > _MAX_SHOWN else ""
     return between.join(shown[:_MAX_SHOWN]) + remainder

@@ -53,13 +53,7 @@ class Inert:
 def load_tensors(path: Path, hint: str, known: Sequence[tuple[type, str]] = ()) -> Any:
     """Return the object that ``torch.save`` wrote, with its tensors on the CPU.
 
-    Args:
-        path: The file.
-        hint: Hint of the error for a file with other content.
-        known: Pairs of a class and the name of a class in the file that it replaces.
-
-    Raises:
-        CheckpointInvalid: The file is damaged, or names code.
+    ``known`` pairs a class with the name of a class in the file that it replaces.
     """
     inert: list[Any] = [*((Inert, name) for name in _NUMPY), *known]
     try:

@@ -1,1 +1,1 @@
-"""Animatable avatars: GauHuman, LHM and R3-Avatar, with their checkpoints and plugins."""
+"""How are avatars that poses animate exported: GauHuman, LHM and R3-Avatar?"""

@@ -19,7 +19,7 @@ from gsgen.sdk.math import sample_plane
 
 
 class _TimePlane(nn.Module):
-    """A plane of one axis of space and time, evaluated at fixed points."""
+    """A hexplane's plane of one axis of space and time, evaluated at fixed points."""
 
     table: Tensor
     below: Tensor
@@ -43,7 +43,7 @@ class _TimePlane(nn.Module):
 
 
 class _Resolution(nn.Module):
-    """The product of six planes of one resolution, at fixed points."""
+    """The product of a hexplane's six planes of one resolution, at fixed points."""
 
     spatial: Tensor
     moments: Tensor
@@ -75,11 +75,9 @@ class Appearance(nn.Module):
     """The decoder of Gaussian attributes, with the hexplane that it reads."""
 
     def __init__(self, read: R3Checkpoint, poses: Sequence[int]) -> None:
-        """Bake the values that do not depend on the frame.
+        """Bake the values of R3-Avatar's hexplane that do not depend on the frame.
 
-        Args:
-            read: The checkpoint.
-            poses: The pose id of each frame; its time is id / origin − 1.
+        The time of a pose is id / origin − 1.
         """
         super().__init__()
         low, high = read.aabb.double()
@@ -92,7 +90,7 @@ class Appearance(nn.Module):
         self.heads = Dense(weight, bias)
 
     def forward(self, frame: Int[Tensor, "1"]) -> Float[Tensor, "11 n"]:
-        """Return 3 planes of offset, 3 of scale (to be squared), 4 of rotation and 1 of opacity."""
+        """Return the changes of Gaussians as planes: offset, root of scale, rotation, opacity."""
         hidden = torch.cat([grid(frame) for grid in self.grids], dim=1)
         for layer in self.inner:
             hidden = torch.relu(layer(hidden))

@@ -37,7 +37,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians
 
 @final
 class GauHuman(GaussianGenerator):
-    """A person, or several copies, whose poses are inputs."""
+    """GauHuman: a person, or several copies, whose poses are inputs."""
 
     family = "avatar"
 
@@ -57,17 +57,10 @@ class GauHuman(GaussianGenerator):
         add_hands: bool = False,
         bake: Bake = "auto",
     ) -> None:
-        """Transform the Gaussians from the big pose to the rest pose.
+        """Transform the Gaussians of GauHuman from the big pose to the rest pose.
 
-        Args:
-            canonical: The Gaussians in the big pose.
-            body: The body model.
-            nets: Networks that correct joints and weights, if any.
-            shape: Shape coefficients to bake; None if they are an input.
-            rotation: Convention of the root rotation input.
-            bodies: Number of bodies.
-            add_hands: Add the mean pose of SMPL-X's hands to poses.
-            bake: Store the baked values, or the tables from which they follow.
+        Without ``shape``, the shape coefficients are an input. ``add_hands`` adds the mean pose of
+        SMPL-X's hands to poses; ``bake`` stores the baked values, or the tables behind them.
         """
         super().__init__()
         free = body.shape_dirs.shape[2] if shape is None else 0
@@ -89,11 +82,7 @@ class GauHuman(GaussianGenerator):
         self.register_buffer("sh", canonical.sh)
 
     def forward(self, *tensors: Tensor) -> Gaussians:
-        """Return the Gaussians of all bodies, body after body.
-
-        Args:
-            tensors: The values of the declared inputs, in order.
-        """
+        """Return the posed Gaussians of all bodies, body after body."""
         joints, added = self.limbs(self.actors.actor_from(tensors))
         weights, rest_place, root = self.rest()
         transforms = blend_transforms(joints, weights)

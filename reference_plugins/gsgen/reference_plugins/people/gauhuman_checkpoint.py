@@ -34,23 +34,14 @@ _LEVELS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GauHumanCheckpoint:
-    """A trained avatar of GauHuman, without poses.
+    """A trained avatar of GauHuman, without poses."""
 
-    Attributes:
-        folder: The training run.
-        iteration: The training iteration.
-        cfg: Options of the training run.
-        canonical: The Gaussians in the big pose.
-        body: The body model.
-        nets: Networks that correct joints and weights; None if they were not trained.
-    """
-
-    folder: Path
-    iteration: int
-    cfg: CfgArgs
-    canonical: Canonical
-    body: Body
-    nets: PoseNets | None
+    folder: Path  # the training run
+    iteration: int  # the training iteration
+    cfg: CfgArgs  # options of the training run
+    canonical: Canonical  # the Gaussians in the big pose
+    body: Body  # the body model
+    nets: PoseNets | None  # networks that correct joints and weights; None if they were not trained
 
     def describe(self) -> str:
         """Describe the checkpoint in one line: Gaussians, networks and body model."""
@@ -66,14 +57,8 @@ def read_gauhuman(
 ) -> GauHumanCheckpoint:
     """Read a checkpoint of GauHuman.
 
-    Args:
-        folder: The folder of a training run, or of one of its iterations.
-        iteration: The training iteration; the last by default.
-        body: The file of the body model; by default, it is searched under ``assets`` in the run
-            and in the folders above it.
-
-    Raises:
-        CheckpointInvalid: A file is missing or damaged, or does not fit the others.
+    ``folder`` is the training run or an iteration. Without ``body``, the body model is searched
+    under ``assets`` in the run and in the folders above it.
     """
     folder, iteration = within_run(folder, iteration)
     number, iteration_folder = find_iteration(folder, iteration)
@@ -93,11 +78,7 @@ def read_gauhuman(
 
 
 def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
-    """Read the body model that a training run used, by its options.
-
-    Raises:
-        CheckpointInvalid: The body model is missing, damaged, or not of the expected kind.
-    """
+    """Read the body model that a training run used, by its options."""
     kind = cfg.word("smpl_type", _kind_of(body))
     if kind not in JOINTS:
         hint = "The published code reads this kind of body, but its model has no branch for it."
@@ -115,7 +96,7 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
 
 
 def _kind_of(body: Path | None) -> str:
-    """Return the kind of a body model file, for a run without options; SMPL without a file."""
+    """Return SMPL or SMPL-X by a body model file, for a run without options; default SMPL."""
     if body is None or not body.is_file():
         return "smpl"
     joints = joints_of_file(body)

@@ -1,4 +1,4 @@
-"""`gsgen export gauhuman`: exports a checkpoint of GauHuman as a generator."""
+"""`gsgen export gauhuman`: a checkpoint of GauHuman as a generator."""
 
 __all__ = ["PLUGIN"]
 
@@ -46,7 +46,7 @@ def build(
     *,
     loop: Loop = False,
 ) -> "GaussianGenerator":
-    """Read a checkpoint, report its contents, and return its generator."""
+    """Read a checkpoint of GauHuman, report its contents, and return its generator."""
     from gsgen.reference_plugins.bodies.motions import read_motion
     from gsgen.reference_plugins.people.gauhuman import GauHuman
     from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
@@ -75,7 +75,7 @@ def _recognises(run: Path, iteration: Path) -> bool:
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a checkpoint of a person and a motion, and return the options that name them."""
+    """Write a synthetic GauHuman checkpoint and a motion, and return the export options."""
     from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
     from gsgen.reference_plugins.bodies.synthetic_motion import write_demo_motion
     from gsgen.reference_plugins.people.synthetic_people import write_gauhuman

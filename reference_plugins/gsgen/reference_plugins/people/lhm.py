@@ -40,7 +40,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians
 
 @final
 class LHM(GaussianGenerator):
-    """A person, or several copies, whose poses are inputs."""
+    """LHM: a person, or several copies, whose SMPL-X poses are inputs."""
 
     family = "avatar"
 
@@ -60,14 +60,9 @@ class LHM(GaussianGenerator):
         bodies: int = 1,
         bake: Bake = "auto",
     ) -> None:
-        """Transform the Gaussians to the neutral pose, in the person's shape.
+        """Transform the Gaussians of an LHM avatar to the neutral pose, in the person's shape.
 
-        Args:
-            read: The checkpoint of the avatar.
-            face: Expression offsets of FLAME; those of SMPL-X by default.
-            expression: Whether the expression is an input.
-            bodies: Number of bodies.
-            bake: Store the baked values, or the tables from which they follow.
+        Without ``face``, expressions are those of SMPL-X; ``bake`` is as in GauHuman.
         """
         super().__init__()
         body, betas = read.body, read.betas.double().numpy()
@@ -102,7 +97,7 @@ class LHM(GaussianGenerator):
     def _register_face(
         self, dirs: Float[np.ndarray, "u 3 e"], back: Float[np.ndarray, "u 3 3"]
     ) -> None:
-        """Store the expression offsets of the vertices that any expression moves."""
+        """Store the expression offsets of the body vertices that any expression moves."""
         faces = np.flatnonzero(np.abs(dirs).max(axis=(1, 2)) > 0)
         # All Gaussians of a vertex share its weights, and so its transform to the neutral pose.
         neutral_dirs = np.einsum("fab,fbe->fae", back[faces], dirs[faces])
@@ -115,11 +110,7 @@ class LHM(GaussianGenerator):
         self.register_buffer("number", torch.from_numpy(number))
 
     def forward(self, *tensors: Tensor) -> Gaussians:
-        """Return the Gaussians of all bodies, body after body.
-
-        Args:
-            tensors: The values of the declared inputs, in order.
-        """
+        """Return the posed Gaussians of all bodies, body after body."""
         actor, bodies = self.actors.actor_from(tensors), self.actors.bodies
         joints = posed_transforms(
             rotation_matrices(actor.pose), self.joints, self.parents, None, actor.shift

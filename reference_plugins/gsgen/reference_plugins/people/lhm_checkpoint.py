@@ -49,62 +49,40 @@ _PRIOR = "pretrained_models/voxel_grid/human_prior_constrain.npz"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LHMCheckpoint:
-    """An avatar of LHM: Gaussians, person and body model.
+    """An avatar of LHM: Gaussians, person and body model."""
 
-    Attributes:
-        path: The file of tensors.
-        position: Query points and their offsets, added.
-        rgb: Colours in [0, 1].
-        opacity: Opacities in [0, 1].
-        scale: Linear standard deviations.
-        rotation: Quaternions (w, x, y, z).
-        neutral: Joint transforms from the pose of the query points to the neutral pose.
-        betas: Shape coefficients of the person.
-        samples: Sample points on the body, one for each Gaussian, in the same order.
-        stiff: Mask of the vertices whose Gaussians do not rotate.
-        body: The body model.
-    """
-
-    path: Path
-    position: Float[Tensor, "n 3"]
-    rgb: Float[Tensor, "n 3"]
-    opacity: Float[Tensor, "n 1"]
-    scale: Float[Tensor, "n 3"]
-    rotation: Float[Tensor, "n 4"]
+    path: Path  # the file of tensors
+    position: Float[Tensor, "n 3"]  # query points and their offsets, added
+    rgb: Float[Tensor, "n 3"]  # colours in [0, 1]
+    opacity: Float[Tensor, "n 1"]  # opacities in [0, 1]
+    scale: Float[Tensor, "n 3"]  # linear standard deviations
+    rotation: Float[Tensor, "n 4"]  # quaternions (w, x, y, z)
+    # joint transforms from the pose of the query points to the neutral pose
     neutral: Float[Tensor, "j 4 4"]
-    betas: Float[Tensor, " s"]
+    betas: Float[Tensor, " s"]  # shape coefficients of the person
+    # sample points on the body, one for each Gaussian, in the same order
     samples: Float[np.ndarray, "n 3"]
-    stiff: Bool[np.ndarray, " v"]
-    body: Body
+    stiff: Bool[np.ndarray, " v"]  # mask of the vertices whose Gaussians do not rotate
+    body: Body  # the body model
 
     def describe(self) -> str:
-        """Describe the checkpoint in one line: Gaussians and body model."""
+        """Describe an avatar of LHM in one line: Gaussians and body model."""
         return f"{self.path}: {len(self.position):,} Gaussians; {self.body.describe()}"
 
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """Expressions of FLAME, which LHM uses in place of those of SMPL-X.
+    """Expressions of FLAME, which LHM uses in place of those of SMPL-X."""
 
-    Attributes:
-        vertices: Indices of the SMPL-X vertices that they move.
-        dirs: Offset of each vertex per expression coefficient.
-    """
-
-    vertices: Int[np.ndarray, " f"]
-    dirs: Float[np.ndarray, "f 3 e"]
+    vertices: Int[np.ndarray, " f"]  # indices of the SMPL-X vertices that they move
+    dirs: Float[np.ndarray, "f 3 e"]  # offset of each vertex per expression coefficient
 
 
 def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
-    """Read an avatar of LHM.
+    """Read an avatar of LHM from a file of its inference code.
 
-    Args:
-        folder: The folder of the ``.pth`` and ``pretrained_models``; or the ``.pth`` itself, in
-            the same folder as ``pretrained_models``.
-        body: The SMPL-X file; by default, it is searched in the folder.
-
-    Raises:
-        CheckpointInvalid: A file is missing or damaged, or does not fit the others.
+    ``folder`` holds the ``.pth`` and ``pretrained_models``, or is the ``.pth`` beside them. Without
+    ``body``, the SMPL-X file is searched there.
     """
     path = _avatar_file(folder)
     home = path.parent
@@ -135,13 +113,8 @@ def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
 def read_face(flame: Path, ids: Path, body: Body) -> Face:
     """Read FLAME's expressions and the SMPL-X vertices that they move.
 
-    Args:
-        flame: ``FLAME_NEUTRAL.pkl`` or an ``.npz`` of the same arrays.
-        ids: ``SMPL-X__FLAME_vertex_ids.npy``.
-        body: The body model that they are applied to.
-
-    Raises:
-        CheckpointInvalid: A file is damaged, or the files do not fit each other.
+    ``flame`` is ``FLAME_NEUTRAL.pkl`` or an ``.npz`` of the same arrays, and ``ids`` is
+    ``SMPL-X__FLAME_vertex_ids.npy``.
     """
     required_file(flame, "FLAME, from https://flame.is.tue.mpg.de after registration")
     required_file(ids, "SMPL-X__FLAME_vertex_ids.npy, which comes with SMPL-X")

@@ -1,4 +1,4 @@
-"""`gsgen export lhm`: exports an avatar of LHM as a generator."""
+"""`gsgen export lhm`: an avatar of LHM as a generator."""
 
 __all__ = ["PLUGIN"]
 
@@ -51,7 +51,7 @@ def build(
     no_expression: NoExpression = False,
     loop: Loop = False,
 ) -> "GaussianGenerator":
-    """Read an avatar, report its contents, and return its generator."""
+    """Read an avatar of LHM, report its contents, and return its generator."""
     from gsgen.reference_plugins.bodies.motions import read_motion
     from gsgen.reference_plugins.people.lhm import LHM
     from gsgen.reference_plugins.people.lhm_checkpoint import read_face, read_lhm
@@ -75,7 +75,7 @@ def build(
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a checkpoint of a person and a motion, and return the options that name them."""
+    """Write a synthetic LHM avatar and a motion, and return the export options."""
     from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
     from gsgen.reference_plugins.bodies.synthetic_motion import write_demo_motion
     from gsgen.reference_plugins.people.synthetic_people import write_lhm

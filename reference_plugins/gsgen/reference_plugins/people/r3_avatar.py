@@ -37,7 +37,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians
 
 @final
 class R3Avatar(GaussianGenerator):
-    """A person, or several copies, whose poses and training frames are inputs."""
+    """R3-Avatar: a person, or several copies, whose poses and training frames are inputs."""
 
     family = "avatar"
 
@@ -59,16 +59,10 @@ class R3Avatar(GaussianGenerator):
         add_hands: bool = False,
         progress: Callable[[int], None] | None = None,
     ) -> None:
-        """Bake the checkpoint, and find the nearest vertices in every frame.
+        """Bake an R3-Avatar checkpoint, and find the nearest body vertices in every frame.
 
-        Args:
-            read: The checkpoint.
-            poses: The pose id of each frame in the model.
-            shape: Shape coefficients to bake; None if they are an input.
-            rotation: Convention of the root rotation input.
-            bodies: Number of bodies.
-            add_hands: Add the mean pose of SMPL-X's hands to poses.
-            progress: Called after each frame with the number of finished frames.
+        ``poses`` has the pose id of each frame; other options are as in GauHuman. ``progress`` is
+        called with the number of finished frames.
         """
         super().__init__()
         body = read.body
@@ -107,7 +101,7 @@ class R3Avatar(GaussianGenerator):
         frames: int,
         progress: Callable[[int], None] | None,
     ) -> Int[np.ndarray, "f n"]:
-        """Return the vertex nearest to each Gaussian in each frame."""
+        """Return the body vertex nearest to each Gaussian in each training frame."""
         from scipy.spatial import cKDTree
 
         body = read.body
@@ -121,11 +115,7 @@ class R3Avatar(GaussianGenerator):
         return np.stack(vertices).astype(np.int64)
 
     def forward(self, *tensors: Tensor) -> Gaussians:
-        """Return the Gaussians of all bodies, body after body.
-
-        Args:
-            tensors: The values of the declared inputs, in order.
-        """
+        """Return the posed Gaussians of all bodies, body after body."""
         actor = self.actors.actor_from(tensors)
         joints, added = self.limbs(actor)
         assert actor.frame is not None
@@ -147,7 +137,7 @@ class R3Avatar(GaussianGenerator):
     def _body_gaussians(
         self, frame: Int[Tensor, "1"], joints: Tensor, added: Float[Tensor, "1 3 u"]
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Return position, opacity and covariance of one body, as rows."""
+        """Return position, opacity and covariance of the Gaussians of one body, as rows."""
         attributes = self.appearance(frame)
         vertex = torch.index_select(self.vertex.to(torch.int32), 0, frame).reshape(-1)
         weights = torch.index_select(self.near, 0, vertex) * self.factor

@@ -75,31 +75,19 @@ class _Shell(Inert):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class R3Checkpoint:
-    """A trained avatar of R3-Avatar, without poses.
-
-    Attributes:
-        path: The file.
-        cfg: Options of the training run.
-        canonical: The Gaussians; their opacity, rotation and scale are replaced by the decoder's.
-        aabb: Lower and upper corner of the hexplane.
-        grids: Sets of six planes [C, h, w], one for each resolution.
-        inner: Hidden layers of the decoder.
-        heads: Output layers of the decoder, by attribute.
-        nets: Networks that correct joints and weights.
-        body: The body model.
-        origin: The pose id at which time is 0.
-    """
+    """A trained avatar of R3-Avatar, without poses."""
 
     path: Path
-    cfg: CfgArgs
+    cfg: CfgArgs  # options of the training run
+    # the Gaussians; their opacity, rotation and scale are replaced by the decoder's
     canonical: Canonical
-    aabb: Float[Tensor, "2 3"]
-    grids: tuple[tuple[Tensor, ...], ...]
-    inner: tuple[Layer, ...]
-    heads: Mapping[str, Layer]
-    nets: PoseNets
-    body: Body
-    origin: int
+    aabb: Float[Tensor, "2 3"]  # lower and upper corner of the hexplane
+    grids: tuple[tuple[Tensor, ...], ...]  # sets of six planes [C, h, w], one for each resolution
+    inner: tuple[Layer, ...]  # hidden layers of the decoder
+    heads: Mapping[str, Layer]  # output layers of the decoder, by attribute
+    nets: PoseNets  # networks that correct joints and weights
+    body: Body  # the body model
+    origin: int  # the pose id at which time is 0
 
     def describe(self) -> str:
         """Describe the checkpoint in one line: Gaussians, planes, time and body model."""
@@ -115,14 +103,8 @@ def read_r3(
 ) -> R3Checkpoint:
     """Read a checkpoint of R3-Avatar.
 
-    Args:
-        folder: The folder of a training run, or its ``chkpntN.pth``.
-        iteration: The training iteration; the last by default.
-        body: The file of the body model; by default, it is searched under ``assets``.
-        dataset: The data set of training; by default, it is guessed from ``cfg_args``.
-
-    Raises:
-        CheckpointInvalid: A file is missing or damaged, or does not fit the others.
+    ``folder`` is the training run, or its ``chkpntN.pth``. Without ``body``, the body model is
+    searched under ``assets``; without ``dataset``, it is guessed from ``cfg_args``.
     """
     path = _checkpoint_file(folder, iteration)
     folder = path.parent
@@ -178,17 +160,13 @@ def _checkpoint_file(folder: Path, iteration: int | None) -> Path:
 
 
 def _last_iteration_folder(folder: Path) -> Path:
-    """Return the folder of the last iteration; the run's folder without iterations."""
+    """Return the folder of a run's last iteration; the run's folder without iterations."""
     iteration_folders = (folder / "point_cloud").glob("iteration_*")
     return max(iteration_folders, default=folder)
 
 
 def guess_dataset(cfg: CfgArgs) -> str:
-    """Guess the data set of a training run from the path of its data, or from the run's name.
-
-    Raises:
-        CheckpointInvalid: Neither names a known data set.
-    """
+    """Guess the data set of a training run from the path of its data, or from the run's name."""
     source, name = cfg.word("source_path", ""), cfg.word("exp_name", "")
     body = cfg.word("smpl_type", "smpl")
     for mark, dataset in _MARKS.items():

@@ -1,4 +1,4 @@
-"""`gsgen export r3-avatar`: exports a checkpoint of R3-Avatar as a generator."""
+"""`gsgen export r3-avatar`: a checkpoint of R3-Avatar as a generator."""
 
 __all__ = ["PLUGIN"]
 
@@ -70,7 +70,7 @@ def build(
     *,
     loop: Loop = False,
 ) -> "GaussianGenerator":
-    """Read a checkpoint, report its contents, and return its generator."""
+    """Read a checkpoint of R3-Avatar, report its contents, and return its generator."""
     from gsgen.reference_plugins.bodies.motions import read_motion
     from gsgen.reference_plugins.people.r3_avatar import R3Avatar
     from gsgen.reference_plugins.people.r3_avatar_checkpoint import guess_dataset, read_r3
@@ -101,7 +101,7 @@ def build(
 
 
 def _show_progress(frame: int, frames: int) -> None:
-    """Show the progress of the search for nearest vertices in a terminal."""
+    """Show the progress of the search for nearest body vertices in a terminal."""
     if sys.stderr.isatty():
         typer.echo(f"\r\x1b[2Knearest vertices: {frame} of {frames} …", err=True, nl=False)
         if frame == frames:
@@ -109,11 +109,7 @@ def _show_progress(frame: int, frames: int) -> None:
 
 
 def parse_pose_ids(text: str) -> list[int]:
-    """Parse a list of pose ids such as ``0-9,17``.
-
-    Raises:
-        ConfigInvalid: ``text`` is not such a list.
-    """
+    """Parse a list of pose ids such as ``0-9,17``."""
     ids: list[int] = []
     for word in text.split(","):
         first, dash, last = word.strip().partition("-")
@@ -129,12 +125,12 @@ def parse_pose_ids(text: str) -> list[int]:
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether any ``chkpntN.pth`` holds the decoder of R3-Avatar."""
+    """Return whether any ``chkpntN.pth`` of a run holds the decoder of R3-Avatar."""
     return is_r3_run(run)
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a checkpoint of a person and a motion, and return the options that name them."""
+    """Write a synthetic R3-Avatar checkpoint and a motion, and return the export options."""
     from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
     from gsgen.reference_plugins.bodies.synthetic_motion import write_demo_motion
     from gsgen.reference_plugins.people.synthetic_people import write_r3

@@ -11,7 +11,7 @@ _MAX_PICKLE_BYTES = 1 << 26
 
 
 def is_r3_run(run: Path) -> bool:
-    """Return whether any ``chkpntN.pth`` of a run is of R3-Avatar, without unpickling."""
+    """Return whether a training run is of R3-Avatar, by ``chkpntN.pth``, without unpickling."""
     return any(_is_r3_checkpoint(path) for path in sorted(run.glob("chkpnt*.pth")))
 
 

@@ -93,7 +93,7 @@ def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Ten
 
 
 def write_lhm(folder: Path, options: PersonOptions = _UNCORRECTED) -> Path:
-    """Write an avatar of LHM with the files that it needs, and return ``folder``.
+    """Write a synthetic LHM avatar with the files that it needs, and return ``folder``.
 
     The body is always an SMPL-X of 400 shape coefficients; ``kind`` and ``shapes`` are ignored.
     """

@@ -1,1 +1,1 @@
-"""Splats and point clouds that do not move."""
+"""How is a splat file or point cloud that does not move exported?"""

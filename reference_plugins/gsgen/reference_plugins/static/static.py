@@ -33,28 +33,22 @@ _UP = np.array([[0.0, -1.0, 0.0]])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticScene(ConstantSource):
-    """The content of a splat file, and the options of its export.
-
-    Attributes:
-        content: Splats, points, or packed rows.
-        opacity: Opacity of bare points, in (0, 1].
-        appearance: Whether packed rows with three channels hold SH or RGB; RGB if absent.
-        sh_degree: SH degree to cut or pad to; that of the file if absent.
-        color_space: Color space; that of the file if absent, or sRGB.
-        antialias: Antialiasing of the training; that of the file if absent, or classic.
-    """
+    """The content of a splat file, and the options of its export."""
 
     family: ClassVar[str | None] = "static"
 
-    content: Splats | PointCloud | PackedRows
-    opacity: float = INITIAL_OPACITY
+    content: Splats | PointCloud | PackedRows  # splats, points, or packed rows
+    opacity: float = INITIAL_OPACITY  # opacity of bare points, in (0, 1]
+    # whether packed rows with three channels hold SH or RGB; RGB if absent
     appearance: Literal["sh", "rgb"] | None = None
-    sh_degree: int | None = None
+    sh_degree: int | None = None  # SH degree to cut or pad to; that of the file if absent
+    # color space; that of the file if absent, or sRGB
     color_space: Literal["srgb", "linear"] | None = None
+    # antialiasing of the training; that of the file if absent, or classic
     antialias: Literal["classic", "mip"] | None = None
 
     def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:
-        """Return the packed rows, with the SH degree that ``target`` reads."""
+        """Return the packed Gaussians of a splat file, with the SH degree that ``target`` reads."""
         sh_degree, content = self.sh_degree, self.content
         if sh_degree is None and isinstance(content, Splats):
             sh_degree = REQUIRED_DEGREES.get(target)
@@ -80,18 +74,11 @@ def from_content(
     appearance: Literal["sh", "rgb"] | None = None,
     sh_degree: int | None = None,
 ) -> ConstantRows:
-    """Pack the content of a file.
+    """Pack the content of a splat file, point cloud or file of packed rows.
 
-    Args:
-        content: Splats, points, or packed rows, which pass through unchanged.
-        dtype: The dtype of the rows; float32, or that of packed rows, if absent.
-        opacity: Opacity of bare points, in (0, 1].
-        appearance: Whether packed rows with three channels hold SH or RGB; RGB if absent.
-        sh_degree: SH degree to cut or pad to. Points get SH if it is present, else RGB. Packed
-            rows keep their own. In float16, degrees 0 and 2 are padded to the next.
-
-    Raises:
-        GsgenError: Packed rows have a number of channels that neither SH nor RGB have.
+    Packed rows pass through unchanged. ``dtype`` is float32, or that of packed rows, by default,
+    and RGB is the default of ``appearance``. Points get SH if ``sh_degree`` is present, else RGB;
+    in float16, degrees 0 and 2 are padded to the next.
     """
     if isinstance(content, PackedRows):
         return _from_rows(content, dtype, appearance)
@@ -129,7 +116,7 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> Constan
 
 
 def _of_degree(sh: Float[np.ndarray, "n k 3"], degree: int) -> Float[np.ndarray, "n l 3"]:
-    """Cut SH to a degree, or pad them with zeros."""
+    """Truncate SH to a degree, or pad them with zeros."""
     resized = np.zeros((len(sh), coefficients(degree), 3), sh.dtype)
     shared = min(resized.shape[1], sh.shape[1])
     resized[:, :shared] = sh[:, :shared]
@@ -191,11 +178,7 @@ def _from_rows(
 
 
 def neighbour_scale(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Return the root mean square distance of each point to its three nearest neighbours.
-
-    Raises:
-        GsgenError: SciPy, which has the search tree, is not installed.
-    """
+    """Return the root mean square distance of each point to its three nearest neighbours."""
     try:
         from scipy.spatial import KDTree
     except ImportError as error:

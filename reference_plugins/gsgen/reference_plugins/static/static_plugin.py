@@ -50,7 +50,7 @@ def build(
         ),
     ] = None,
 ) -> "StaticScene":
-    """Export FILE as a generator without inputs."""
+    """Read a splat file or a point cloud for its export as a generator without inputs."""
     from gsgen.reference_plugins.static.static import StaticScene
 
     content = _read(file)
@@ -86,7 +86,7 @@ def _describe(content: "Splats | PointCloud | PackedRows") -> str:
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a splat file."""
+    """Write the splat file of a torus knot, and return the export options."""
     from gsgen.formats import write_ply
     from gsgen.reference_plugins.synthetic.knot import torus_knot
 

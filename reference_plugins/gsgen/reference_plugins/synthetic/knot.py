@@ -12,13 +12,10 @@ from gsgen.formats.shared.quantities import SH_C0
 def torus_knot(count: int, *, degree: int = 3, seed: int = 0) -> Splats:
     """Return splats along a (2, 3) torus knot, coloured along its length and shiny.
 
-    Args:
-        count: Number of splats.
-        degree: SH degree; above 0 the colour has a highlight from above.
-        seed: Seed of all random numbers.
-
     The knot is three units wide. Colours come from SH: the constant term is the hue, the others
     are the projection of a soft lobe around the upward direction.
+
+    Above ``degree`` 0, the colour has a highlight from above.
     """
     rng = np.random.default_rng(seed)
     t = np.sort(rng.uniform(0, 2 * np.pi, count))

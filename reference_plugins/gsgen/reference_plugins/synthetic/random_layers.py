@@ -11,12 +11,8 @@ def random_linear(
 ) -> dict[str, Tensor]:
     """Return weight and bias of a linear layer, drawn from normal distributions.
 
-    Args:
-        name: The layer's name in the state dict.
-        inputs: Columns of the weight.
-        outputs: Rows of the weight.
-        noise: The random generator.
-        gain: Standard deviation of an output for inputs of variance 1; a tenth of it for the bias.
+    ``gain`` is the standard deviation of an output for inputs of variance 1, and a tenth of it for
+    the bias.
     """
     weight = torch.randn((outputs, inputs), generator=noise) * (gain / inputs**0.5)
     bias = 0.1 * gain * torch.randn(outputs, generator=noise)

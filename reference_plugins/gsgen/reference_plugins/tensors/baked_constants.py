@@ -1,4 +1,4 @@
-"""Stores tensors that depend on weights alone, or lets the graph compute them from smaller ones.
+"""Stores tensors that depend on weights alone, as results or as the smaller source tensors.
 
 ONNX Runtime computes nodes without inputs once, when it loads a model, on any device. So a product
 larger than its factors need not be in the file: neither choice costs time in a frame.
@@ -23,7 +23,7 @@ class Constants(nn.Module):
     def __init__(
         self, make: nn.Module, arguments: Sequence[Tensor] = (), bake: Bake = "auto"
     ) -> None:
-        """Compute the results, compare their size with the buffers, and keep one of both.
+        """Compute constant results, and keep either the results or the buffers behind them.
 
         Args:
             make: Module that returns a tuple of tensors, computed from its buffers.

@@ -32,5 +32,5 @@ class Dense(nn.Module):
         self.register_buffer("bias", bias.clone())
 
     def forward(self, inputs: Float[Tensor, "n i"]) -> Float[Tensor, "n o"]:
-        """Apply the layer to each row."""
+        """Apply a dense layer to each row."""
         return inputs @ self.weight + self.bias

@@ -24,10 +24,8 @@ def rotation_columns(
 ) -> list[tuple[Tensor, Tensor, Tensor]]:
     """Return the three columns of the rotation matrix R(q), each as planes x, y and z.
 
-    Args:
-        rotation: Planes w, x, y, z of the quaternions, of equal shape.
-        normalise: Divide by |q|². Otherwise R is I − 2(…) of the quaternion as it is, as in the
-            rasteriser of 3DGS.
+    With ``normalise``, |q|² divides. Otherwise R is I − 2(…) of the quaternion as it is, as in the
+    rasteriser of 3DGS.
     """
     factor: Tensor | float = math.sqrt(2.0)
     if normalise:
@@ -49,13 +47,7 @@ def rotation_columns(
 def covariance_planes(
     scale: Sequence[Tensor], rotation: Sequence[Tensor], *, normalise: bool = True
 ) -> list[Tensor]:
-    """Return the planes xx, xy, xz, yy, yz, zz of R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6).
-
-    Args:
-        scale: Planes of the standard deviations along the three axes.
-        rotation: Planes w, x, y, z of the quaternions, of the same shape.
-        normalise: See :func:`rotation_columns`.
-    """
+    """Return the planes xx, xy, xz, yy, yz, zz of R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6)."""
     columns = rotation_columns(rotation, normalise=normalise)
     axes = [[s * r for r in column] for s, column in zip(scale, columns, strict=True)]
     a, b, c = axes
@@ -63,11 +55,11 @@ def covariance_planes(
 
 
 def planes_of(rows: Float[Tensor, "n k"]) -> list[Tensor]:
-    """Split rows into one plane [1, N] for each column."""
+    """Split rows into one tensor [1, N] for each column."""
     turned = rows.transpose(0, 1)
     return [turned[i : i + 1] for i in range(rows.shape[1])]
 
 
 def stacked(planes: Sequence[Tensor]) -> Tensor:
-    """Join planes of M numbers each into rows [M, len(planes)]."""
+    """Join component tensors of M numbers each into rows [M, components]."""
     return torch.stack([plane.reshape(-1) for plane in planes], dim=0).transpose(0, 1)

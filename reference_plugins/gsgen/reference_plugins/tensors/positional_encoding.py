@@ -16,12 +16,7 @@ def encoded_size(size: int, octaves: int) -> int:
 
 
 def positional_encoding(values: Float[Tensor, "n k"], octaves: int) -> Float[Tensor, "n m"]:
-    """Return x, sin x, cos x, sin 2x, cos 2x, … side by side, up to 2^(octaves − 1).
-
-    Args:
-        values: Rows of k numbers.
-        octaves: Number of frequencies.
-    """
+    """Return x, sin x, cos x, sin 2x, cos 2x, … side by side, up to 2^(octaves − 1)."""
     parts = [values]
     for octave in range(octaves):
         angle = values * 2.0**octave

@@ -1,1 +1,1 @@
-"""Which data is in GPU memory, and how does it get there and back?"""
+"""GPU memory: which scene data is on the device, how it is uploaded and read back?"""

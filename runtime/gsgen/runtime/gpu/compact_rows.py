@@ -1,4 +1,4 @@
-"""Packs rows into 32 bytes: position and opacity unchanged, a Cholesky factor in 16 bits."""
+"""Packs a Gaussian into 32 bytes: float32 position and opacity, 16-bit Cholesky factor."""
 
 __all__ = ["PACKED_BYTES", "pack_rows", "unpack_rows"]
 
@@ -10,18 +10,18 @@ from jaxtyping import Float, Float32, Float64, UInt32
 from gsgen.contract.spec import layout
 
 PACKED_BYTES: Final = 32
-"""Of a row: x, y, z, opacity; six fixed-point numbers in [-1, 1]; what they are multiplied by."""
+"""Bytes of a packed row: x, y, z, opacity; six fixed-point numbers in [-1, 1]; their scale."""
 
-_FIXED_POINT_ONE: Final = 32767  # as unpack2x16snorm of WGSL has it
+_FIXED_POINT_ONE: Final = 32767  # as in WGSL's unpack2x16snorm
 _ROUNDING: Final = 1e-5  # of the largest variance: negative pivots closer to zero are rounding
 
 
 def pack_rows(rows: Float[np.ndarray, "n 10"]) -> UInt32[np.ndarray, "n 8"]:
-    """Pack rows into the 32 bytes that page.wgsl reads.
+    """Pack Gaussian rows into the 32 bytes each that page.wgsl reads.
 
     A covariance is stored by its Cholesky factor L, Σ = L Lᵀ, so that every stored value is a
-    covariance: a flat one of many pixels that is rounded itself would be far thicker. Rows whose
-    covariance is not positive semidefinite, or not finite, get a NaN, and are not drawn.
+    covariance; rounding Σ itself would make flat Gaussians far thicker. Rows whose covariance is
+    not positive semidefinite, or not finite, get a NaN and are not drawn.
     """
     packed = np.empty((len(rows), PACKED_BYTES // 4), np.uint32)
     packed[:, :4] = rows[:, :4].astype(np.float32).view(np.uint32)
@@ -37,7 +37,7 @@ def pack_rows(rows: Float[np.ndarray, "n 10"]) -> UInt32[np.ndarray, "n 8"]:
 
 
 def _root(covariance: Float64[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 6"]:
-    """Return the lower triangles xx, yx, zx, yy, zy, zz of L, or NaN where the covariance has no such factor."""
+    """Return the Cholesky factors xx, yx, zx, yy, zy, zz of covariances; NaN where none exists."""
     xx, xy, xz, yy, yz, zz = covariance.T
     least = -_ROUNDING * np.maximum(xx, np.maximum(yy, zz))
     l_xx = _side(xx, least)
@@ -51,7 +51,7 @@ def _root(covariance: Float64[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 6"]:
 def _side(
     square: Float64[np.ndarray, " n"], least: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return the root of a pivot: zero where only rounding made it negative."""
+    """Return the square roots of Cholesky pivots; pivots that rounding made negative give zero."""
     return np.asarray(np.sqrt(np.where((square < 0) & (square >= least), 0.0, square)))
 
 
@@ -63,7 +63,7 @@ def _over(
 
 
 def unpack_rows(packed: UInt32[np.ndarray, "n 8"]) -> Float32[np.ndarray, "n 10"]:
-    """Unpack rows as page.wgsl does."""
+    """Unpack 32-byte Gaussian rows as page.wgsl does."""
     rows = np.empty((len(packed), layout.ROW), np.float32)
     rows[:, :4] = packed[:, :4].view(np.float32)
     fixed = packed[:, 4:7].copy().view(np.int16).astype(np.float32) / _FIXED_POINT_ONE

@@ -15,14 +15,14 @@ from gsgen.runtime.errors import CapacityExceeded, DeviceLost, DeviceUnavailable
 from gsgen.runtime.gpu.handles import Buffer, Encoder, RawDevice, Texture
 
 STORAGE_BUFFERS: Final = 8
-"""How many storage buffers a kernel may bind: the minimum of every WebGPU device."""
+"""Storage buffers that a kernel may bind on every WebGPU device."""
 
 MOST_GROUPS: Final = 65_535
-"""Workgroups that every WebGPU device dispatches in one dimension; an indirect dispatch of more
-does nothing."""
+"""Workgroups per dimension that every WebGPU device dispatches; larger indirect dispatches do
+nothing."""
 
 MAPPED_FROM: Final = 1 << 20
-"""Bytes from which on mapping a buffer is faster than the copies that it saves."""
+"""Least size in bytes of buffers that are faster to map than to copy into."""
 
 _SUBGROUPS: Final = "subgroup"
 _BLENDING: Final = "float32-blendable"
@@ -46,13 +46,13 @@ class Device:
         raw: The ``wgpu.GPUDevice``.
         name: Name of the adapter.
         software: Whether the driver runs on the CPU; workgroups are shaped differently then.
-        largest_binding: Bytes that one binding may have.
-        largest_buffer: Bytes that one buffer may have.
-        largest_texture: Pixels that a texture may have, a side.
+        largest_binding: Most bytes of one binding.
+        largest_buffer: Most bytes of one buffer.
+        largest_texture: Most pixels of a texture's side.
         subgroups: Whether shaders may use subgroup operations; no kernel requires them.
-        blends_floats: Whether its rasteriser can blend 32-bit floats.
-        has_clock: Whether it has timestamps of passes.
-        maps: Whether this process can map the buffers that shaders read: device memory is host memory.
+        blends_floats: Whether render pipelines can blend 32-bit floats.
+        has_clock: Whether passes can write timestamps.
+        maps: Whether this process can map the buffers that shaders read (host memory).
     """
 
     def __init__(self, raw: RawDevice) -> None:
@@ -97,7 +97,7 @@ class Device:
         }
         limits["max-storage-buffers-per-shader-stage"] = STORAGE_BUFFERS
         features = {_SUBGROUPS, _BLENDING, _CLOCK}
-        if adapter.info["adapter_type"] == "CPU":  # a card would read it over its bus
+        if adapter.info["adapter_type"] == "CPU":  # a GPU would read mapped memory over its bus
             features.add(_MAPPED)
         try:
             return cls(
@@ -109,15 +109,15 @@ class Device:
             )
         except (RuntimeError, wgpu.GPUError) as error:
             raise DeviceUnavailable(
-                f"{adapter.info['device']} refuses: {error}", hint=_DRIVER_HINT
+                f"cannot open {adapter.info['device']}: {error}", hint=_DRIVER_HINT
             ) from error
 
     def storage(self, label: str, size: int, *, extra: str = "") -> Buffer:
-        """Return a new storage buffer of ``size`` bytes, which is zero.
+        """Return a new storage buffer of ``size`` bytes, filled with zeros.
 
         Args:
-            label: Name of the buffer or texture in errors.
-            size: Rounded up to whole words of 16 bytes, which kernels may read it by.
+            label: Name of the buffer in errors.
+            size: Bytes, rounded up to whole vectors of 16 bytes, which kernels may read.
             extra: Further wgpu usages, separated by ``|``.
 
         Raises:
@@ -126,7 +126,7 @@ class Device:
         """
         if size > self.largest_binding:
             raise CapacityExceeded(
-                f"would take {size:,} bytes; {self.name} binds {self.largest_binding:,} at most",
+                f"would take {size:,} bytes; {self.name} binds at most {self.largest_binding:,}",
                 where=label,
                 hint="Draw fewer Gaussians or a smaller image.",
             )
@@ -144,7 +144,7 @@ class Device:
         return self.storage(label, size, extra="MAP_WRITE" if mapped else "")
 
     def can_map(self, buffer: Buffer) -> bool:
-        """Return whether this process can map a buffer: a large one of :meth:`dynamic_storage`."""
+        """Return whether this process can map ``buffer``: large ones of :meth:`dynamic_storage`."""
         import wgpu
 
         return bool(buffer.usage & wgpu.BufferUsage.MAP_WRITE)
@@ -167,8 +167,8 @@ class Device:
 
         if size > self.largest_buffer:
             raise CapacityExceeded(
-                f"would take {size:,} bytes; {self.name} has buffers of {self.largest_buffer:,} "
-                "at most",
+                f"would take {size:,} bytes; {self.name} has buffers of at most "
+                f"{self.largest_buffer:,}",
                 where=label,
                 hint="Draw a smaller image, or ask for fewer outputs.",
             )
@@ -177,8 +177,8 @@ class Device:
         except wgpu.GPUOutOfMemoryError as error:
             allocated = sum(buffer.size for buffer in self._buffers)
             raise MemoryFull(
-                f"needs {size:,} bytes, and the memory of {self.name} is full: buffers hold "
-                f"{allocated:,} bytes already",
+                f"needs {size:,} bytes, but the memory of {self.name} is full: buffers already "
+                f"hold {allocated:,} bytes",
                 where=label,
                 hint=_LESS,
             ) from error
@@ -186,13 +186,7 @@ class Device:
         return buffer
 
     def texture(self, label: str, size: tuple[int, int], format: str, usage: str) -> Texture:
-        """Return a new texture of one level.
-
-        Args:
-            label: Name of the buffer or texture in errors.
-            size: Width and height, in pixels.
-            format: Pixel format in wgpu's spelling.
-            usage: Usages in wgpu's spelling.
+        """Return a new texture without mipmaps; ``format`` and ``usage`` are wgpu's names.
 
         Raises:
             CapacityExceeded: No texture may be that large.
@@ -201,9 +195,9 @@ class Device:
         most = self.largest_texture
         if max(size) > most:
             raise CapacityExceeded(
-                f"is {width}×{height}; {self.name} has textures of {most}×{most} at most",
+                f"is {width}×{height}; {self.name} has textures of at most {most}×{most}",
                 where=label,
-                hint="Make it smaller.",
+                hint="Draw a smaller image, or use a smaller texture.",
             )
         return self.raw.create_texture(
             label=label, size=(width, height, 1), format=format, usage=usage
@@ -211,9 +205,9 @@ class Device:
 
     @property
     def lost(self) -> bool:
-        """True if the device was lost: even a write of 16 bytes fails.
+        """True if the graphics device was lost: even a write of 16 bytes fails.
 
-        wgpu-py 0.32 has no promise of a loss (``lost_async`` is not implemented).
+        wgpu-py 0.32 does not implement ``lost_async``.
         """
         import wgpu
 
@@ -225,7 +219,7 @@ class Device:
 
     @contextmanager
     def translate_errors(self) -> Iterator[None]:
-        """Translate wgpu's errors in the block to those of gsgen.
+        """Translate wgpu's errors in a ``with`` block to gsgen's errors.
 
         Raises:
             DeviceLost: The device was lost.
@@ -239,13 +233,13 @@ class Device:
             raise MemoryFull(f"the memory of {self.name} is full", hint=_LESS) from error
         except GsgenError:
             raise
-        except Exception as error:  # wgpu-py stumbles over a lost device in several ways
+        except Exception as error:  # a lost device raises many types of errors in wgpu-py
             if not self.lost:
                 raise
             raise self._gone() from error
 
     def submit(self, encoder: Encoder) -> None:
-        """Submit the commands of an encoder.
+        """Submit the commands of an encoder to the GPU queue.
 
         Raises:
             DeviceLost: The device was lost; wgpu-native would end the process.
@@ -254,7 +248,7 @@ class Device:
         self.raw.queue.submit([encoder.finish()])
 
     def require(self) -> None:
-        """Raise if the device was lost, before calls that would end the process then.
+        """Raise if the graphics device was lost, since some calls would end the process.
 
         Raises:
             DeviceLost: The device was lost.
@@ -268,12 +262,9 @@ class Device:
 
     @contextmanager
     def mapped(self, buffer: Buffer, offset: int, size: int) -> Iterator[UInt8[np.ndarray, " n"]]:
-        """Map a buffer and yield its memory for writing.
+        """Map ``size`` bytes of a buffer from ``offset`` on, and yield them for writing.
 
-        Args:
-            buffer: A buffer that :meth:`can_map` accepts and that no submitted work uses.
-            offset: The first byte.
-            size: How many.
+        The buffer must satisfy :meth:`can_map`, and no submitted work may use it.
 
         Raises:
             DeviceLost: The device was lost.
@@ -290,7 +281,7 @@ class Device:
             buffer.unmap()
 
     def write(self, buffer: Buffer, data: Shaped[np.ndarray, "..."], offset: int = 0) -> None:
-        """Copy an array into a buffer, padded to whole words of four bytes."""
+        """Copy an array into a GPU buffer, padded to a multiple of four bytes."""
         raw = np.ascontiguousarray(data).reshape(-1).view(np.uint8)
         if raw.size % 4:
             raw = np.concatenate([raw, np.zeros(-raw.size % 4, np.uint8)])
@@ -298,7 +289,7 @@ class Device:
             self.raw.queue.write_buffer(buffer, offset, raw)
 
     def read(self, buffer: Buffer, dtype: type[np.generic], count: int) -> np.ndarray:
-        """Return the first ``count`` numbers of a buffer, once all submitted work is done."""
+        """Read the first ``count`` numbers of a GPU buffer, after all submitted work is done."""
         size = count * np.dtype(dtype).itemsize
         if size == 0:
             return np.zeros(0, dtype)

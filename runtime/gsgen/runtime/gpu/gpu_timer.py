@@ -10,18 +10,18 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Encoder, PassTimestamps, RawDevice
 
 _MOST: Final = 64  # stages of a frame; there are about ten
-_TICK: Final = 8  # bytes
+_TICK: Final = 8  # bytes of a timestamp
 _NANO: Final = 1e-9
 
 
 @final
 class StageClock:
-    """Timestamps before and after each stage of a frame.
+    """GPU timestamps before and after each stage of a frame.
 
-    Software drivers may have timestamps that do not move: then every stage takes 0.
+    The timestamps of software drivers may stand still: then every stage takes 0 seconds.
 
     Args:
-        device: One that has timestamps; see ``Device.has_clock``.
+        device: A device with timestamps; see ``Device.has_clock``.
     """
 
     def __init__(self, device: Device) -> None:
@@ -35,11 +35,11 @@ class StageClock:
         self._names: list[str] = []
 
     def begin(self) -> None:
-        """Forget the stages of the frame before."""
+        """Forget the stages of the previous frame."""
         self._names.clear()
 
     def around(self, stage: str) -> PassTimestamps:
-        """Return the timestamp writes for the pass of a stage."""
+        """Return the ``timestamp_writes`` of the compute or render pass of a stage."""
         index = 2 * len(self._names)
         self._names.append(stage)
         return {
@@ -49,13 +49,13 @@ class StageClock:
         }
 
     def encode(self, encoder: Encoder) -> None:
-        """Encode the copy of all timestamps to a readable buffer."""
+        """Encode the resolution of all GPU timestamps into a readable buffer."""
         if self._names:
             count = 2 * len(self._names)
             encoder.resolve_query_set(self._ticks, 0, count, self._resolved, 0)
 
     def seconds(self) -> dict[str, float]:
-        """Return the seconds of each stage of the last frame; passes of one name are added."""
+        """Return the GPU seconds of each stage of the last frame; passes of one name are added."""
         ticks = self._device.read(self._resolved, np.uint64, 2 * len(self._names))
         spans = (ticks[1::2].astype(np.int64) - ticks[::2].astype(np.int64)) * self._period
         seconds = dict.fromkeys(self._names, 0.0)
@@ -65,7 +65,7 @@ class StageClock:
 
 
 def _period(raw: RawDevice) -> float:
-    """Return nanoseconds a tick, which wgpu-native knows and wgpu-py has no name for yet."""
+    """Return the nanoseconds per GPU timestamp tick, from wgpu-native: wgpu-py lacks it."""
     from wgpu.backends.wgpu_native import lib
 
     return float(lib.wgpuQueueGetTimestampPeriod(raw.queue._internal))

@@ -1,4 +1,4 @@
-"""Type names for the objects of wgpu, which is not imported before a device is opened."""
+"""Type aliases of wgpu objects; wgpu is imported only when a device is opened."""
 
 __all__ = [
     "BindGroup",
@@ -29,7 +29,7 @@ else:
     RawDevice = RenderPipeline = Texture = TextureView = object
 
 Resource: TypeAlias = Buffer | tuple[Buffer, int, int]
-"""What a kernel binds: a whole buffer, or a buffer with an offset and a size in bytes."""
+"""A resource that a kernel binds: a buffer, or a buffer with an offset and a size in bytes."""
 
 PassTimestamps: TypeAlias = dict[str, object]
-"""Where a pass writes its timestamps, in the words of wgpu's ``timestamp_writes``."""
+"""The ``timestamp_writes`` of a wgpu pass: a query set and two indices."""

@@ -1,4 +1,4 @@
-"""Mesh residency: triangles, colours and textures of meshes on the GPU while they exist."""
+"""Keeps the triangles, colours and textures of meshes in GPU buffers."""
 
 __all__ = ["MeshBuffers", "MeshResidency"]
 
@@ -20,15 +20,15 @@ _WHITE = np.full((1, 1, 4), 255, np.uint8)
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MeshBuffers:
-    """The arrays of one :class:`MeshData` on the GPU.
+    """GPU buffers with the arrays of one :class:`MeshData`.
 
     Attributes:
-        vertices: Buffer of float32, three a vertex.
-        faces: Buffer of uint32, three a triangle.
-        colors: Buffer of float32, three a vertex.
-        uvs: Buffer of float32, two a vertex, or of two in all.
-        picture: View of the texture, which may be one white texel.
-        count: How many triangles there are.
+        vertices: Three float32 per vertex.
+        faces: Three uint32 per triangle.
+        colors: Three float32 per vertex.
+        uvs: Two float32 per vertex; two in all for meshes without a texture.
+        picture: View of the texture; one white texel for meshes without one.
+        count: Number of triangles.
     """
 
     vertices: Buffer
@@ -41,11 +41,7 @@ class MeshBuffers:
 
 @final
 class MeshResidency:
-    """Keeps each ``MeshData`` on the GPU for as long as it exists.
-
-    Args:
-        device: Where the buffers are.
-    """
+    """Keeps each ``MeshData`` in GPU buffers for as long as it exists."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -53,7 +49,7 @@ class MeshResidency:
         self._versions: WeakKeyDictionary[MeshData, int] = WeakKeyDictionary()
 
     def buffers(self, data: MeshData) -> MeshBuffers:
-        """Return the buffers of ``data``, uploaded where it is new or has moved.
+        """Return the GPU buffers of a mesh; uploads new meshes and changed vertices.
 
         Raises:
             CapacityExceeded: An array or the texture is larger than the device binds.

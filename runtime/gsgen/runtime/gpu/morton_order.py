@@ -1,38 +1,32 @@
-"""Morton order: neighbours in space become neighbours in memory."""
+"""Sorts points along a Morton curve: neighbours in space become neighbours in memory."""
 
-__all__ = ["along_curve", "spread_bits"]
+__all__ = ["along_curve"]
 
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Int64, UInt64
+from jaxtyping import Float, Int64
 
-_BITS: Final = 21  # of each coordinate at most; three of them fill a word
-_BLOCK: Final = 1 << 14  # points at a time, so that their codes stay in a cache
-_LEAST: Final = 1e-30  # of a box that is not one point
-# How far the bits of a number are moved, and which are kept, to make room for two others between.
-_SPREAD: Final = (
-    (32, 0x001F00000000FFFF),
-    (16, 0x001F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
+from gsgen.formats.shared.morton import spread_bits
+
+_BITS: Final = 21  # of each coordinate at most: three coordinates fill a word of 64 bits
+_BLOCK: Final = 1 << 14  # points at a time, so that their codes stay in the cache
+_LEAST: Final = 1e-30  # least side of the bounding box, against division by zero
 
 
 def along_curve(position: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     """Return the order of points along a Z-order curve (Morton 1966) through their bounding box.
 
-    Points that are not finite come first; ones in the same of its cells stay in order.
+    Points that are not finite come first; points of the same cell keep their order.
     """
     columns = position.T.astype(np.float64, order="C")
     finite = np.isfinite(columns).all(axis=0)
     if not finite.any():
         return np.arange(len(position))
-    columns[:, ~finite] = columns[:, finite.argmax()][:, None]  # of no effect on the box
+    columns[:, ~finite] = columns[:, finite.argmax()][:, None]  # without effect on the box
     low, high = columns.min(axis=1, keepdims=True), columns.max(axis=1, keepdims=True)
     columns[:, ~finite] = low
-    # Words are sorted many times as fast as an index by its keys: each has a key and an index.
+    # Sorting words of a code and an index is many times as fast as sorting indices by codes.
     index_bits = len(position).bit_length()
     bits = min(_BITS, (64 - index_bits) // 3)
     scale = ((1 << bits) - 1) / max(float((high - low).max()), _LEAST)
@@ -44,10 +38,3 @@ def along_curve(position: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
         words[part] |= code << np.uint64(index_bits)
     words.sort()
     return (words & np.uint64((1 << index_bits) - 1)).astype(np.int64)
-
-
-def spread_bits(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
-    """Insert two zero bits between the bits of each number of 21 bits."""
-    for shift, mask in _SPREAD:
-        number = (number | (number << np.uint64(shift))) & np.uint64(mask)
-    return number

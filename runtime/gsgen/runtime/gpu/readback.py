@@ -1,4 +1,4 @@
-"""Read back buffers of the device by one copy through one permanent staging buffer."""
+"""Reads several GPU buffers back through one permanent staging buffer."""
 
 __all__ = ["Staging"]
 
@@ -15,12 +15,7 @@ _ALIGNMENT = 256
 
 @final
 class Staging:
-    """A mappable buffer with room for a copy of each source buffer.
-
-    Args:
-        device: Of the buffers.
-        sources: Buffers to be read, by name.
-    """
+    """A mappable buffer with room for a copy of each named source buffer."""
 
     def __init__(self, device: Device, sources: Mapping[str, Buffer]) -> None:
         self._sources = dict(sources)
@@ -32,13 +27,13 @@ class Staging:
         self._buffer = device.readable("staging", size)
 
     def encode(self, encoder: Encoder, names: Iterable[str] | None = None) -> None:
-        """Encode the copy of the named sources, or of all."""
+        """Encode the copy of the named source buffers, or of all, into the staging buffer."""
         for name in self._sources if names is None else names:
             source = self._sources[name]
             encoder.copy_buffer_to_buffer(source, 0, self._buffer, self._offsets[name], source.size)
 
     def read(self, dtypes: Mapping[str, type[np.generic]]) -> dict[str, np.ndarray]:
-        """Wait for the device, and return a copy of each named source as an array."""
+        """Wait for the GPU, and return a copy of each named source buffer as an array."""
         self._buffer.map_sync("READ")
         try:
             return {

@@ -1,4 +1,4 @@
-"""Spatial order of rows: neighbours in space are neighbours in memory."""
+"""The order of Gaussians in GPU memory, in which neighbours in space are neighbours."""
 
 __all__ = ["ARRANGED_FROM", "SpatialOrder"]
 
@@ -13,25 +13,25 @@ from gsgen.runtime.gpu.morton_order import along_curve
 from gsgen.runtime.scene.splat_data import SplatData
 
 ARRANGED_FROM: Final = 1 << 15
-"""Rows from which on their order in memory counts: fewer are in a cache anyway."""
+"""Least number of Gaussians whose order in memory counts: fewer fit into a cache."""
 
-_SERVES: Final = 30  # changes at least, so that sorting costs little in comparison
-_APART: Final = 4.0  # times as far as at first: then the order is out of date
-_SAMPLE: Final = 1024  # pairs of neighbours that stand for all
+_SERVES: Final = 30  # changes before an order is checked, so that sorting costs little
+_APART: Final = 4.0  # growth of the distance of neighbours that makes an order stale
+_SAMPLE: Final = 1024  # pairs of neighbours whose distances are measured
 
 
 @final
 @dataclass(slots=True, eq=False)
 class SpatialOrder:
-    """The Morton order of rows at some moment; it stays useful while they move.
+    """The Morton order of Gaussians at one moment; it stays useful while they move.
 
-    Pictures are the same in any order, so that an old one costs time at worst.
+    Pictures are the same in any order: a stale order only costs time.
 
     Attributes:
-        rows: Which row is where; live ones are first.
-        neighbours: Some rows, and the one after each.
-        apart: How far those were from each other when the order was found.
-        served: How many changes of the values it has lasted for.
+        rows: Index of each row in this order; live rows are first.
+        neighbours: Sampled rows, and the row after each.
+        apart: Median distance of these neighbours when the order was computed.
+        served: Number of changes of the rows since then.
     """
 
     rows: UInt32[np.ndarray, " n"]
@@ -41,7 +41,7 @@ class SpatialOrder:
 
     @classmethod
     def of(cls, data: SplatData) -> Self:
-        """Return the spatial order of the present rows."""
+        """Return the Morton order of the present rows of ``data``."""
         along = along_curve(data.rows[: data.count, layout.POSITION])
         rows = np.concatenate([along, np.arange(data.count, len(data))]).astype(np.uint32)
         samples = np.linspace(0, data.count - 2, _SAMPLE if data.count > 1 else 0)
@@ -50,7 +50,7 @@ class SpatialOrder:
         return cls(rows, neighbours, _apart(data, neighbours))
 
     def is_valid_after_change(self, data: SplatData) -> bool:
-        """Count a change of the rows, and return whether the order is still good."""
+        """Count a change of the rows, and return whether this order is still useful."""
         self.served += 1
         if self.served < _SERVES:
             return True
@@ -58,9 +58,9 @@ class SpatialOrder:
 
 
 def _apart(data: SplatData, neighbours: Int64[np.ndarray, "2 m"]) -> float:
-    """Return the median distance of neighbours."""
+    """Return the median distance between neighbouring Gaussians in memory."""
     first, second = data.rows[neighbours][..., layout.POSITION].astype(np.float64)
-    with np.errstate(invalid="ignore"):  # of two that are infinitely far, nothing is known
+    with np.errstate(invalid="ignore"):  # infinite positions have no distance
         apart = np.linalg.norm(first - second, axis=1)
     known = apart[np.isfinite(apart)]
     return float(np.median(known)) if len(known) else 0.0

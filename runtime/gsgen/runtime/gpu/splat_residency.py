@@ -1,4 +1,4 @@
-"""Splat residency: the rows of every set on the GPU, in pages no larger than a binding."""
+"""Keeps the Gaussians of every set in GPU buffers, in pages no larger than a binding."""
 
 __all__ = ["PAGE_ROWS", "Page", "Residency", "bytes_of", "stride"]
 
@@ -20,23 +20,22 @@ from gsgen.runtime.gpu.upload import Target, upload
 from gsgen.runtime.scene.splat_data import SplatData
 
 PAGE_ROWS: Final = 1 << 18
-"""Rows of a page: SH of degree 3 in float32 are 48 MiB, of the 128 that every device binds."""
+"""Gaussians of a page: float32 SH of degree 3 take 48 of the 128 MiB that every device binds."""
 
 _WORD: Final = 16
 
 
 def stride(channels: int, *, half: bool) -> int:
-    """Return the length of an appearance row on the GPU, in words of 16 bytes.
+    """Return the length of an appearance row on the GPU, in vectors of 16 bytes.
 
-    Shaders read it by such words, so rows are filled up to whole ones; 0 means that two rows
-    share one.
+    Shaders read whole vectors, so rows are padded to them; 0 means that two rows share one.
     """
     size = channels * (2 if half else 4)
     return 0 if size <= _WORD // 2 else -(-size // _WORD)
 
 
 def bytes_of(data: SplatData, *, compact: bool) -> int:
-    """Return how many bytes the rows of a set, their appearance and its cells take on the GPU."""
+    """Return the GPU memory of the rows, the appearance and the cells of a set, in bytes."""
     half = compact or data.appearance.dtype == np.float16
     row = _bytes_of_row(packed=compact and data.cells is None)
     row += _bytes_of_appearance(stride(data.appearance.shape[1], half=half))
@@ -55,18 +54,18 @@ def _bytes_of_appearance(stride: int) -> int:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Page:
-    """Consecutive rows of one set in GPU buffers.
+    """Consecutive Gaussians of one set in GPU buffers.
 
     Attributes:
         first: Index of the page's first row in the set.
-        capacity: Rows of the page.
-        rows: Buffer of packed rows.
-        appearance: Buffer of their appearance.
-        half: Whether the appearance is float16 there.
-        stride: Of the appearance, in words of 16 bytes; 0 where two rows share one.
-        packed: Whether rows are, as compact_rows.py does.
-        cells: Buffer of all cells of the set, where it has some.
-        rows_of: Which row of the set each of the page's rows is, where they are arranged.
+        capacity: Number of rows.
+        rows: Buffer of rows.
+        appearance: Buffer of SH coefficients or colours.
+        half: Whether the appearance is float16.
+        stride: Length of an appearance row, see :func:`stride`.
+        packed: Whether rows are packed into 32 bytes (compact_rows.py).
+        cells: Buffer of all cells of the set, or None without cells.
+        rows_of: Index in the set of each row of the page; None if rows keep their own order.
     """
 
     first: int
@@ -100,9 +99,9 @@ def _appearance_of(page: Page, first: int, appearance: Float[np.ndarray, "n c"])
 def _typed(
     appearance: Float[np.ndarray, "n c"], dtype: np.dtype[Any], size: int
 ) -> Float[np.ndarray, "n d"]:
-    """Return appearance of another type, with zeros up to rows of ``size`` bytes."""
+    """Convert appearance to ``dtype``, padded with zeros to rows of ``size`` bytes."""
     converted = np.zeros((len(appearance), size // dtype.itemsize), dtype)
-    with np.errstate(over="ignore"):  # what float16 cannot hold is infinite, and not drawn
+    with np.errstate(over="ignore"):  # overflows become infinite, and such Gaussians are not drawn
         converted[:, : appearance.shape[1]] = appearance
     return converted
 
@@ -110,18 +109,13 @@ def _typed(
 @final
 @dataclass(slots=True, eq=False)
 class _Filled:
-    """The uploaded part of one array.
-
-    Attributes:
-        version: Which version of it.
-        rows: How many of its first rows.
-    """
+    """How much of an array is uploaded: its version, and the number of its first rows."""
 
     version: int = -1
     rows: int = 0
 
     def missing(self, version: int, live: int) -> Iterator[slice]:
-        """Yield the live rows that are not uploaded, if any, and count them as uploaded."""
+        """Yield the slice of live rows that are not uploaded yet, and count them as uploaded."""
         first = self.rows if self.version == version else 0
         if live > first:
             yield slice(first, live)
@@ -130,7 +124,7 @@ class _Filled:
 
 @final
 class _State(NamedTuple):
-    """Versions of a set's arrays at the start of a frame, and its count of live rows."""
+    """Versions of a set's arrays and its number of live rows at the start of a frame."""
 
     rows: int
     appearance: int
@@ -140,11 +134,11 @@ class _State(NamedTuple):
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
 class _Resident:
-    """The pages of one ``SplatData`` on the GPU, and the rows that are uploaded.
+    """The GPU pages of one ``SplatData``, and how much of each array is uploaded.
 
     Attributes:
         state: Versions at the start of the last frame.
-        order: Spatial order of the rows, if they have one.
+        order: Spatial order of the rows; None if they keep their own order.
         is_unordered: Whether the rows keep their own order for good.
     """
 
@@ -158,7 +152,7 @@ class _Resident:
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
-    """Yield each page with its part of ``live`` and the index of its first such row."""
+    """Yield each page with its part of the slice ``live`` and where that begins in the page."""
     for page in pages:
         first = max(live.start, page.first)
         last = min(live.stop, page.first + page.capacity)
@@ -168,12 +162,12 @@ def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
 
 @final
 class Residency:
-    """Keeps each ``SplatData`` on the GPU for as long as it exists.
+    """Keeps each ``SplatData`` in GPU pages for as long as it exists.
 
     Args:
-        device: Where the buffers are.
-        page_rows: Rows of a page.
-        compact: Keep every appearance in float16, and rows packed, but for sets with cells.
+        device: Device of the buffers.
+        page_rows: Most rows of a page.
+        compact: Whether appearance is float16 and rows are packed, except in sets with cells.
     """
 
     def __init__(
@@ -186,22 +180,21 @@ class Residency:
         self._held = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
-        """Note that a frame with ``data`` begins; from the second one on rows are arranged.
+        """Note that a frame with ``data`` begins; its second frame sorts the rows in space.
 
-        Rows that are neighbours in space are then neighbours in memory, which nearly halves what
-        a frame of a million costs: splats of a tile are read together. Rows that change keep the
-        order of an earlier frame, if they are written straight to where shaders read: there, one
-        order costs as much as another. Elsewhere they go back to their own for good, and so do
-        those of a set whose count changes.
+        Neighbours in memory are then read together by a tile, which nearly halves the time of a
+        frame of a million Gaussians. Rows that change keep the order of an earlier frame if they
+        are written to mapped memory, where any order costs the same. On other devices, and in
+        sets whose count changes, rows return to their own order for good.
         """
         resident = self._hold(data)
         now = _State(data.rows_version, data.appearance_version, data.count)
         if resident.state is not None:
             self._follow(data, resident, resident.state, now)
-        resident.state = now  # not before: where there is no memory, the next frame has to follow
+        resident.state = now  # only now: after an error for lack of memory, the next frame follows
 
     def _follow(self, data: SplatData, resident: _Resident, before: _State, now: _State) -> None:
-        """Choose the order and the packing of rows after a frame."""
+        """Choose the order and the packing of rows from what changed since the last frame."""
         moved = before.rows != now.rows
         if moved:
             self._unpack(resident)
@@ -214,13 +207,13 @@ class Residency:
             self._arrange(resident, SpatialOrder.of(data))
 
     def restore_order(self, data: SplatData) -> None:
-        """Restore the rows' own order for good."""
+        """Return the rows of a set to their own order in GPU memory for good."""
         resident = self._hold(data)
         resident.is_unordered = True
         self._arrange(resident, None)
 
     def _unpack(self, resident: _Resident) -> None:
-        """Store rows unpacked, since they change: packing them takes longer than a frame."""
+        """Store changing rows unpacked: packing them takes longer than a frame."""
         if any(page.packed for page in resident.pages):
             size = _bytes_of_row(packed=False)
             resident.rows = _Filled()
@@ -234,7 +227,7 @@ class Residency:
             ]
 
     def _arrange(self, resident: _Resident, order: SpatialOrder | None) -> None:
-        """Set another order of the rows; all are uploaded again."""
+        """Set the order of a set's rows in GPU memory, which uploads all of them again."""
         resident.order = order
         resident.rows, resident.appearance = _Filled(), _Filled()
         resident.pages = [
@@ -258,7 +251,7 @@ class Residency:
         return self._held[data]
 
     def pages(self, data: SplatData) -> list[Page]:
-        """Return the pages of ``data``, with its present values in all live rows of them."""
+        """Return the GPU pages of a set, after uploading its changed rows."""
         resident = self._hold(data)
         for live in resident.rows.missing(data.rows_version, data.count):
             self._upload(resident, live, data.rows, _rows_of)
@@ -274,7 +267,7 @@ class Residency:
         array: Float[np.ndarray, "n c"],
         target: Callable[[Page, int, np.ndarray], Target],
     ) -> None:
-        """Write live rows of an array into what pages have for it."""
+        """Write live rows of an array into the buffer of each page that ``target`` names."""
         for page, part, first in _parts(resident.pages, live):
             to = target(page, first, array)
             if resident.order is None:

@@ -1,4 +1,4 @@
-"""Upload rows of an array into a buffer with as few copies as the device allows."""
+"""Uploads rows of an array into a GPU buffer with as few copies as the device allows."""
 
 __all__ = ["Target", "upload"]
 
@@ -12,19 +12,19 @@ from jaxtyping import Shaped, UInt32
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 
-_BLOCK: Final = 1 << 13  # rows that are made at a time, so that they stay in a cache
+_BLOCK: Final = 1 << 13  # rows that are converted at a time, so that they stay in the cache
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """Rows of a buffer.
+    """The rows of a GPU buffer that an upload writes.
 
     Attributes:
         buffer: A buffer of ``Device.dynamic_storage``.
-        first: The first of them.
-        size: Bytes of each.
-        make: Turns rows of an array into such rows; None where they are the same, bit by bit.
+        first: Index of the first row.
+        size: Bytes of a row.
+        make: Converts rows of an array to rows of the buffer; None if they are equal bit by bit.
     """
 
     buffer: Buffer
@@ -39,13 +39,13 @@ def upload(
     array: Shaped[np.ndarray, "n c"],
     order: UInt32[np.ndarray, " m"] | None = None,
 ) -> None:
-    """Write rows into a buffer.
+    """Write rows of an array into a GPU buffer that no submitted work uses.
 
-    Where the device can map the buffer, they come into their order by the only copy there is.
-    Elsewhere wgpu copies them to memory that it claims for that, and from there to the device.
+    Into a mapped buffer, one copy reorders and writes the rows. Elsewhere wgpu copies them to
+    memory that it allocates for that, and from there to the device.
 
     Args:
-        device: Device of the buffer; no submitted work may use it.
+        device: Device of the buffer.
         target: Rows of the buffer.
         array: All rows.
         order: Indices of the rows to write, in order; all rows if None.
@@ -75,5 +75,5 @@ def _copy(
 ) -> None:
     if order is None:
         np.copyto(destination, array)
-    else:  # "clip" alone writes without a copy between; all are within the array
+    else:  # only mode="clip" writes without a copy between; all indices are within the array
         array.take(order, axis=0, out=destination, mode="clip")

@@ -1,1 +1,1 @@
-"""The kernels of the renderer: each is a ``.wgsl`` file, its binding, and its NumPy twin."""
+"""The renderer's GPU kernels: each is a ``.wgsl`` file, a binding and a NumPy reference."""

@@ -1,1 +1,1 @@
-"""How do the kernels make one frame?"""
+"""How do the GPU kernels draw one frame of a scene?"""

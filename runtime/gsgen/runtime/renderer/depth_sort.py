@@ -1,4 +1,4 @@
-"""Depth sort: drawn splats, nearest first, by depths of two floats."""
+"""Sorts the drawn splats of a frame by depth, nearest first; a depth is two floats."""
 
 __all__ = ["DepthOrder"]
 
@@ -16,15 +16,15 @@ from gsgen.runtime.kernels.sort.sort import KEY_BITS, Columns, RadixSort, SortCo
 
 @final
 class DepthOrder:
-    """Sorts splats by depth: by keys first, and equal keys by the rest of their depths.
+    """Sorts splats by depth: by 32-bit keys, and equal keys by the remainders of the depths.
 
-    A key has the 32 bits of the rounded depth, so of a million centres most have a key of their
-    own, and the tie pass orders the few others. Where ties are longer than MOST_TIED, as in a
-    plane that is turned a little, the tie pass announces UNSORTED and the frame is drawn again
-    with a deep sort: by the rests first and then, stably, by the keys. That takes twice as long.
+    A key is the depth rounded to float32. Of a million centres most have a key of their own, and
+    the tie pass orders the others. If a tie is longer than MOST_TIED, as in a slightly rotated
+    plane, the tie pass sets UNSORTED and the frame is drawn again with a deep sort: by the
+    remainders first and then, stably, by the keys. That takes twice as long.
 
     Args:
-        device: Where it runs.
+        device: Device of the kernels.
         cut: Configuration of the sort.
         sort: The radix sort.
     """
@@ -43,17 +43,17 @@ class DepthOrder:
         origins: Buffer | None = None,
         spare: Buffer | None = None,
     ) -> tuple[list[Step], Buffer]:
-        """Return the steps, and the buffer of drawn splats, nearest first.
+        """Return the steps of a depth sort, and the buffer of drawn splats, nearest first.
 
         Args:
-            capacity: Number of splats that there is room for.
+            capacity: Most splats.
             counts: The frame's counts.
-            columns: First the keys of all splats, ABSENT where one is not drawn; second as much room
-                again. Both are overwritten, but a deep sort leaves the keys.
-            lows: Remainders of the depths beyond the keys, as bits that sort alike; ABSENT where
-                a splat is not drawn.
-            origins: Index of each splat in the order of the sets, if rows are arranged.
-            spare: Room for more keys; the sort is deep if it is given.
+            columns: First the keys of all splats, ABSENT for splats that are not drawn; second a
+                scratch pair. Both are overwritten, but a deep sort leaves the keys.
+            lows: Remainders of the depths beyond the keys, as bits that sort alike; ABSENT for
+                splats that are not drawn.
+            origins: Index of each splat in the order of the sets; None if splats are in it.
+            spare: Scratch buffer for more keys, which makes the sort deep.
         """
         histogram = self._sort.histogram(capacity)
         if spare is None:
@@ -95,7 +95,7 @@ class DepthOrder:
         spare: Buffer,
         histogram: Buffer,
     ) -> tuple[list[Step], Columns]:
-        """Return the steps of a sort by the rests of depths and then, stably, by keys."""
+        """Return the steps of a sort by depth remainders and then, stably, by keys."""
         keys, by_low = columns[0].keys, [columns[0]._replace(keys=spare), columns[1]]
         first, side = self._by_key(capacity, counts, by_low, histogram, first_keys=lows)
         sorted_lows = by_low[side]

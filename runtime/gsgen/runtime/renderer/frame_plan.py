@@ -1,4 +1,4 @@
-"""The frame plan: all buffers and dispatches of a frame, recorded once and run every frame."""
+"""The frame plan: all GPU buffers and dispatches of a frame, recorded once and reused."""
 
 __all__ = ["Kernels", "Placed", "Plan"]
 
@@ -47,12 +47,12 @@ from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 
 Placed = tuple[SplatSet, Page]
-"""A page with the set that it is a part of."""
+"""A splat set with one of its GPU pages."""
 
 
 @final
 class Kernels:
-    """The kernels of a device, each compiled when it is first needed."""
+    """The rendering kernels of a device, each compiled when it is first needed."""
 
     def __init__(self, device: Device) -> None:
         self.cut = cut_for(device)
@@ -83,7 +83,7 @@ class Kernels:
 
 @final
 class Plan:
-    """The buffers and steps that draw certain pages at one image size.
+    """GPU buffers and compute steps that draw given pages and meshes at one image size.
 
     Args:
         device: Device of the buffers.
@@ -91,12 +91,12 @@ class Plan:
         placed: The pages; only their buffers and types are kept.
         size: Width and height of the image, in pixels.
         outputs: Requested outputs.
-        pair_capacity: Number of pairs of a splat and a tile that there is room for.
-        quads: Whether colours come from the hardware's rasteriser.
+        pair_capacity: Most pairs of a splat and a tile.
+        quads: Whether the hardware's rasteriser draws the colours.
         panorama: Whether the image is a panorama.
         meshes: Meshes among the Gaussians; only their buffers are kept.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
-        deep: Whether depths are sorted by all their bits, because very many share the leading ones.
+        deep: Whether the depth sort is deep, because very many depths share a key.
 
     Attributes:
         stages: Steps of a frame, by stage.
@@ -144,9 +144,9 @@ class Plan:
         self._splats = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.images: dict[str, Buffer] = {}
-        # Weighted sets become a layer, and the hardware's blending knows no layers.
+        # Weighted sets become a layer, which the hardware's blending does not support.
         quads = quads and not summed
-        # Weighted sums alone write the image themselves: no layer has to be blended.
+        # Weighted sets alone write the image themselves, without layers.
         alone = bool(summed) and not placed and not meshes
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
@@ -185,41 +185,41 @@ class Plan:
     def _record(
         self, placed: Sequence[Placed], outputs: frozenset[Output], *, quads: bool
     ) -> dict[str, list[Step]]:
-        """Record the stages that draw sorted sets, in the order in which they run."""
+        """Record the stages that draw the sorted sets, in execution order."""
         n = self._gaussians
-        # Stage 1: a splat, a sort key and the rest of the depth for every Gaussian.
+        # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
         columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
         colors = self._storage("colors", VEC4 * n)
         lows = self._storage("lows", 4 * n)
         stages = {"project": self._project(placed, columns[0].keys, colors, lows)}
-        # Stage 2: drawn splats, nearest first. Blending front to back needs the exact order.
+        # Stage 2: sort the drawn splats, nearest first, exactly: blending depends on the order.
         stages["sort"], order = self._sort_by_depth(columns, lows)
-        # Stage 3, by the hardware: quads need no tiles, so colours end here.
+        # Stage 3, by the hardware: quads need no tiles, so colours are complete here.
         if quads and "color" in outputs:
             self._quads = self._draw_quads(order, colors)
             outputs = outputs - {"color"}
         if not outputs:
             return stages
-        # Stage 3, by tiles: list the pairs of splat and tile. They are in order of depth, and …
+        # Stage 3, by tiles: list the pairs of splat and tile, in order of depth.
         pairs = [self._columns(f"pairs {side}", self.pair_capacity) for side in "ab"]
         stages["bin"] = self._bin(order, colors, pairs[0])
-        # Stage 4: … a stable sort by tile keeps that order within every tile.
+        # Stage 4: sort the pairs by tile; a stable sort keeps the depth order within a tile.
         stages["group"], members = self._group(pairs)
-        # Stage 5: blend each tile, once for every output.
+        # Stage 5: blend each tile, once per output.
         if "color" in outputs:
             stages["blend"] = [self._blend("color", members, colors, pick=False)]
         if "depth" in outputs:
             stages["depth"] = [self._blend("depth", members, colors, pick=True)]
         if "normal" in outputs:
-            # Only the keys that the sort overwrites say which Gaussians are absent, so normals
-            # are computed in stage 1; then they are blended as colours are.
+            # The sort overwrites the keys that mark absent Gaussians, so normals are computed in
+            # stage 1. They are blended like colours.
             normals = self._storage("normals", VEC4 * n)
             stages["project"] += self._normals(placed, columns[0].keys, normals)
             stages["normal"] = [self._blend("normal", members, normals, pick=False)]
         return stages
 
     def _lay(self, count: int, *, normal: bool) -> Layers:
-        """Allocate the layers."""
+        """Allocate ``count`` image layers."""
         pixels = count * self._size[0] * self._size[1]
         return Layers(
             count,
@@ -229,7 +229,7 @@ class Plan:
         )
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
-        """Record the drawing of meshes; return the steps that make a layer of them, if any."""
+        """Record the drawing of meshes, and return the steps that copy them to a layer."""
         self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._size))
         self._meshes = self._kernels.meshes(self._panorama).step(
             self._size, meshes, self._mesh_slots, self._mesh_rays, self._layers
@@ -269,7 +269,7 @@ class Plan:
     def _sort_by_depth(
         self, columns: tuple[Columns, Columns], lows: Buffer
     ) -> tuple[list[Step], Buffer]:
-        """Return the steps, and the buffer of drawn Gaussians, nearest first."""
+        """Return the steps of the depth sort, and the buffer of drawn Gaussians, nearest first."""
         n, origins = self._gaussians, None
         if self._origins is not None:
             origins = self._storage("origins", 4 * n)
@@ -290,7 +290,7 @@ class Plan:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the steps, and the buffer of the splats of each tile after the other."""
+        """Return the steps that sort pairs by tile, and the buffer of splats, tile after tile."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self._counts,
@@ -327,15 +327,15 @@ class Plan:
         clock: StageClock | None = None,
         fetch: bool = True,
     ) -> None:
-        """Write the uniforms of a frame, and submit its commands.
+        """Write the uniforms of a frame, and submit its GPU commands.
 
         Args:
             placed: The pages of the plan with their present sets.
-            camera: Whose image it is; of the plan's size.
-            background: Red, green, blue behind it all, multiplied by their alpha.
+            camera: The camera, with the image size of the plan.
+            background: Red, green, blue of the background, multiplied by its alpha.
             meshes: The meshes of the plan with their present transforms.
             only: Stages to run; all if None.
-            clock: Measures the time of each stage.
+            clock: Measures the GPU time of each stage.
             fetch: Whether :meth:`collect` will read images, too.
         """
         device = self._device
@@ -376,10 +376,10 @@ class Plan:
         device.submit(encoder)
 
     def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Wait for the frame; return the counts, and each image as [height, width, 4] words.
+        """Wait for the frame, and return its counts and each image as [height, width, 4] words.
 
         Args:
-            fetch: Whether images are read; the same as in :meth:`submit`.
+            fetch: Whether images are read; must be the same as in :meth:`submit`.
 
         Raises:
             CapacityExceeded: More splats are drawn than the device dispatches at once.
@@ -392,7 +392,7 @@ class Plan:
         counts = _together(parts)
         width, height = self._size
         images = {
-            # Rows that a texture was copied to are longer than the image is wide.
+            # Rows of a copied texture are padded.
             name: words[: words.size // height * height].reshape(height, -1, 4)[:, :width]
             for name, words in words_by_name.items()
         }
@@ -403,18 +403,18 @@ class Plan:
         return counts, images
 
     def _require_walked(self, visible: int) -> None:
-        """Raise if too many splats are drawn to be binned: such a dispatch does nothing."""
+        """Raise if more splats are drawn than one dispatch can bin: it would do nothing."""
         most = MOST_GROUPS * WALK_THREADS * self._kernels.cut.walk
         if visible > most:
             raise CapacityExceeded(
-                f"has {visible:,} splats in the image; {self._device.name} takes {most:,} at once",
+                f"has {visible:,} splats in the image; {self._device.name} draws at most {most:,}",
                 where="scene",
-                hint="Draw fewer Gaussians, or a part of what the camera sees.",
+                hint="Draw fewer Gaussians, or a smaller part of the scene.",
             )
 
 
 def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
-    """Return each row's index in the order of the sets; None if rows are in that order."""
+    """Return the index of each GPU row in the order of the sets; None if they are in order."""
     if all(page.rows_of is None for _, page in placed):
         return None
     parts, base = [], 0
@@ -434,7 +434,7 @@ def _sorted(placed: Sequence[Placed]) -> list[Placed]:
 
 
 def _together(counts: Sequence[UInt32[np.ndarray, " n"]]) -> UInt32[np.ndarray, " n"]:
-    """Add up the counts of all parts; each part has its own capacity for pairs."""
+    """Add up the counts of the plan's parts, each of which has its own pair capacity."""
     total = np.asarray(np.sum(counts, axis=0), np.uint32)
     total[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + total[Counts.DRAWN]
     total[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)

@@ -1,9 +1,9 @@
-"""Choose the faster rasteriser of a device by drawing one frame with both, once.
+"""Chooses the faster rasteriser of a GPU by drawing one test frame with both, once.
 
-Compute tiles stop at pixels that are finished, and first list which splats each tile has. The
-hardware's quads need no list, and blend every fragment. Which is faster depends on how fast a GPU's
-fixed units blend 32-bit floats, which varies more than tenfold between GPUs of like arithmetic
-(those of data centres have few such units), and no limit or feature tells it.
+Compute tiles stop at finished pixels, but first list the splats of each tile. The hardware's quads
+need no list, but blend every fragment. Which is faster depends on how fast a GPU's fixed-function
+units blend 32-bit floats. That varies more than tenfold between GPUs of equal arithmetic (those of
+data centres have few such units), and no limit or feature of the device reports it.
 """
 
 __all__ = ["Rasteriser", "RasteriserOption", "Timings", "choose", "probe"]
@@ -33,27 +33,27 @@ RasteriserOption = Literal["auto", "tiles", "quads"]
 
 _GAUSSIANS: Final = 1 << 17
 _SIZE: Final = (1280, 720)
-_PAIRS: Final = 1 << 16  # room at first
-_WARM: Final = 2  # frames before those that count: drivers compile, clocks rise
+_PAIRS: Final = 1 << 16  # first capacity
+_WARM: Final = 2  # frames before the measurement: drivers compile, clocks rise
 _FRAMES: Final = 7
-_WORTH: Final = 0.8  # quads must be this much faster: tiles are nearer to exact, and stop early
+_WORTH: Final = 0.8  # quads must be this much faster: tiles are more exact, and stop early
 _ONLY: Final[dict[Rasteriser, tuple[str, ...]]] = {
     "tiles": ("bin", "group", "blend"),
     "quads": ("quads",),
 }
 _NOTHING: Final = np.zeros(3)
 _VERSION: Final = 1  # of the measurement; a new version invalidates cached timings
-_MOST_BYTES: Final = 1 << 16  # of the file
+_MOST_BYTES: Final = 1 << 16  # of the cache file
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Seconds that each rasteriser takes for what the other does not do.
+    """Seconds of the stages that compute tiles and hardware quads do not share.
 
     Attributes:
-        tiles: Listing pairs, sorting them by tile, blending.
-        quads: Drawing.
+        tiles: Seconds of listing pairs, sorting them by tile and blending.
+        quads: Seconds of drawing quads.
     """
 
     tiles: float
@@ -61,7 +61,7 @@ class Timings:
 
     @property
     def best(self) -> Rasteriser:
-        """The rasteriser to take: quads only where they are clearly faster."""
+        """The rasteriser to use: quads only if they are clearly faster."""
         return "quads" if self.quads < _WORTH * self.tiles else "tiles"
 
 
@@ -71,14 +71,14 @@ Measure = Callable[[Device, Kernels], Timings]
 def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> Rasteriser:
     """Return the faster rasteriser of a device, measured on the first call.
 
-    Timings are cached for the process, and for later ones in ``rasterisers.json`` under
-    ``$XDG_CACHE_HOME/gsgen`` (``~/.cache/gsgen``), by adapter and driver. With the environment
-    variable ``GSGEN_NO_CACHE`` set, no file is read or written.
+    Timings are cached in the process and, by adapter and driver, in ``rasterisers.json`` under
+    ``$XDG_CACHE_HOME/gsgen`` (``~/.cache/gsgen``). With the environment variable
+    ``GSGEN_NO_CACHE`` set, no file is read or written.
 
     Args:
         device: The device. Software drivers, and devices that cannot blend 32-bit floats,
-            have tiles without being measured.
-        kernels: Of the device.
+            use tiles without a measurement.
+        kernels: Kernels of the device.
         measure: Function that measures; :func:`probe` by default.
     """
     if device.software or not device.blends_floats:
@@ -96,16 +96,16 @@ def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> 
 def probe(
     device: Device, kernels: Kernels, *, gaussians: int = _GAUSSIANS, size: tuple[int, int] = _SIZE
 ) -> Timings:
-    """Draw the same frame both ways, and return the median seconds of several times.
+    """Draw a test frame with both rasterisers several times, and return the median seconds.
 
-    By the device's timestamps of the stages that differ; where those do not move, by the clock on
-    the wall from submitting a whole frame to having its counts: what both do is in both.
+    The times are GPU timestamps of the stages that differ. If timestamps stand still, they are
+    wall-clock times of whole frames, which include the stages that both share.
 
     Args:
-        device: Where to draw.
-        kernels: Of the device.
-        gaussians: How many.
-        size: Width and height of the image.
+        device: The device to measure.
+        kernels: Kernels of the device.
+        gaussians: Number of Gaussians in the test frame.
+        size: Width and height of the image, in pixels.
     """
     camera = Camera(
         np.eye(4),
@@ -125,13 +125,13 @@ def probe(
         for candidate, stages in _ONLY.items()
         for plan in [_roomy(device, kernels, placed, camera, quads=candidate == "quads")]
     }
-    # Timestamps of one and wall clock of the other would not compare.
+    # GPU timestamps of one and wall clock of the other would not compare.
     by = 0 if min(on_device for on_device, _ in seconds.values()) > 0 else 1
     return Timings(seconds["tiles"][by], seconds["quads"][by])
 
 
 def _crowd(n: int, tall: float) -> SplatData:
-    """Return Gaussians of a few pixels all over the image, several on top of each other."""
+    """Return random Gaussians of a few pixels that cover the image several times over."""
     rng = np.random.default_rng(0)
     rows = np.zeros((n, 10), np.float32)
     z = rng.uniform(2, 8, n)
@@ -146,7 +146,7 @@ def _crowd(n: int, tall: float) -> SplatData:
 def _roomy(
     device: Device, kernels: Kernels, placed: list[Placed], camera: Camera, *, quads: bool
 ) -> Plan:
-    """Return a plan that has room for all pairs."""
+    """Return a frame plan whose capacity fits all pairs of the frame."""
     room, size = _PAIRS, (camera.width, camera.height)
     while True:
         plan = Plan(device, kernels, placed, size, frozenset({"color"}), room, quads=quads)
@@ -160,7 +160,7 @@ def _roomy(
 def _seconds(
     device: Device, plan: Plan, placed: list[Placed], camera: Camera, stages: tuple[str, ...]
 ) -> tuple[float, float]:
-    """Return the median seconds of some stages, 0 if no timestamps tell, and of the frame."""
+    """Return the median seconds of some stages, 0 without timestamps, and of whole frames."""
     clock = StageClock(device) if device.has_clock else None
     ticks, walls = [], []
     for number in range(_WARM + _FRAMES):
@@ -179,14 +179,14 @@ _measured: dict[str, Timings] = {}
 
 
 def _key(device: Device) -> str:
-    """Return what tells adapters and drivers apart."""
+    """Return the cache key of an adapter with its driver."""
     info = device.raw.adapter.info
     words = ("vendor", "device", "description", "backend_type")
     return " | ".join([*(str(info.get(word, "")) for word in words), f"probe {_VERSION}"])
 
 
 def _file() -> Path | None:
-    """Return where measurements are kept, or None: nowhere."""
+    """Return the path of the timings cache, or None if GSGEN_NO_CACHE is set."""
     if os.environ.get("GSGEN_NO_CACHE"):
         return None
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -194,7 +194,7 @@ def _file() -> Path | None:
 
 
 def _read() -> dict[str, Timings]:
-    """Return what is kept; a file that cannot be read, or is none of ours, holds nothing."""
+    """Read the cached timings; an unreadable or foreign file counts as empty."""
     path = _file()
     try:
         if path is None or path.stat().st_size > _MOST_BYTES:
@@ -219,7 +219,7 @@ def _timings(entry: object) -> Timings | None:
 
 
 def _write(measured: dict[str, Timings]) -> None:
-    """Keep what was measured; where nothing can be written, each process measures again."""
+    """Write the timings cache; if that fails, each process measures again."""
     path = _file()
     if path is None:
         return

@@ -1,4 +1,4 @@
-"""The renderer: draws a scene as a camera sees it and returns a frame."""
+"""The renderer: draws a scene from a camera and returns a frame."""
 
 __all__ = ["Drawn", "Renderer"]
 
@@ -27,20 +27,20 @@ from gsgen.runtime.scene.frame import COLOR_ONLY, NOTHING, Frame, Output
 from gsgen.runtime.scene.scene import Scene
 
 _FIRST_PAIRS: Final = 1 << 16
-_ROOM: Final = 1.25  # over what a frame needed, so that the next need not grow again
+_ROOM: Final = 1.25  # times the pairs that a frame needed, so that the next rarely needs to grow
 _OUTPUTS: Final = ("color", "depth", "normal")
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """An image that stayed on the device.
+    """A rendered image that stayed in GPU memory.
 
     Attributes:
-        image: Buffer of four 32-bit words a pixel, as the kernels blend them.
-        row: Pixels from the start of a row to that of the next.
-        visible: How many Gaussians were drawn.
-        pairs: Pairs of a tile and a splat that touches it.
+        image: Buffer of four 32-bit words per pixel, as the kernels blend them.
+        row: Pixels from the start of one row to the next.
+        visible: Number of drawn Gaussians.
+        pairs: Number of pairs of a tile and a splat that touches it.
     """
 
     image: Buffer
@@ -51,24 +51,24 @@ class Drawn:
 
 @final
 class Renderer:
-    """Draws scenes of Gaussians on a graphics device.
+    """Draws scenes of Gaussians and meshes on a graphics device.
 
-    Buffers and pipelines of a frame are reused until the image size, the outputs or the sets
-    change: cameras, transforms and values may change from frame to frame.
+    Buffers and pipelines are reused until the image size, the outputs or the sets change;
+    cameras, transforms and values may change from frame to frame.
 
     Args:
         device: The device; the fastest adapter if None.
-        rasteriser: How colours are blended: compute shaders, tile by tile, or the hardware, a quad a
-            splat. The hardware cannot stop at pixels that are finished. "auto" measures once which
-            is faster on a GPU (:mod:`gsgen.runtime.renderer.rasteriser_choice`), and has tiles on a software
-            driver, and wherever a frame is more than colours.
-        compact: Keep harmonics and colours in float16, and covariances in 16 bytes: 128 bytes a
-            Gaussian of degree 3 instead of 232, 40 instead of 56 without harmonics, and less to
-            read; pictures differ by less than 1e-3, or 4e-3 where a threshold is met.
-        page_rows: Gaussians of a page, which is what one dispatch and one binding have.
+        rasteriser: "tiles" blends colours in compute shaders, tile by tile; "quads" lets the
+            hardware blend one quad per splat, which cannot stop at finished pixels. "auto"
+            measures once which is faster (:mod:`gsgen.runtime.renderer.rasteriser_choice`), and
+            uses tiles on software drivers and for frames with other outputs than colours.
+        compact: Whether SH and colours are float16, and covariances take 16 bytes: 128 instead of
+            232 bytes per Gaussian of degree 3, 40 instead of 56 for RGB; pictures differ by less
+            than 1e-3, or 4e-3 where a threshold is met.
+        page_rows: Most Gaussians of one dispatch and one binding.
         published: Whether weighted sums count backgrounds as the method's own renderer does
             (Liu et al. 2025): the background keeps its whole weight in the numerator. Such
-            pictures compare with that renderer's, and compose with nothing.
+            pictures compare with that renderer's, but cannot be composed with others.
 
     Attributes:
         rasteriser: The requested or chosen rasteriser of colours.
@@ -115,12 +115,12 @@ class Renderer:
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
         outputs: Collection[Output] = COLOR_ONLY,
     ) -> Frame:
-        """Draw ``scene`` as ``camera`` sees it.
+        """Draw a scene as a camera sees it, and return the images.
 
         Args:
             scene: The scene.
             camera: The camera, with the image size.
-            background: Red, green, blue and alpha behind it all.
+            background: Red, green, blue and alpha of the background.
             outputs: Images to compute.
 
         Raises:
@@ -140,19 +140,9 @@ class Renderer:
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
         output: Output = "color",
     ) -> Drawn:
-        """Draw ``scene`` and leave the image on the device, to be shown from there.
+        """Draw one output of a scene, and leave the image in GPU memory to be shown from there.
 
-        Args:
-            scene: The scene.
-            camera: The camera, with the image size.
-            background: Red, green, blue and alpha behind it all.
-            output: Image to compute.
-
-        Raises:
-            CapacityExceeded: The scene or the image is larger than the device's buffers.
-            DeviceLost: The device was lost.
-            MemoryFull: The device has no memory for the scene or the image.
-            SceneInvalid: ``background`` or ``output`` is invalid.
+        Arguments and errors are those of :meth:`render`.
         """
         plan, counts, _ = self._drawn(scene, camera, background, (output,), fetch=False)
         image = plan.images[output]
@@ -168,7 +158,7 @@ class Renderer:
         *,
         fetch: bool = True,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
-        """Draw until all pairs fit and all ties are in order; images are empty without ``fetch``."""
+        """Draw a scene until all pairs fit and all ties are sorted; no images without ``fetch``."""
         requested = _known(outputs)
         if self._published:
             _require_alone(scene)
@@ -178,12 +168,12 @@ class Renderer:
 
     @contextmanager
     def _device_errors(self, scene: Scene, camera: Camera) -> Iterator[None]:
-        """Add the scene's memory to errors of the device."""
+        """Translate device errors in a ``with`` block; those of memory name the scene's size."""
         try:
             with self.device.translate_errors():
                 yield
         except MemoryFull as error:
-            # A smaller scene needs this memory, and that of the rows that the plan keeps alive.
+            # Free the plan's memory, and the rows that it keeps alive, for a smaller scene.
             self._plan, self._key, self._rows = None, None, None
             self._pairs = _FIRST_PAIRS
             raise _too_large(scene, camera, error, compact=self._compact) from error
@@ -212,7 +202,7 @@ class Renderer:
         return plan, counts, images
 
     def _must_redraw(self, counts: np.ndarray, plan: Plan) -> bool:
-        """Return whether a frame has to be drawn again, and provide the room that it lacked."""
+        """Return whether a frame has to be drawn again, after growing what it lacked."""
         short = int(counts[Counts.WANTED_PAIRS]) > plan.pair_capacity
         if short:
             self._grow(int(counts[Counts.WANTED_PAIRS]))
@@ -221,7 +211,7 @@ class Renderer:
         return bool(short or counts[Counts.UNSORTED] or counts[Counts.TIED])
 
     def placed(self, scene: Scene) -> list[Placed]:
-        """Return each page of the scene with its set, uploaded where it is new or has changed."""
+        """Return each GPU page of a scene with its set, after uploading new and changed rows."""
         for data in dict.fromkeys(splat_set.data for splat_set in scene.sets):
             self._residency.begin(data)
         return self._pages(scene)
@@ -234,7 +224,7 @@ class Renderer:
         ]
 
     def placed_meshes(self, scene: Scene) -> list[PlacedMesh]:
-        """Return each mesh of the scene with its buffers, uploaded where it is new."""
+        """Return each mesh of a scene with its GPU buffers, after uploading new meshes."""
         return [
             PlacedMesh(mesh, self._mesh_residency.buffers(mesh.data), scene.color_space)
             for mesh in scene.meshes
@@ -247,7 +237,7 @@ class Renderer:
         outputs: frozenset[Output],
         meshes: Sequence[PlacedMesh] = (),
     ) -> Plan:
-        """Return the plan for a frame; the present one is reused if it fits."""
+        """Return the frame plan for given pages, camera and outputs, reusing the last if it fits."""
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
         pages = tuple((page, splat_set.weighted is None) for splat_set, page in placed)
         contents = (pages, tuple(mesh.buffers for mesh in meshes))
@@ -274,16 +264,16 @@ class Renderer:
         return self._plan
 
     def _takes_quads(self, outputs: frozenset[Output]) -> bool:
-        """Whether quads draw the colours; "auto" takes tiles where another output lists pairs anyway."""
+        """Return whether quads draw the colours; not in "auto" if another output needs tiles."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
     def _grow(self, pairs: int) -> None:
-        """Make room for more pairs, or raise if the device cannot hold them."""
+        """Raise the capacity for pairs, or raise an error if the device cannot hold them."""
         most = min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK)
         if pairs > most:
             raise CapacityExceeded(
                 f"the image needs {pairs:,} pairs of a splat and a tile; "
-                f"{self.device.name} has room for {most:,}",
+                f"{self.device.name} holds at most {most:,}",
                 where="scene",
                 hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
@@ -291,14 +281,14 @@ class Renderer:
 
 
 def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
-    """Return an error with the memory of the Gaussians and smaller alternatives."""
+    """Add the memory of the Gaussians, and ways to need less, to a memory error."""
     sets = list(dict.fromkeys(splat_set.data for splat_set in scene.sets))
     now, less = (
         sum(bytes_of(splat_set, compact=is_compact) for splat_set in sets)
         for is_compact in (compact, True)
     )
     count = sum(map(len, sets))
-    message = f"{error.message}; {count:,} Gaussians take {now:,} bytes of it"
+    message = f"{error.message}; {count:,} Gaussians take {now:,} bytes"
     hint = "Draw fewer of them, or without harmonics: `gsgen convert --sh-degree 0`."
     if less < now:
         hint = f"With `--compact` (`compact=True`) they take {less:,}. {hint}"
@@ -307,13 +297,13 @@ def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool
 
 
 def _require_alone(scene: Scene) -> None:
-    """Raise if the scene has more than weighted sets."""
+    """Raise if a scene has meshes or sorted sets next to weighted sets."""
     summed = [splat_set.weighted is not None for splat_set in scene.sets]
     if any(summed) and (scene.meshes or not all(summed)):
         raise SceneInvalid(
-            "is True, which is defined for scenes of nothing but weighted sets",
+            "is True, expected a scene of weighted sets only",
             where="published",
-            hint="Take another Renderer for sets that are sorted, and for meshes.",
+            hint="Draw sorted sets and meshes with a renderer that has published=False.",
         )
 
 
@@ -343,7 +333,7 @@ def _frame(
     images: dict[str, np.ndarray],
     opacity_behind: float,
 ) -> Frame:
-    """Convert the images' words to a frame."""
+    """Convert the words of GPU images to a frame."""
     color, pick, normal = (
         images[name].view(np.float32) if name in images else None
         for name in ("color", "depth", "normal")
@@ -377,7 +367,7 @@ def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h 
 
 
 def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
-    """Return places in the scene; the plan counts sets that are sorted by themselves."""
+    """Convert the plan's ids, which count only sorted sets, to indices in the scene."""
     ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
     summed = np.array([splat_set.weighted is not None for splat_set in scene.sets], bool)
     if not summed.any() or summed.all():
@@ -390,7 +380,7 @@ def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h
 
 
 def _in_world(normal: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """Return unit vectors in world space, or zeros."""
+    """Return normals in camera space as unit vectors in world space; zeros stay zeros."""
     turned = normal @ camera.view[:3, :3].astype(np.float32)  # rows times R are Rᵀ n
     size = np.linalg.norm(turned, axis=-1, keepdims=True)
     return np.asarray(np.divide(turned, size, out=np.zeros_like(turned), where=size > 0))

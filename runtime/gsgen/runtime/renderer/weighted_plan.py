@@ -1,7 +1,7 @@
-"""The part of a frame plan that blends sets by weighted sums, cell by cell.
+"""The part of a frame plan that blends splat sets by weighted sums, cell by cell.
 
-Only cells are sorted and listed for tiles; their Gaussians are looked up through them. A Gaussian
-needs neither the two columns of a sort nor pairs of its own.
+Only cells are sorted and listed per tile, and their Gaussians are looked up through them. A Gaussian
+needs neither sort keys nor pairs of its own.
 """
 
 __all__ = ["WeightedKernels", "WeightedPart"]
@@ -42,7 +42,7 @@ class WeightedKernels:
     Args:
         device: Device of the kernels.
         cut: Configuration of the sort.
-        scan: The scan, shared with the rest of the plan as the next three are.
+        scan: The scan; shared with the rest of the plan, like the next three.
         sort: The radix sort.
         order: The depth sort.
         ranges: The tile ranges.
@@ -76,7 +76,7 @@ class WeightedKernels:
 
 @final
 class WeightedPart:
-    """The part of a plan that draws sets with cells.
+    """GPU buffers and steps of a frame plan that draw weighted sets.
 
     Args:
         device: Device of the buffers.
@@ -85,11 +85,11 @@ class WeightedPart:
         size: Width and height of the image, in pixels.
         panorama: Whether the image is a panorama.
         outputs: Requested outputs.
-        pair_capacity: Number of pairs of a cell and a tile that there is room for.
+        pair_capacity: Most pairs of a cell and a tile.
         frames: Uniforms of the frame with the background and without it.
         layers: Layers whose first receives the result; None if the result is the image.
         published: Whether backgrounds count as in the method's own renderer.
-        deep: Whether depths are sorted by all their bits, because very many share the leading ones.
+        deep: Whether the depth sort is deep, because very many depths share a key.
 
     Attributes:
         stages: Steps of a frame, by stage.
@@ -201,7 +201,7 @@ class WeightedPart:
         ]
 
     def _sort(self, columns: tuple[Columns, Columns], lows: Buffer) -> tuple[list[Step], Buffer]:
-        """Return the steps, and the buffer of cells, nearest first."""
+        """Return the steps of the depth sort, and the buffer of cells, nearest first."""
         n = self._cells
         spare = self._storage("keys of cells c", 4 * n) if self._deep else None
         return self._kernels.order.steps(n, self.counts, columns, lows, None, spare)
@@ -218,7 +218,7 @@ class WeightedPart:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the steps, and the buffer of the cells of each tile after the other."""
+        """Return the steps that sort pairs by tile, and the buffer of cells, tile after tile."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self.counts,
@@ -244,17 +244,12 @@ class WeightedPart:
         return kernel.step(self._tiles, (frame, *resources, self.images[name]))
 
     def clear(self, encoder: Encoder) -> None:
-        """Encode the clearing of ranges and counts."""
+        """Encode the clearing of the tile ranges and counts of cells."""
         encoder.clear_buffer(self._ranges)
         encoder.clear_buffer(self.counts, 4 * Counts.DRAWN, 12)  # to UNSORTED
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
-        """Write the uniforms of a frame.
-
-        Args:
-            placed: The pages of the part with their present sets.
-            camera: Camera of the frame.
-        """
+        """Write a frame's uniforms of all pages of weighted sets, and of their cells."""
         slots, base = np.zeros(len(placed), PAGE), 0
         cell_slots, cell_base, number = np.zeros(len(placed), PAGE), 0, 0
         for slot, (splat_set, page) in enumerate(placed):
@@ -274,7 +269,7 @@ class WeightedPart:
 
 
 def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, Page]]:
-    """Yield each set with its first page."""
+    """Yield each weighted set with its first page."""
     return ((splat_set, page) for splat_set, page in placed if page.first == 0)
 
 
@@ -283,7 +278,7 @@ def _cells(splat_set: SplatSet) -> int:
 
 
 def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
-    """Add the parameters of a set's weighted sum to a page's uniform."""
+    """Fill a page's uniform with the parameters of the set's weighted sum, and return it."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None
     uniform["per_cell"] = splat_set.data.per_cell

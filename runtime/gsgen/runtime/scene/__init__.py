@@ -1,1 +1,1 @@
-"""What is drawn: scene, splats, meshes, cameras, frames, colours?"""
+"""What can be drawn: scenes of splats and meshes, cameras, frames and colours?"""

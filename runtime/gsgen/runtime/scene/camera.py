@@ -1,4 +1,4 @@
-"""Cameras in the OpenCV convention: as JSON, looking at a point, in orbit, flat, or all around."""
+"""Pinhole, orthographic and panoramic cameras in the OpenCV convention, also as JSON."""
 
 __all__ = ["Camera"]
 
@@ -19,11 +19,11 @@ DEFAULT_NEAR = 0.01
 """Near plane of a camera without one, in world units."""
 _LARGEST_SIDE = 16_384
 _ROTATION_TOLERANCE = 1e-3
-_UP = (0.0, -1.0, 0.0)  # +y is down in the worlds that COLMAP makes
-_ROUNDING = 1e-6  # by this share a panorama may be wider than a turn
+_UP = (0.0, -1.0, 0.0)  # +y is down in COLMAP's worlds
+_ROUNDING = 1e-6  # relative tolerance: a panorama may be wider than a turn by this share
 
 Kind = Literal["pinhole", "orthographic", "panorama"]
-"""How a camera maps the world to its image."""
+"""The projection of a camera."""
 
 
 @final
@@ -31,10 +31,10 @@ Kind = Literal["pinhole", "orthographic", "panorama"]
 class Camera:
     """A camera: +x right, +y down, +z forward; the first pixel's centre is (0.5, 0.5).
 
-    A pinhole sees a point at (fx x/z + cx, fy y/z + cy), an orthographic camera at
-    (fx x + cx, fy y + cy): its focal lengths are pixels for each world unit. A panorama sees it at
+    A pinhole projects a point to (fx x/z + cx, fy y/z + cy), an orthographic camera to
+    (fx x + cx, fy y + cy): its focal lengths are pixels per world unit. A panorama projects it to
     (fx λ + cx, fy φ + cy) with the longitude λ = atan2(x, z) and, downwards, the latitude
-    φ = asin(y/r): its focal lengths are pixels for each radian (an equirectangular picture).
+    φ = asin(y/r): its focal lengths are pixels per radian (an equirectangular image).
 
     Attributes:
         view: World → camera, [4, 4], acting on column vectors; a rotation and a translation.
@@ -42,10 +42,10 @@ class Camera:
         fy: Vertical focal length, in pixels.
         cx: Principal point from the left edge, in pixels.
         cy: Principal point from the upper edge, in pixels.
-        width: Of the image, in pixels.
-        height: Of the image, in pixels.
-        near: Least distance along +z, in world units, at which Gaussians are drawn; in a
-            panorama the least distance in any direction.
+        width: Image width, in pixels.
+        height: Image height, in pixels.
+        near: Least distance of drawn Gaussians along +z, in world units; in a panorama the least
+            distance in any direction.
         kind: ``pinhole``, ``orthographic`` or ``panorama``.
 
     Raises:
@@ -105,14 +105,14 @@ class Camera:
         fov_y: float = 50.0,
         near: float = DEFAULT_NEAR,
     ) -> "Camera":
-        """Return the camera at ``eye`` that looks at ``target``.
+        """Return the pinhole camera at ``eye`` that looks at ``target``, both in world units.
 
         Args:
-            eye: The camera centre, in world units.
+            eye: The camera centre.
             target: The point in the middle of the image.
             up: The world's upward direction.
-            width: Of the image, in pixels.
-            height: Of the image, in pixels.
+            width: Image width, in pixels.
+            height: Image height, in pixels.
             fov_y: Vertical field of view, in degrees.
             near: Distance of the near plane.
 
@@ -125,7 +125,7 @@ class Camera:
         position, goal = np.asarray(eye, np.float64), np.asarray(target, np.float64)
         if not np.linalg.norm(goal - position) > 0:
             raise SceneInvalid(
-                f"looks from {position.tolist()} at {goal.tolist()}, which is not a direction",
+                f"looks from {position.tolist()} at {goal.tolist()}, expected two different points",
                 where="camera",
             )
         upward = _direction("up", up)
@@ -156,18 +156,10 @@ class Camera:
         fov_y: float = 50.0,
         near: float = DEFAULT_NEAR,
     ) -> "Camera":
-        """Return the camera on a sphere around ``center`` that looks at it.
+        """Return the camera on a sphere around ``center`` that looks at the centre.
 
-        Args:
-            center: In world units.
-            radius: Of the sphere, > 0.
-            azimuth: Degrees around ``up``.
-            elevation: Degrees above the horizon.
-            up: The world's upward direction.
-            width: Of the image, in pixels.
-            height: Of the image, in pixels.
-            fov_y: Vertical field of view, in degrees.
-            near: Distance of the near plane.
+        The sphere has a ``radius`` in world units; ``azimuth`` is in degrees around ``up``,
+        ``elevation`` in degrees above the horizon; the rest is as in :meth:`look_at`.
 
         Raises:
             SceneInvalid: A number is out of range.
@@ -180,7 +172,7 @@ class Camera:
         level = math.cos(turn) * np.cross(side, axis) + math.sin(turn) * side
         offset = math.cos(lift) * level + math.sin(lift) * axis
         middle = np.asarray(center, np.float64)
-        # Straight above, `up` says nothing: the horizon's direction does.
+        # Straight above the centre, `up` is the viewing direction: the horizon's direction replaces it.
         upward = axis if abs(lift) < math.pi / 2 - 1e-6 else -math.copysign(1, lift) * level
         return cls.look_at(
             (middle + radius * offset).tolist(),
@@ -205,16 +197,16 @@ class Camera:
         latitudes: tuple[float, float] = (-90.0, 90.0),
         near: float = DEFAULT_NEAR,
     ) -> "Camera":
-        """Return the camera at ``eye`` that sees all around: an equirectangular panorama.
+        """Return the equirectangular panorama camera at ``eye``, which sees all around.
 
-        Its horizon is level: ``toward`` says only which way its middle column looks.
+        The horizon is level: ``toward`` only chooses the direction of the middle column.
 
         Args:
             eye: The camera centre, in world units.
             toward: A direction, not along ``up``.
             up: The world's upward direction.
-            width: Of the image, in pixels.
-            height: Of the image, in pixels; None for square pixels.
+            width: Image width, in pixels.
+            height: Image height, in pixels; None for square pixels.
             longitudes: Degrees at the left and the right edge; positive is to the right.
             latitudes: Degrees at the lower and the upper edge; positive is up.
             near: Least distance at which Gaussians are drawn.
@@ -229,7 +221,7 @@ class Camera:
         ):
             if not 0 < high - low <= most:
                 raise SceneInvalid(
-                    f"are {low} to {high} degrees, expected low to high, {most} apart at most",
+                    f"are {low} to {high} degrees, expected ascending angles at most {most} apart",
                     where=f"camera.{name}",
                 )
         across = math.radians(longitudes[1] - longitudes[0])
@@ -243,7 +235,7 @@ class Camera:
         ahead -= upward * (upward @ ahead)
         if not np.linalg.norm(ahead) > 1e-6:
             raise SceneInvalid(
-                f"is {list(toward)}, along {list(up)}: no direction on the horizon",
+                f"is {list(toward)}, expected a direction that is not parallel to up, {list(up)}",
                 where="camera.toward",
             )
         view = geometry.look_at(np.zeros(3), ahead, upward)
@@ -255,7 +247,7 @@ class Camera:
 
     @classmethod
     def from_json(cls, text: str) -> "Camera":
-        """Read a camera from a JSON object with this class's attributes.
+        """Read a camera from a JSON object with the attributes of ``Camera``.
 
         Raises:
             SceneInvalid: The text is not a valid camera.
@@ -268,7 +260,7 @@ class Camera:
 
     @classmethod
     def from_dict(cls, document: object) -> "Camera":
-        """Build a camera from a mapping with this class's attributes.
+        """Build a camera from a mapping with the attributes of ``Camera``.
 
         Raises:
             SceneInvalid: A field is missing, unknown or invalid.
@@ -301,20 +293,19 @@ class Camera:
 
     @property
     def eye(self) -> Float[np.ndarray, "3"]:
-        """The camera centre, in world units: −Rᵀt."""
+        """The camera centre −Rᵀt, in world units, [3]."""
         return np.asarray(-self.view[:3, :3].T @ self.view[:3, 3])
 
     @property
     def projection(self) -> Float[np.ndarray, "4 4"]:
-        """The matrix from camera to clip space, depth 0..1, that generators receive.
+        """The matrix from camera to clip space, depth 0 to 1, that generators receive, [4, 4].
 
         A panorama has no such matrix: it returns that of a box of 1e5 units around the camera, so
-        that models that cull by the view cull nothing.
+        that models that cull by the view cull nothing, not even points behind the camera.
         """
         if self.kind == "pinhole":
             return np.asarray(pinhole_projection(self))
         if self.kind == "panorama":
-            # A box around the camera: points behind it are in view, too, and nothing is culled.
             box = np.diag([1 / FAR_RATIO, -1 / FAR_RATIO, 0.5 / FAR_RATIO, 1])
             box[2, 3] = 0.5
             return np.asarray(box)
@@ -327,7 +318,7 @@ class Camera:
 
     @property
     def period(self) -> float:
-        """The pixels of a whole turn of a panorama; 0 for other kinds."""
+        """The width of a full panorama of 360 degrees, in pixels; 0 for other cameras."""
         return 2 * math.pi * self.fx if self.kind == "panorama" else 0.0
 
     def flattened(self, distance: float) -> "Camera":
@@ -338,7 +329,9 @@ class Camera:
         """
         _require_number("distance", distance, positive=True)
         if self.kind == "panorama":
-            raise SceneInvalid("is panorama, which cannot be flat", where="camera.kind")
+            raise SceneInvalid(
+                "is panorama, expected pinhole or orthographic to flatten", where="camera.kind"
+            )
         scale = distance if self.kind == "pinhole" else 1.0
         return replace(self, fx=self.fx / scale, fy=self.fy / scale, kind="orthographic")
 
@@ -382,16 +375,16 @@ def _direction(name: str, components: Sequence[float]) -> Float[np.ndarray, "3"]
     length = np.linalg.norm(vector)
     if vector.shape != (3,) or not 0 < length < math.inf:
         raise SceneInvalid(
-            f"is {list(components)}, which is not a direction", where=f"camera.{name}"
+            f"is {list(components)}, expected a direction of 3 numbers", where=f"camera.{name}"
         )
     return np.asarray(vector / length)
 
 
 def _require_sphere(camera: Camera) -> None:
-    """Raise if a panorama shows a direction twice, or one beyond a pole."""
+    """Raise if a panorama camera shows a direction twice, or a latitude beyond a pole."""
     if camera.width > camera.period * (1 + _ROUNDING):
         raise SceneInvalid(
-            f"is {camera.fx} pixels a radian, {camera.period:.6g} a turn, but the image is "
+            f"is {camera.fx} pixels per radian, {camera.period:.6g} per turn, but the image is "
             f"{camera.width} wide",
             where="camera.fx",
             hint="A full panorama has fx = width / 2π, a part of one has more.",

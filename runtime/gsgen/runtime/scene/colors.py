@@ -1,4 +1,4 @@
-"""Colours in words, as people type them."""
+"""Parses colours that users type: names, #rrggbb, or numbers."""
 
 __all__ = ["color_of"]
 
@@ -14,11 +14,11 @@ _COLOR_NAMES: Final = {
 
 
 def color_of(text: str, where: str) -> tuple[float, float, float, float]:
-    """Return red, green, blue and alpha.
+    """Parse a colour: black, white, transparent, #rrggbb or R,G,B[,A] from 0 to 1.
 
     Args:
-        text: black, white, transparent, #rrggbb or R,G,B[,A] from 0 to 1.
-        where: What an error calls its place.
+        text: The colour.
+        where: Location of the text in errors.
 
     Raises:
         ConfigInvalid: The text is not a colour in one of these forms.

@@ -1,4 +1,4 @@
-"""A frame: the image of a scene with depths, ids and normals."""
+"""The result of rendering: an image with depths, ids and normals."""
 
 __all__ = ["COLOR_ONLY", "NOTHING", "Frame", "Output"]
 
@@ -15,7 +15,7 @@ COLOR_ONLY: Final[tuple[Output, ...]] = ("color",)
 """The default outputs of a frame."""
 
 NOTHING: Final = -1
-"""The id where no Gaussian took half of the light."""
+"""The id of pixels at which no Gaussian took half of the light."""
 
 
 @final
@@ -31,11 +31,12 @@ class Frame:
             colours are, in world units; infinite where nothing is drawn.
         median_depth: Distance of the Gaussian that took half of the light; infinite where no
             Gaussian did.
-        ids: That Gaussian's index in the scene, or NOTHING; see ``Scene.locate``.
+        ids: Index of that Gaussian in the scene, or NOTHING; see ``Scene.locate``.
         normal: Unit vectors in world space that point towards the camera, [height, width, 3];
             zero where nothing is drawn.
-        visible: How many Gaussians were drawn; of those in cells, all that are in the image.
-        pairs: Pairs of a tile and a splat or cell that touches it; the cost grows with them.
+        visible: Number of drawn Gaussians; of those in cells, all that are in the image.
+        pairs: Number of pairs of a tile and a splat or cell that touches it, which the cost
+            grows with.
         color_space: Colour space of ``rgba``.
     """
 
@@ -51,13 +52,13 @@ class Frame:
 
     @property
     def srgb8(self) -> UInt8[np.ndarray, "h w 4"]:
-        """The image for files and screens: sRGB in bytes, not multiplied by alpha.
+        """The image for files and screens: sRGB bytes with straight alpha.
 
         Raises:
-            ValueError: Colours were not asked for.
+            ValueError: Colours were not requested.
         """
         if self.rgba is None:
-            raise ValueError("this frame has no colours: ask render() for 'color'")
+            raise ValueError("this frame has no colours: pass 'color' in the outputs of render()")
         alpha = np.clip(self.rgba[..., 3:], 0, 1)
         straight = self.rgba[..., :3] / np.where(alpha > 0, alpha, 1)
         color = np.clip(straight, 0, 1)

@@ -1,4 +1,4 @@
-"""Meshes of triangles: opaque surfaces that stand among the Gaussians."""
+"""Triangle meshes: opaque surfaces among the Gaussians of a scene."""
 
 __all__ = ["SHADINGS", "Mesh", "MeshData", "Shading"]
 
@@ -12,7 +12,7 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.transforms import identity, require_affine
 
 Shading = Literal["unlit", "headlight"]
-"""See :class:`Mesh`."""
+"""How a mesh is lit: see :class:`Mesh`."""
 
 SHADINGS: Final[tuple[Shading, ...]] = get_args(Shading)
 
@@ -22,17 +22,17 @@ _LARGEST: Final = 1e18  # its square is finite in float32
 
 @final
 class MeshData:
-    """Triangles and their colours. Several meshes may share them; they are on the GPU once.
+    """Triangles with colours or a texture, which several meshes may share.
 
     Args:
         vertices: Positions, [V, 3], finite.
-        faces: Three indices of vertices a triangle, [F, 3]; which way round does not matter.
-        colors: Red, green, blue of each vertex, [V, 3] or [V, 4], floats or bytes; an alpha is
-            left out, for meshes are opaque. None for grey, or white where there is a texture.
-        uv: Where each vertex is in the texture, [V, 2]: (0, 0) is its lower left corner, and
-            beyond (1, 1) it repeats.
-        texture: Bytes, [height, width, 3 or 4], the upper row first; it multiplies the colours.
-        color_space: Of colours and texture.
+        faces: Three indices of vertices per triangle, [F, 3], in either orientation.
+        colors: Red, green, blue of each vertex, [V, 3] or [V, 4], floats or bytes; alpha is
+            ignored, as meshes are opaque. None for grey, or white with a texture.
+        uv: Texture coordinates of each vertex, [V, 2]: (0, 0) is the lower left corner of the
+            texture, which repeats beyond (1, 1).
+        texture: Bytes, [height, width, 3 or 4], the upper row first; multiplies the colours.
+        color_space: Colour space of colours and texture.
 
     Attributes:
         vertices: As float32.
@@ -41,10 +41,10 @@ class MeshData:
         uv: As float32, or None.
         texture: [height, width, 4], or None.
         color_space: As given.
-        version: Grows with every update; who keeps a copy compares it.
+        version: Grows with every update; holders of a copy compare it.
 
     Raises:
-        SceneInvalid: An array cannot be drawn; says which row and value.
+        SceneInvalid: An array cannot be drawn; the message names the row and the value.
     """
 
     vertices: Float32[np.ndarray, "v 3"]
@@ -71,7 +71,7 @@ class MeshData:
         self.uv = None if uv is None else _floats(uv, "uv", (2,), len(self.vertices))
         if (self.uv is None) != (self.texture is None):
             absent = "uv" if self.uv is None else "texture"
-            raise SceneInvalid("is absent: uv and texture need each other", where=absent)
+            raise SceneInvalid("is None, expected both uv and texture, or neither", where=absent)
         if colors is None:
             colors = np.full((len(self.vertices), 3), _GREY if texture is None else 1.0)
         elif np.asarray(colors).dtype == np.uint8:
@@ -82,10 +82,10 @@ class MeshData:
         self.version = 0
 
     def update(self, vertices: Float[np.ndarray, "v 3"]) -> None:
-        """Move the vertices; how many there are stays, so that buffers are reused.
+        """Replace the vertex positions; their number stays, so that GPU buffers are reused.
 
         Raises:
-            SceneInvalid: There are more or fewer, or one is not finite.
+            SceneInvalid: The number of vertices changed, or one is not finite.
         """
         self.vertices = _floats(vertices, "vertices", (3,), len(self.vertices))
         self.version += 1
@@ -97,7 +97,7 @@ class MeshData:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles, and how they are drawn.
+    """Triangles with a transform and a shading.
 
     Attributes:
         data: The triangles.
@@ -120,7 +120,7 @@ class Mesh:
         _require_one_of(self.shading, SHADINGS, "shading")
 
     def placed(self, transform: Float[np.ndarray, "4 4"]) -> "Mesh":
-        """Return the same triangles, moved once more by ``transform``."""
+        """Return the mesh with ``transform`` applied after its own transform."""
         return replace(self, transform=np.asarray(transform, np.float64) @ self.transform)
 
 
@@ -132,7 +132,7 @@ def _require_one_of(value: str, known: tuple[str, ...], where: str) -> None:
 def _floats(
     array: np.ndarray, where: str, widths: tuple[int, ...], rows: int | None = None
 ) -> Float32[np.ndarray, "n c"]:
-    """Return finite rows of one of some widths as float32, in C order."""
+    """Convert rows of finite numbers of one of some widths to float32 in C order."""
     converted = np.asarray(array)
     fits = converted.ndim == 2 and converted.shape[1] in widths and converted.dtype.kind in "fiu"
     if not fits or (rows is not None and len(converted) != rows):
@@ -149,7 +149,7 @@ def _floats(
             f"{wrong.sum():,} of {len(converted):,} rows are not finite or beyond {_LARGEST:g}; "
             f"row {row} is {converted[row].tolist()}",
             where=where,
-            hint="Leave out these vertices and the faces that use them.",
+            hint="Remove these vertices and the faces that use them.",
         )
     return np.ascontiguousarray(converted, np.float32)
 
@@ -164,7 +164,7 @@ def _faces(array: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
     if wrong.any():
         row = int(wrong.argmax())
         raise SceneInvalid(
-            f"row {row} is {converted[row].tolist()}, but there are {vertices:,} vertices",
+            f"row {row} is {converted[row].tolist()}, expected indices of {vertices:,} vertices",
             where="faces",
         )
     return np.ascontiguousarray(converted, np.uint32)

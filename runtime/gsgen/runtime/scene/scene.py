@@ -1,4 +1,4 @@
-"""Scenes: sets of Gaussians, each with its place in the world and how it is to be drawn."""
+"""Scenes of splat sets and meshes, each with a transform and its drawing settings."""
 
 __all__ = ["Box", "Scene", "SplatSet"]
 
@@ -20,12 +20,7 @@ from gsgen.runtime.scene.transforms import identity, require_affine
 @final
 @dataclass(frozen=True, slots=True)
 class Box:
-    """An axis-parallel box in the local space of a set; both ends are inside.
-
-    Attributes:
-        low: The least x, y and z.
-        high: The greatest.
-    """
+    """An axis-aligned box in the local space of a set, from ``low`` to ``high`` inclusive."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
@@ -34,19 +29,19 @@ class Box:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatSet:
-    """Gaussians with a transform and the settings of their drawing.
+    """Gaussians with a transform and settings for drawing.
 
     Attributes:
-        data: The Gaussians. Several sets may share them; they are on the GPU once.
+        data: The Gaussians, which several sets may share; they are on the GPU once.
         transform: Local → world, [4, 4], affine and invertible. Covariances follow it;
             harmonics follow its rotation (the orthogonal factor of its polar decomposition).
         opacity_scale: Factor of all opacities, ≥ 0; results above 1 are clamped to 1.
-        degree: Use no harmonics above this degree; None for all there are.
+        degree: Highest SH degree that is used; None for all.
         antialias: Compensation of the 0.3 pixels² of dilation: none in ``classic``, less
             opacity in ``mip`` (Yu et al. 2023, "Mip-Splatting").
-        clip: Centres outside of this box are not drawn; None for no box.
-        weighted: How Gaussians are weighed where they are summed cell by cell; None where they
-            are sorted and blended. The depth range, a length, follows the size of the set.
+        clip: Gaussians with centres outside this box are not drawn; None for no box.
+        weighted: Weights of the Gaussians if they are summed cell by cell; None if they are
+            sorted and blended. The depth range, a length, follows the scale of the transform.
 
     Raises:
         SceneInvalid: The transform or a number cannot be used.
@@ -78,7 +73,7 @@ class SplatSet:
 
     @property
     def depth_range(self) -> float | None:
-        """At which depth in the world weights are 0: the model's times the mean of its scales."""
+        """The depth in world units at which weights reach 0: the model's, times the set's scale."""
         if self.weighted is None or self.weighted.depth_range is None:
             return None
         volume = abs(float(np.linalg.det(self.transform[:3, :3])))
@@ -88,21 +83,21 @@ class SplatSet:
 def _require_weights(weighted: WeightedSum, data: SplatData) -> None:
     if data.cells is None:
         raise SceneInvalid(
-            "are summed cell by cell, and have no cells",
+            "needs cells to sum Gaussians over, but the splat data has none",
             where="weighted",
-            hint="Give SplatData its cells, or leave `weighted` out: they are sorted then.",
+            hint="Pass cells to SplatData, or leave `weighted` out to sort and blend.",
         )
     sizes = [weighted.opacity_divisor]
     sizes += [] if weighted.depth_range is None else [weighted.depth_range]
     if not all(np.isfinite(size) and size > 0 for size in sizes):
         raise SceneInvalid(
-            f"divides by {weighted.opacity_divisor} within {weighted.depth_range}, "
-            "expected numbers above 0",
+            f"has the opacity divisor {weighted.opacity_divisor} and the depth range "
+            f"{weighted.depth_range}, expected numbers above 0",
             where="weighted",
         )
     if not (np.isfinite(weighted.background) and weighted.background >= 0):
         raise SceneInvalid(
-            f"weighs the background {weighted.background}, expected a number from 0",
+            f"has the background weight {weighted.background}, expected a number >= 0",
             where="weighted",
         )
 
@@ -110,13 +105,13 @@ def _require_weights(weighted: WeightedSum, data: SplatData) -> None:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Sets of Gaussians that are sorted and blended together.
+    """Sets of Gaussians that are drawn together, and meshes among them.
 
     Attributes:
-        sets: In any order; of Gaussians at the same depth, those of the earlier set are in front.
-        color_space: Of the colours of all sets; they are blended as they are.
-        meshes: Opaque surfaces, whose colours are converted to this space; where two are equally
-            far, the earlier is seen.
+        sets: Splat sets; of Gaussians at the same depth, those of the earlier set are in front.
+        color_space: Colour space of all sets, in which they are blended.
+        meshes: Opaque surfaces, whose colours are converted to this space; of two at the same
+            depth, the earlier is in front.
     """
 
     sets: tuple[SplatSet, ...]
@@ -139,7 +134,7 @@ class Scene:
         object.__setattr__(self, "meshes", stood)
 
     def locate(self, index: int) -> tuple[int, int]:
-        """Return the set and the row in it of the Gaussian that a frame's ids call ``index``.
+        """Return the index of the set, and the row in it, of a Gaussian id of ``Frame.ids``.
 
         Raises:
             IndexError: The scene has fewer Gaussians.
@@ -149,7 +144,7 @@ class Scene:
             if 0 <= remaining < len(splat_set.data):
                 return number, remaining
             remaining -= len(splat_set.data)
-        raise IndexError(f"Gaussian {index} of {len(self)}")
+        raise IndexError(f"Gaussian {index} is not in the scene: expected 0 to {len(self) - 1}")
 
     def __len__(self) -> int:
         return sum(len(splat_set.data) for splat_set in self.sets)

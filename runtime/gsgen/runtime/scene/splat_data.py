@@ -1,4 +1,4 @@
-"""Gaussians to be drawn: packed rows of the contract; their values may change between frames."""
+"""Gaussians in the contract's packed rows; their values may change between frames."""
 
 __all__ = ["SplatData"]
 
@@ -18,18 +18,18 @@ _HALVES = (np.dtype(np.float16), np.dtype(np.float32))
 
 @final
 class SplatData:
-    """Packed rows and their appearance, as a generator emits them.
+    """Packed rows of Gaussians and their appearance, as a generator emits them.
 
     Attributes:
         rows: ``x y z opacity xx xy xz yy yz zz``, [N, 10], float32 or float16.
         appearance: SH coefficients or RGB, [N, C], float32 or float16.
         space: What ``appearance`` holds.
-        count: How many of the first rows are drawn.
+        count: Number of live rows: only the first ``count`` are drawn.
         rows_version: Grows when the rows change; holders of a copy compare it.
-        appearance_version: The same of the appearance.
-        cells: Cells of weighted sums, [C, 10]: rows as those of Gaussians, with a visibility in
-            place of the opacity; None for sets without cells.
-        per_cell: Gaussians of each cell: row r is of cell r // per_cell.
+        appearance_version: Grows when the appearance changes.
+        cells: Cells of weighted sums, [C, 10]: rows like those of Gaussians, with a visibility in
+            place of the opacity; None without cells.
+        per_cell: Gaussians per cell: row r belongs to cell r // per_cell.
         cells_version: Grows when the cells change.
     """
 
@@ -51,7 +51,7 @@ class SplatData:
 
     @classmethod
     def from_splats(cls, splats: Splats) -> "SplatData":
-        """Convert the parameters of a splat file to rows; harmonics above degree 3 are left out.
+        """Convert the parameters of a splat file to packed rows; drops SH above degree 3.
 
         Opacity by the sigmoid, scale by the exponential, covariance by equation 6 of Kerbl
         et al. 2023.
@@ -71,20 +71,20 @@ class SplatData:
     def from_packed(
         cls, packed: PackedRows, space: Literal["sh", "rgb"] | None = None
     ) -> "SplatData":
-        """Take packed rows as they are.
+        """Return the Gaussians of packed rows, without conversion.
 
         Args:
             packed: The rows.
-            space: What the appearance is; three or four channels mean RGB where absent.
+            space: Kind of the appearance; if None, three or four channels mean RGB.
         """
         three = packed.appearance.shape[1] in (3, 4)
         return cls(packed.gaussians, packed.appearance, space or ("rgb" if three else "sh"))
 
     @classmethod
     def from_points(cls, points: PointCloud, opacity: float = 0.8) -> "SplatData":
-        """Draw bare points as balls, each half as large as its three nearest neighbours are far.
+        """Convert a point cloud to balls of half the distance of the three nearest neighbours.
 
-        A ball is at most four times the median size: lonely points would hide the others.
+        A ball is at most four times the median size: isolated points would hide the others.
 
         Raises:
             SceneInvalid: SciPy is not installed.
@@ -104,13 +104,9 @@ class SplatData:
         count: int | None = None,
         cells: Float[np.ndarray, "c 10"] | None = None,
     ) -> None:
-        """Replace values; shapes and dtypes stay, so that buffers are reused.
+        """Replace rows, appearance or cells; shapes and dtypes must stay, to reuse GPU buffers.
 
-        Args:
-            rows: New rows; None where they are as before.
-            appearance: New appearance; None where it is as before.
-            count: How many rows are live; all where absent.
-            cells: New cells; None where they are as before.
+        Arrays that are None stay as they are; ``count`` rows are live, or all if it is None.
 
         Raises:
             SceneInvalid: A shape or a dtype changed.
@@ -146,7 +142,7 @@ class SplatData:
 
     @property
     def degree(self) -> int | None:
-        """The SH degree, or None where the appearance is RGB."""
+        """The SH degree; None if the appearance is RGB."""
         return degree_of(self.appearance.shape[1] // 3) if self.space == "sh" else None
 
     def __len__(self) -> int:
@@ -159,7 +155,7 @@ def _spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
         from scipy.spatial import KDTree
     except ImportError as error:
         raise SceneInvalid(
-            "sizes of bare points need scipy, which is not installed",
+            "drawing a point cloud needs scipy, which is not installed",
             hint="pip install 'gsgen[runtime]'",
         ) from error
     positions = points.astype(np.float64)
@@ -173,7 +169,7 @@ def _spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
 def _checked(
     rows: np.ndarray, appearance: np.ndarray, space: Literal["sh", "rgb"], count: int | None
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the arrays in C order, and how many rows are live."""
+    """Return validated rows and appearance in C order, and the number of live rows."""
     allowed = layout.APPEARANCE_CHANNELS[space]
     if rows.ndim != 2 or rows.shape[1] != layout.ROW or rows.dtype not in _HALVES:
         raise SceneInvalid(
@@ -189,17 +185,17 @@ def _checked(
         )
     live = len(rows) if count is None else int(count)
     if not 0 <= live <= len(rows):
-        raise SceneInvalid(f"{live} is not within 0 to {len(rows)}", where="count")
+        raise SceneInvalid(f"is {live}, expected 0 to {len(rows)}", where="count")
     return np.ascontiguousarray(rows), np.ascontiguousarray(appearance), live
 
 
 def _checked_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
-    """Return the cells in C order."""
+    """Return validated cells in C order."""
     fits = cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _HALVES
     if per_cell < 1 or not fits or len(cells) * per_cell != rows:
         raise SceneInvalid(
             f"{cells.dtype} {list(cells.shape)} of {per_cell} Gaussians each, expected float16 or "
-            f"float32 [C, {layout.ROW}] with C times as many the {rows} rows",
+            f"float32 [C, {layout.ROW}] with C × {per_cell} = {rows} rows",
             where="cells",
         )
     return np.ascontiguousarray(cells)

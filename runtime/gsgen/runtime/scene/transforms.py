@@ -1,4 +1,4 @@
-"""Transforms: where things stand in the world."""
+"""Affine transforms from an object's local space to the world."""
 
 __all__ = ["identity", "require_affine"]
 
@@ -9,24 +9,24 @@ from jaxtyping import Float
 
 from gsgen.runtime.errors import SceneInvalid
 
-# A matrix whose inverse would lose more digits than float32 has is as good as flat.
+# The inverse of a worse matrix would lose more digits than float32 has.
 _WORST_CONDITION: Final = 1e6
 
 
 def identity() -> Float[np.ndarray, "4 4"]:
-    """Return the transform that leaves everything where it is."""
+    """Return the identity transform, [4, 4]."""
     return np.eye(4)
 
 
 def require_affine(matrix: Float[np.ndarray, "4 4"], where: str = "transform") -> None:
-    """Make sure that ``matrix`` is affine and can be inverted.
+    """Raise if ``matrix``, local → world, is not affine or not invertible.
 
     Args:
-        matrix: Local → world.
-        where: What an error says of its place.
+        matrix: Local → world, acting on column vectors.
+        where: Location in errors.
 
     Raises:
-        SceneInvalid: It is not 4 × 4, not finite, not affine, or flattens space.
+        SceneInvalid: The matrix is not 4 × 4, not finite, not affine, or singular.
     """
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise SceneInvalid(
@@ -37,7 +37,7 @@ def require_affine(matrix: Float[np.ndarray, "4 4"], where: str = "transform") -
     sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
     if not sizes[2] * _WORST_CONDITION > sizes[0]:
         raise SceneInvalid(
-            f"flattens space: it scales by {', '.join(f'{size:.3g}' for size in sizes)}",
+            f"is singular: it scales by {', '.join(f'{size:.3g}' for size in sizes)}",
             where=where,
-            hint="Scale by something other than zero along every axis.",
+            hint="Use a scale other than zero along every axis.",
         )

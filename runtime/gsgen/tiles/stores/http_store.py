@@ -1,17 +1,16 @@
-"""A tileset on a web server, read over a few connections that stay open."""
+"""Reads a tileset on a web server over a few connections that stay open."""
 
 __all__ = ["HttpStore"]
 
 import random
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING, Final, Self, final
+from typing import TYPE_CHECKING, Final, final
 from urllib.parse import quote, urljoin, urlsplit
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, missing, too_large
+from gsgen.tiles.stores.store import MAX_FILE, Store, missing, too_large
 
 if TYPE_CHECKING:
     from urllib3 import BaseHTTPResponse
@@ -28,15 +27,12 @@ _MOST_REDIRECTS = 5
 
 
 @final
-class HttpStore:
-    """Files below an address.
+class HttpStore(Store):
+    """Reads files below a web address.
 
     Errors of the server, connections that break and answers that are cut short are tried three
     times more, at growing distance, or when ``Retry-After`` says so. Redirects are followed
     within the origin, and to the allowed ones.
-
-    Attributes:
-        name: The address of the folder.
 
     Args:
         address: Of a file in the folder.
@@ -73,7 +69,7 @@ class HttpStore:
         )
 
     def size(self, path: str) -> int:
-        """Return how many bytes a file has, by a HEAD request."""
+        """Return the size of a file on the web server in bytes, by a HEAD request."""
         with self._request("HEAD", path, {}) as response:
             length = response.headers.get("Content-Length", "")
             if not length.isdigit():
@@ -83,7 +79,7 @@ class HttpStore:
     def read(
         self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
     ) -> bytes:
-        """Return bytes of a file, see :class:`~gsgen.tiles.stores.store.Store`."""
+        """Read bytes of a file on the web server, see :class:`~gsgen.tiles.stores.store.Store`."""
         if size == 0:
             return b""
         return self._retried(lambda: self._read(path, start, size, limit))
@@ -144,7 +140,7 @@ class HttpStore:
         count: int | None,
         on_bytes: Callable[[int], None] = lambda received: None,
     ) -> bytes:
-        """Read at most ``count`` bytes of the answer; refuse more than ``limit``."""
+        """Read at most ``count`` bytes of an HTTP response; raise above ``limit``."""
         from urllib3.exceptions import HTTPError
 
         body = bytearray()
@@ -208,19 +204,8 @@ class HttpStore:
         )
 
     def close(self) -> None:
-        """Close all connections."""
+        """Close all connections to the web server."""
         self._pool.clear()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _origin(address: str) -> str:
@@ -235,7 +220,7 @@ class _AnswerBroken(StoreUnavailable):
 
 @final
 class _Answer:
-    """An answer whose connection goes back to the pool, or is closed where bytes are left."""
+    """An HTTP response; its connection returns to the pool, or is closed if bytes remain."""
 
     def __init__(self, response: "BaseHTTPResponse") -> None:
         self._response = response

@@ -91,7 +91,7 @@ class _Wrapped(GaussianGenerator):
         self.by_name = by_name
 
     def forward(self, *inputs: Tensor) -> Gaussians:
-        """Run the module and pick the fields."""
+        """Run the wrapped module, and pick the fields of Gaussians from its result."""
         if self.by_name:
             names = [entry.name for entry in self.inputs]
             result = self.module(**dict(zip(names, inputs, strict=True)))
@@ -132,7 +132,7 @@ class _Wrapped(GaussianGenerator):
 
 
 def _described(result: Any) -> str:
-    """Describe a module's result for an error message."""
+    """Describe the result of a user's module for an error message: type, shape, keys."""
     if isinstance(result, Mapping):
         return f"a dict of {', '.join(repr(key) for key in result)}"
     if isinstance(result, Sequence):

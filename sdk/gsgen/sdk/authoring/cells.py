@@ -58,11 +58,7 @@ class Cells:
 def expect_shape(
     where: str, value: Tensor | None, *shapes: tuple[int, ...], hint: str = ""
 ) -> None:
-    """Raise if a tensor has none of the ``shapes``; an absent tensor is allowed.
-
-    Raises:
-        GeneratorInvalid: The tensor has another shape.
-    """
+    """Raise if the shape of a tensor is none of the allowed ``shapes``; None as a tensor passes."""
     if value is None or tuple(value.shape) in shapes:
         return
     expected = " or ".join(str(list(shape)) for shape in shapes)
@@ -73,11 +69,7 @@ def expect_shape(
 def expect_spread(
     scale: Tensor | None, rotation: Tensor | None, covariance: Tensor | None, where: str
 ) -> None:
-    """Raise unless either scale and rotation or covariance are present.
-
-    Raises:
-        GeneratorInvalid: Both alternatives are present, or none of them, or only half of one.
-    """
+    """Raise unless Gaussians have either scale and rotation or covariances."""
     presence = (scale is not None, rotation is not None, covariance is not None)
     if presence not in ((True, True, False), (False, False, True)):
         raise GeneratorInvalid("give scale and rotation, or covariance", where=where)

@@ -129,6 +129,8 @@ class GaussianGenerator(nn.Module, ABC):
         producer: Tool, source and licence; the SDK itself if absent.
         weighted_sum: The weights of Gaussians, for methods that sum them cell by cell instead of
             sorting them: ``forward`` then returns :attr:`Gaussians.cells`.
+        smaller: Options of ``gsgen export`` that make a frame smaller, for the hint where it is too
+            large for the target.
     """
 
     inputs: Sequence[Input] = ()
@@ -140,10 +142,11 @@ class GaussianGenerator(nn.Module, ABC):
     family: str | None = None
     producer: Producer | None = None
     weighted_sum: WeightedSum | None = None
+    smaller: Sequence[str] = ()
 
     @abstractmethod
     def forward(self, *inputs: Any, **_: Any) -> Any:
-        """Return the :class:`Gaussians` of one frame.
+        """Return the :class:`Gaussians` of one frame for the values of the declared inputs.
 
         Args:
             inputs: One tensor for each declared input, in order, of its role's shape and dtype.

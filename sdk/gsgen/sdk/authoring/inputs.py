@@ -30,12 +30,12 @@ Range = tuple[float, float]
 
 
 def view(name: str = "camera") -> Input:
-    """World→camera matrix, float32 [4, 4], in the generator's declared memory order."""
+    """Declare the world→camera matrix, float32 [4, 4], in the generator's memory order."""
     return Input(name=name, role="view", shape=(4, 4), default="identity")
 
 
 def projection(name: str = "proj") -> Input:
-    """Camera→clip matrix, float32 [4, 4], depth 0..1."""
+    """Declare the input for the camera→clip matrix, float32 [4, 4], with depth 0..1."""
     return Input(name=name, role="projection", shape=(4, 4), default="identity")
 
 
@@ -47,7 +47,7 @@ def time(
     frames: int | None = None,
     fps: float | None = None,
 ) -> Input:
-    """Time, float32 [1].
+    """Declare the input for the time, float32 [1].
 
     Args:
         name: The tensor's name.
@@ -70,19 +70,19 @@ def time(
 
 
 def frame_index(frames: int, name: str = "frame_index") -> Input:
-    """Frame number, int32 [1], from 0 to ``frames`` − 1."""
+    """Declare the input for the frame number, int32 [1], from 0 to ``frames`` − 1."""
     return Input(
         name=name, role="frame_index", shape=(1,), range=(0, frames - 1), default=0, frames=frames
     )
 
 
 def camera_position(name: str = "camera_position") -> Input:
-    """Camera centre in local space, float32 [3]."""
+    """Declare the input for the camera centre in local space, float32 [3]."""
     return Input(name=name, role="camera_position", shape=(3,), default="zeros")
 
 
 def viewport(name: str = "viewport") -> Input:
-    """Width and height of the image in pixels, float32 [2]."""
+    """Declare the input for width and height of the image in pixels, float32 [2]."""
     return Input(name=name, role="viewport", shape=(2,), default=(1280.0, 720.0))
 
 
@@ -93,7 +93,7 @@ def pose(
     convention: Literal["smpl-axis-angle", "axis-angle", "quaternion-wxyz"] = "axis-angle",
     range: Range = (-3.1416, 3.1416),
 ) -> Input:
-    """Joint rotations, float32 [joints, 3] (axis-angle, radians) or [joints, 4] (quaternions)."""
+    """Declare joint rotations, float32 [joints, 3] (axis-angle) or [joints, 4] (quaternions)."""
     quaternions = convention == "quaternion-wxyz"
     return Input(
         name=name,
@@ -106,19 +106,19 @@ def pose(
 
 
 def shape(count: int, name: str = "shape", *, range: Range = (-3.0, 3.0)) -> Input:
-    """Body shape coefficients, float32 [count]."""
+    """Declare the input for the shape coefficients of a body model, float32 [count]."""
     return Input(name=name, role="shape", shape=(count,), range=range, default="zeros")
 
 
 def root_translation(name: str = "root_translation", *, range: Range = (-1.0, 1.0)) -> Input:
-    """Translation of the root in local units, float32 [3]."""
+    """Declare the input for the translation of a body's root in local units, float32 [3]."""
     return Input(name=name, role="root_translation", shape=(3,), range=range, default="zeros")
 
 
 def root_rotation(
     name: str = "root_rotation", *, convention: Literal["axis-angle", "matrix"] = "axis-angle"
 ) -> Input:
-    """Rotation of the root, float32 [3] (axis-angle, radians) or [3, 3] (matrix)."""
+    """Declare a body's root rotation, float32 [3] (axis-angle, radians) or [3, 3] (matrix)."""
     if convention == "matrix":
         return Input(
             name=name, role="root_rotation", shape=(3, 3), default="identity", convention=convention
@@ -134,19 +134,19 @@ def root_rotation(
 
 
 def expression(count: int, name: str = "expression", *, range: Range = (-2.0, 2.0)) -> Input:
-    """Expression coefficients, float32 [count]."""
+    """Declare the input for the expression coefficients of a face model, float32 [count]."""
     return Input(name=name, role="expression", shape=(count,), range=range, default="zeros")
 
 
 def appearance_id(count: int, name: str = "appearance_id") -> Input:
-    """Index of one of ``count`` appearances, int32 [1]."""
+    """Declare the input that selects one of ``count`` learned appearances, int32 [1]."""
     return Input(name=name, role="appearance_id", shape=(1,), range=(0, count - 1), default=0)
 
 
 def control(
     name: str, *, range: Range, default: float, size: int = 1, label: str | None = None
 ) -> Input:
-    """A named slider, float32 [size]."""
+    """Declare an input for a slider with a name of its own, float32 [size]."""
     return Input(
         name=name, role="control", shape=(size,), range=range, default=default, label=label
     )
@@ -159,7 +159,7 @@ def image(
     *,
     range: Range = (0.0, 1.0),
 ) -> Input:
-    """The rendered image of a post-process model, [1, channels, height, width].
+    """Declare the rendered image of a post-process model, [1, channels, height, width].
 
     Args:
         channels: 3, or 4 with alpha.
@@ -172,13 +172,13 @@ def image(
 
 
 def timestep(default: float, name: str = "timestep", *, range: Range = (0, 999)) -> Input:
-    """Diffusion timestep of a post-process model, float32 [1]."""
+    """Declare the input for the diffusion timestep of a post-process model, float32 [1]."""
     low, high = float(range[0]), float(range[1])
     return Input(name=name, role="timestep", shape=(1,), range=(low, high), default=float(default))
 
 
 def conditioning(rows: int, width: int, name: str = "conditioning") -> Input:
-    """Conditioning vectors of a post-process model, float32 [1, rows, width]."""
+    """Declare the conditioning vectors of a post-process model, float32 [1, rows, width]."""
     return Input(
         name=name, role="conditioning", shape=(1, rows, width), range=(-3.0, 3.0), default="zeros"
     )

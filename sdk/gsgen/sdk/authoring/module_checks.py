@@ -17,12 +17,8 @@ _INPUTS_HINT = (
 def validate_module(module: Any) -> None:
     """Raise if an object to export is not an initialised torch module with declared inputs.
 
-    Args:
-        module: A generator or a post-process model.
-
-    Raises:
-        GeneratorInvalid: It is a class or not a torch module, its ``__init__`` does not call its
-            parent's, or ``inputs`` is not a sequence of inputs.
+    Finds classes in place of instances, ``__init__`` without the parent's, and ``inputs`` that are
+    not a sequence of inputs.
     """
     if isinstance(module, type):
         name = module.__name__

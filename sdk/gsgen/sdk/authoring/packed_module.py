@@ -34,7 +34,7 @@ CELLS = "cells"
 
 
 def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
-    """Return the names of an exported model's outputs, in graph order."""
+    """Return the ONNX output names of an exported model, in graph order."""
     appearance = manifest.outputs.appearance
     assert appearance is not None
     names = (GAUSSIANS, appearance.name, COUNT)
@@ -42,11 +42,7 @@ def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
 
 
 def check_whole_cells(capacity: int, per_cell: int) -> None:
-    """Raise if a capacity is not a multiple of ``per_cell``, the number of rows of a cell.
-
-    Raises:
-        GeneratorInvalid: The capacity ends within a cell.
-    """
+    """Raise if a capacity in rows is not a multiple of ``per_cell``, the rows of each cell."""
     if capacity % per_cell:
         raise GeneratorInvalid(
             f"{capacity} rows are not a multiple of {per_cell}, the rows of a cell",
@@ -57,19 +53,14 @@ def check_whole_cells(capacity: int, per_cell: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """Dtype and capacity of packed outputs.
+    """The dtype of packed outputs and their capacity in rows."""
 
-    Attributes:
-        dtype: float32 or float16, for all outputs except the count.
-        capacity: Number of rows of the outputs; rows after the Gaussians are zero.
-    """
-
-    dtype: torch.dtype
-    capacity: int
+    dtype: torch.dtype  # float32 or float16, for all outputs except the count
+    capacity: int  # number of rows of the outputs; rows after the Gaussians are zero
 
 
 class PackedGenerator(nn.Module):
-    """An author's generator with packed outputs."""
+    """Wraps a generator as a module whose outputs are packed as the contract requires."""
 
     def __init__(self, generator: GaussianGenerator, packed: Packed) -> None:
         super().__init__()
@@ -77,7 +68,7 @@ class PackedGenerator(nn.Module):
         self.packed = packed
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """Return ``(gaussians, appearance, num_points)``, followed by ``cells`` if there are any."""
+        """Return ``(gaussians, appearance, num_points)``, and ``cells`` for weighted blending."""
         gaussians = self.generator(*inputs)
         if not isinstance(gaussians, Gaussians):
             message = f"forward returned {type(gaussians).__name__}, expected gsgen.sdk.Gaussians"
@@ -116,7 +107,7 @@ class PackedGenerator(nn.Module):
         return torch.nn.functional.pad(gaussians.rgb, (0, 1), value=1.0)
 
     def _cells(self, gaussians: Gaussians, cells: Cells) -> Float[Tensor, "c 10"]:
-        """Pack cells; cells without a live Gaussian get visibility 0."""
+        """Pack the cells of Gaussians; cells without a live Gaussian get visibility 0."""
         n, c = gaussians.position.shape[0], cells.position.shape[0]
         per_cell = n // c
         check_whole_cells(self.packed.capacity, per_cell)

@@ -42,7 +42,7 @@ class PostProcess(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, *inputs: Any, **_: Any) -> Any:
-        """Return the processed image.
+        """Return the processed image for a rendered image, [1, channels, height, width].
 
         Args:
             inputs: One tensor for each declared input, in order. A model that is exported as

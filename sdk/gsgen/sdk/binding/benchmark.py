@@ -20,7 +20,7 @@ State = Literal["measured", "unavailable", "failed", "crashed"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchmarkResult:
-    """The measured cost of one model on one provider.
+    """The measured frame time and memory of one model on one execution provider.
 
     Attributes:
         model: The model file.
@@ -47,7 +47,7 @@ def time_frames(
     capture: bool = True,
     seconds: float = 300,
 ) -> BenchmarkResult:
-    """Run ``model`` on ``provider`` for some frames with changing inputs, and return the frame times.
+    """Run ``model`` on ``provider`` for many frames with changing inputs, and return frame times.
 
     Args:
         model: The ONNX file.

@@ -22,7 +22,7 @@ _UNMEASURED = 3
 
 
 def main(folder: Path) -> int:
-    """Run the job that ``folder/job.json`` describes, and return the exit code."""
+    """Run the benchmark that ``folder/job.json`` describes, and return the exit code."""
     return serve(folder, _work)
 
 
@@ -68,7 +68,7 @@ def _measure(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def _time_frame(session: FrameSession, inputs: dict[str, np.ndarray]) -> tuple[float, float, float]:
-    """Return the seconds of a whole frame, of its copies to the device, and of those from it."""
+    """Return three times in seconds: the whole frame, copies to the device, copies from it."""
     start = time.perf_counter()
     session.write(inputs)
     written = time.perf_counter()

@@ -45,7 +45,7 @@ _DTYPES = {
 
 @dataclass(frozen=True, slots=True)
 class TensorSpec:
-    """Name, dtype and dimensions of an input or output of a session.
+    """Name, dtype and dimensions of an input or output of an ONNX Runtime session.
 
     Attributes:
         name: The tensor's name.
@@ -58,16 +58,15 @@ class TensorSpec:
     dims: tuple[int | str | None, ...]
 
     def shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
-        """Return the static shape; in ``sizes``, ``NAME[AXIS]`` names a dimension without a symbol.
+        """Return the static shape of the tensor; ``sizes`` resolves symbolic dimensions.
 
-        Raises:
-            SizeUnknown: A dimension has no size.
+        Raises :class:`SizeUnknown` for a dimension without a size.
         """
         return tuple(self._size(axis, sizes) for axis in range(len(self.dims)))
 
     @property
     def static(self) -> bool:
-        """Whether every dimension is a number."""
+        """Whether every dimension of the tensor is a number."""
         return all(isinstance(dim, int) for dim in self.dims)
 
     def _size(self, axis: int, sizes: Mapping[str, int]) -> int:
@@ -83,11 +82,7 @@ class TensorSpec:
 
 
 def tensor_specs(arguments: Any) -> tuple[TensorSpec, ...]:
-    """Return the specifications of a session's inputs or outputs.
-
-    Raises:
-        RunFailed: One of them is not a numeric tensor.
-    """
+    """Return name, dtype and dimensions of each input or output of an ONNX Runtime session."""
     tensors = []
     for argument in arguments:
         if argument.type not in _DTYPES:
@@ -100,7 +95,7 @@ def tensor_specs(arguments: Any) -> tuple[TensorSpec, ...]:
 
 
 class BoundSession:
-    """A session and its buffers, for use by one thread at a time.
+    """An ONNX Runtime session with its bound buffers, for use by one thread at a time.
 
     Attributes:
         session: ONNX Runtime's session.
@@ -116,17 +111,9 @@ class BoundSession:
         memory: str,
         stop: Stop | None = None,
     ) -> None:
-        """Create buffers for all inputs and outputs, and bind them.
+        """Create buffers for all inputs and outputs of the session, and bind them.
 
-        Args:
-            session: ONNX Runtime's session.
-            shapes: Input name → shape.
-            start: Input name → initial value.
-            memory: Location of the buffers: ``cpu``, ``gpu`` or ``cuda``.
-            stop: Ends its runs.
-
-        Raises:
-            RunFailed: An output is too large, or the run that determines output shapes fails.
+        ``shapes`` and ``start`` are by input name; ``memory`` is ``cpu``, ``gpu`` or ``cuda``.
         """
         stop = stop or Stop()
         self.session = session
@@ -143,7 +130,7 @@ class BoundSession:
         self.outputs = self._bind_outputs(tensor_specs(session.get_outputs()))
 
     def write(self, tensors: Mapping[str, np.ndarray]) -> frozenset[str]:
-        """Copy tensors into the input buffers; return the names of those that changed."""
+        """Copy tensors into the input buffers; return the names of the inputs that changed."""
         return frozenset(
             [name for name, array in tensors.items() if self.inputs[name].write(array)]
         )
@@ -165,11 +152,11 @@ class BoundSession:
         return self._read[name]
 
     def copies(self) -> dict[str, np.ndarray]:
-        """Return all outputs as arrays of their own."""
+        """Return copies of all outputs of the session, by name."""
         return {name: self.read(name).copy() for name in self.outputs}
 
     def close(self) -> None:
-        """Release the capture, the buffers and the session, in this order."""
+        """Release the graph capture, then the buffers, then the session."""
         if self._memory == "gpu":
             self.session.release_captured_graph()
         self._binding.clear_binding_inputs()
@@ -198,7 +185,7 @@ class BoundSession:
         return buffers
 
     def _learn_shapes(self, output_specs: tuple[TensorSpec, ...]) -> dict[str, tuple[int, ...]]:
-        """Run once without output buffers, and return the shapes of the outputs."""
+        """Run the session once without output buffers, and return the shapes of its outputs."""
         for spec in output_specs:
             self._binding.bind_output(spec.name, "cpu")
         try:
@@ -217,7 +204,7 @@ class BoundSession:
 def _check_output_sizes(
     output_specs: tuple[TensorSpec, ...], shapes: Mapping[str, tuple[int, ...]], memory: str
 ) -> None:
-    """Raise if outputs are too large; allocating them might hang a driver or the machine."""
+    """Raise if outputs are too large: allocating them might hang a driver or the machine."""
     limit, limit_name = _host_bytes(), "this machine's memory"
     if memory == "gpu" and limit > _BUFFER_BYTES:
         limit, limit_name = _BUFFER_BYTES, "the largest buffer of WebGPU"

@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Buffer(ABC):
-    """The memory of one tensor, which is bound once.
+    """The memory of one tensor, which is bound to an ONNX Runtime session once.
 
     Attributes:
         value: ONNX Runtime's handle of the memory.
@@ -25,12 +25,12 @@ class Buffer(ABC):
 
     @property
     def nbytes(self) -> int:
-        """The size in bytes."""
+        """The size of the buffer in bytes."""
         return math.prod(self.shape) * self.dtype.itemsize
 
     @abstractmethod
     def write(self, array: np.ndarray) -> bool:
-        """Copy ``array``, of the same shape and dtype, into the memory.
+        """Copy ``array``, of the buffer's shape and dtype, into the buffer's memory.
 
         Returns:
             Whether any bit of the memory changed.
@@ -38,7 +38,7 @@ class Buffer(ABC):
 
     @abstractmethod
     def read(self) -> np.ndarray:
-        """Return the content, read-only; a later call may reuse the array."""
+        """Return the content of the buffer, read-only; a later call may reuse the array."""
 
 
 @final
@@ -54,19 +54,19 @@ class HostBuffer(Buffer):
         self.value = onnxruntime.OrtValue.ortvalue_from_numpy(self._array)
 
     def write(self, array: np.ndarray) -> bool:
-        """Copy ``array`` into the memory."""
+        """Copy ``array`` into the host memory."""
         changed = not _same_bits(self._array, array)
         self._array[...] = array
         return changed
 
     def read(self) -> np.ndarray:
-        """Return a view of the memory."""
+        """Return a view of the host memory, without a copy."""
         return self._view
 
 
 @final
 class DeviceBuffer(Buffer):
-    """Device memory with a fixed host array that it is copied from and to."""
+    """Device memory of one tensor, with a fixed host array for copies in both directions."""
 
     def __init__(
         self, session: Any, shape: tuple[int, ...], dtype: np.dtype[Any], memory: str
@@ -84,7 +84,7 @@ class DeviceBuffer(Buffer):
         self.value = make(list(shape), dtype.type, memory, 0)
 
     def write(self, array: np.ndarray) -> bool:
-        """Copy ``array`` to the device, unless the device holds the same bits."""
+        """Copy ``array`` to the device, unless the device already holds the same bits."""
         host = self._host()
         if self._written and _same_bits(host, array):
             return False
@@ -94,7 +94,7 @@ class DeviceBuffer(Buffer):
         return True
 
     def read(self) -> np.ndarray:
-        """Copy the memory to the host, always to the same array."""
+        """Copy the device memory to the host, always to the same array."""
         import onnxruntime
 
         host = self._host()
@@ -105,7 +105,7 @@ class DeviceBuffer(Buffer):
         return self._view
 
     def _host(self) -> np.ndarray:
-        """Return the host array, which is allocated at its first use."""
+        """Return the host array of a device buffer, which is allocated at its first use."""
         import onnxruntime
 
         if self._array is None:
@@ -116,7 +116,7 @@ class DeviceBuffer(Buffer):
 
 
 def make_buffer(session: Any, shape: tuple[int, ...], dtype: np.dtype[Any], memory: str) -> Buffer:
-    """Return a buffer in ``memory``: ``cpu``, ``gpu`` (WebGPU) or ``cuda``."""
+    """Allocate a tensor's buffer in ``memory``: ``cpu``, ``gpu`` (WebGPU) or ``cuda``."""
     if memory == "cpu":
         return HostBuffer(shape, dtype)
     return DeviceBuffer(session, shape, dtype, memory)

@@ -26,11 +26,11 @@ class CameraLike(Protocol):
 
     @property
     def view(self) -> Matrix:
-        """World→camera, OpenCV axes."""
+        """The world→camera matrix, with OpenCV axes."""
 
     @property
     def projection(self) -> Matrix:
-        """Camera→clip, depth 0..1."""
+        """The camera→clip matrix, with depth 0..1."""
 
 
 @runtime_checkable
@@ -39,7 +39,7 @@ class Pinhole(Protocol):
 
     @property
     def view(self) -> Matrix:
-        """World→camera, OpenCV axes."""
+        """The world→camera matrix, with OpenCV axes."""
 
     @property
     def fx(self) -> float:
@@ -51,19 +51,19 @@ class Pinhole(Protocol):
 
     @property
     def cx(self) -> float:
-        """Principal point from the left edge, in pixels."""
+        """Distance of the principal point from the left edge of the image, in pixels."""
 
     @property
     def cy(self) -> float:
-        """Principal point from the upper edge, in pixels."""
+        """Distance of the principal point from the upper edge of the image, in pixels."""
 
     @property
     def width(self) -> int:
-        """Of the image, in pixels."""
+        """Width of the image, in pixels."""
 
     @property
     def height(self) -> int:
-        """Of the image, in pixels."""
+        """Height of the image, in pixels."""
 
     @property
     def near(self) -> float:
@@ -74,14 +74,9 @@ Camera = CameraLike | Pinhole | Sequence[Matrix]
 
 
 def camera_values(camera: Camera) -> dict[str, np.ndarray]:
-    """Return the value for each camera role: view, projection, camera_position, viewport.
+    """Return the values of a model's camera inputs by role: view, projection, centre, viewport.
 
-    Args:
-        camera: An object with both matrices or with a view and intrinsics, or the pair
-            (view, projection).
-
-    Raises:
-        InputInvalid: ``camera`` is not one of these.
+    ``camera`` has both matrices, or a view and intrinsics, or is the pair (view, projection).
     """
     view, projection = _matrices(camera)
     world = np.asarray(view, np.float64)
@@ -110,7 +105,7 @@ def _matrices(camera: Camera) -> tuple[Matrix, Matrix]:
 
 
 def pinhole_projection(camera: Pinhole) -> Matrix:
-    """Return the camera→clip matrix of a pinhole camera, as the specification of conventions defines it.
+    """Return the camera→clip matrix [4, 4] of a pinhole camera, with depth 0..1.
 
     A pixel (u, v) = (fx x/z + cx, fy y/z + cy) is at (2u/width − 1, 1 − 2v/height) in clip space.
     """

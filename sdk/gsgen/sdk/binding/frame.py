@@ -1,4 +1,4 @@
-"""One computed frame: outputs by name, decoded on request."""
+"""One computed frame of a model: outputs by name, decoded on request."""
 
 __all__ = ["Frame"]
 
@@ -22,13 +22,13 @@ class FrameSource(Protocol):
 
     @property
     def outputs(self) -> Mapping[str, Buffer]:
-        """Output name → buffer."""
+        """The output buffers of the session, by output name."""
 
     def read(self, name: str, number: int) -> np.ndarray:
-        """Return an output of frame ``number``."""
+        """Return an output of frame ``number`` as an array; raise if a newer frame replaced it."""
 
     def handle(self, name: str, number: int) -> Any:
-        """Return ONNX Runtime's handle of an output of frame ``number``."""
+        """Return the ``OrtValue`` that holds an output of frame ``number``."""
 
     def hold_frame(self, number: int) -> AbstractContextManager[None]:
         """Prevent other threads from computing while frame ``number`` is read."""
@@ -36,7 +36,7 @@ class FrameSource(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """The outputs that a session computed for one set of inputs.
+    """The outputs that a model computed for one set of inputs.
 
     Arrays are read-only views of the session's buffers and valid until its next run; a frame
     computed with ``copy=True`` has arrays of its own.
@@ -52,7 +52,7 @@ class Frame:
     copies: Mapping[str, np.ndarray] | None = None
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return an output; a device output is copied to the host, always to the same array.
+        """Return an output of the frame; a device output is copied to the host, to the same array.
 
         Raises:
             UnknownName: The model has no such output.
@@ -76,7 +76,7 @@ class Frame:
 
     @property
     def count(self) -> int:
-        """The number of live rows: the count output if declared, else all rows.
+        """The number of live rows of the frame: the count output if declared, else all rows.
 
         Raises:
             LayoutMismatch: The manifest declares no packed rows.
@@ -89,7 +89,7 @@ class Frame:
 
     @property
     def rows(self) -> np.ndarray:
-        """The live packed rows, [count, 10], in the model's dtype."""
+        """The live packed Gaussians of the frame, [count, 10], in the model's dtype."""
         outputs = self._declared()
         if outputs.gaussians is None:
             raise _undeclared("gaussians")
@@ -97,7 +97,7 @@ class Frame:
 
     @property
     def appearance(self) -> np.ndarray:
-        """The appearance of the live rows, [count, C], in the model's dtype."""
+        """The appearance of the live Gaussians, [count, C], in the model's dtype."""
         outputs = self._declared()
         if outputs.appearance is None:
             raise _undeclared("appearance")
@@ -105,14 +105,14 @@ class Frame:
 
     @property
     def cells(self) -> np.ndarray:
-        """The packed cells that have a live row, [cells, 10], in the model's dtype."""
+        """The packed cells that contain a live Gaussian, [cells, 10], in the model's dtype."""
         outputs = self._declared()
         if outputs.cells is None:
             raise _undeclared("cells")
         return self[outputs.cells.name][: -(-self.count // outputs.cells.per_cell)]
 
     def gaussians(self) -> DecodedGaussians:
-        """Return the live rows, decoded to new float32 arrays.
+        """Decode the live packed Gaussians of the frame to new float32 arrays.
 
         Raises:
             LayoutMismatch: The manifest does not declare both outputs, or their shapes differ.

@@ -16,7 +16,7 @@ _MATRICES = ("view", "projection")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InputBinding:
-    """An input tensor and its declaration in the manifest.
+    """An input tensor of a model, and its declaration in the manifest.
 
     Attributes:
         name: The tensor's name.
@@ -34,21 +34,21 @@ class InputBinding:
 
     @property
     def role(self) -> str:
-        """The declared role; empty without a declaration."""
+        """The role of the input in the manifest; empty for an undeclared input."""
         return self.declared.role if self.declared else ""
 
     @property
     def nbytes(self) -> int:
-        """The size in bytes."""
+        """The size of the input tensor in bytes."""
         return math.prod(self.shape) * self.dtype.itemsize
 
     @property
     def transposed(self) -> bool:
-        """Whether the tensor holds the transpose of a given matrix."""
+        """Whether the input expects the transpose of a matrix, as its memory order declares."""
         return self.role in _MATRICES and self.order == "column"
 
     def tensor(self, value: object) -> np.ndarray:
-        """Convert ``value`` to this input's tensor; a number fills a tensor of one element.
+        """Convert ``value`` to the tensor of an input; a number fills a tensor of one element.
 
         Matrices are passed as in mathematics, and stored as the manifest declares.
 
@@ -67,7 +67,7 @@ class InputBinding:
         return array.T if self.transposed else array
 
     def fitting(self, value: object) -> np.ndarray:
-        """Convert ``value`` to an array of this shape and dtype, without transposing it.
+        """Convert ``value`` to an array of the input's shape and dtype, without transposing it.
 
         Raises:
             InputInvalid: The shape differs, or the dtype is of another kind.
@@ -88,7 +88,7 @@ class InputBinding:
         return self._converted(array)
 
     def default(self) -> np.ndarray:
-        """Return the tensor that is used until a value is set."""
+        """Return the tensor that an input has until the caller sets a value."""
         if self.declared is None:
             return np.zeros(self.shape, self.dtype)
         tensor = default_tensor(self.declared, self.shape)
@@ -108,12 +108,9 @@ class InputBinding:
 
 
 def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the contract's default value of an input.
+    """Return the default value of an input as the contract defines it for the input's role.
 
     The manifest's specification defines it under "default"; matrices are as in mathematics.
-
-    Raises:
-        InputInvalid: The declared default does not fill ``shape``.
     """
     default = declared.default
     if default is None:
@@ -134,7 +131,7 @@ def _low(declared: Input) -> float:
 
 
 def _identity(role: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the identity transform as a matrix, quaternions or rotation vectors, by ``shape``."""
+    """Return the identity transform in ``shape``: a matrix, quaternions or rotation vectors."""
     if role != "pose" and len(shape) == 2 and shape[0] == shape[1]:
         return np.eye(shape[0])
     identity = np.zeros(shape)  # rotation vectors

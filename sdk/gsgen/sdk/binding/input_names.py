@@ -12,17 +12,11 @@ from gsgen.sdk.binding.providers.errors import InputInvalid
 
 @dataclass(frozen=True, slots=True)
 class InputNames:
-    """The names and roles of the inputs of one model.
+    """The names and roles of the inputs of one model."""
 
-    Attributes:
-        tensors: Names of the input tensors.
-        roles: Role → names of the tensors that have it.
-        where: Name of the model in errors.
-    """
-
-    tensors: frozenset[str]
-    roles: dict[str, tuple[str, ...]]
-    where: str
+    tensors: frozenset[str]  # names of the input tensors
+    roles: dict[str, tuple[str, ...]]  # role → names of the tensors that have it
+    where: str  # name of the model in errors
 
     @classmethod
     def of(cls, ports: Iterable[InputBinding], where: str) -> "InputNames":
@@ -36,11 +30,9 @@ class InputNames:
         )
 
     def find(self, word: str) -> str:
-        """Return the name of the input that ``word`` names; tensor names take precedence over roles.
+        """Return the input that a tensor name or a role refers to; tensor names take precedence.
 
-        Raises:
-            UnknownName: No input has this name or role.
-            InputInvalid: Several inputs have this role.
+        Raises :class:`InputInvalid` if several inputs have the role.
         """
         if word in self.tensors:
             return word

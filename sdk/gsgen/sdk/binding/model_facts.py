@@ -27,33 +27,23 @@ Tensors = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class ModelFacts:
-    """A model file and its manifest.
+    """A model file and its manifest."""
 
-    Attributes:
-        path: The ONNX file.
-        file: The file's structure.
-        manifest: The meaning of its tensors; None without a manifest.
-    """
-
-    path: Path
-    file: ModelFile
-    manifest: Manifest | None
+    path: Path  # the ONNX file
+    file: ModelFile  # the file's structure
+    manifest: Manifest | None  # the meaning of its tensors; None without a manifest
 
     @cached_property
     def graph(self) -> Graph:
-        """The graph, which is read at its first use, to explain a fault."""
+        """The model's graph, which is read at its first use, to explain a fault."""
         return read_graph(self.file)
 
     def output_origin(self, output: str) -> str:
-        """Return the operator that an output comes from, as text."""
+        """Return name and operator of the node that computes an output, as text."""
         return output_origin(self.graph, output)
 
     def input_binding(self, spec: TensorSpec, sizes: Mapping[str, int]) -> InputBinding:
-        """Return an input with its declaration in the manifest.
-
-        Raises:
-            SizeUnknown: A dimension has no size.
-        """
+        """Return a model's input with its declaration in the manifest."""
         space = self.manifest.space if isinstance(self.manifest, GeneratorManifest) else None
         order = space.matrix_order if space else "column"
         shape = spec.shape(sizes)
@@ -66,12 +56,7 @@ class ModelFacts:
         )
 
     def sizes(self, sizes: Mapping[str, int]) -> dict[str, int]:
-        """Return the known sizes of open dimensions: from ``sizes``, else as declared.
-
-        Raises:
-            UnknownName: A size names no open dimension.
-            ConfigInvalid: A size is not positive.
-        """
+        """Return the sizes of symbolic dimensions: from ``sizes``, else from the manifest."""
         opened = dict(self.open_dimensions())
         for name, size in sizes.items():
             if not opened:
@@ -85,7 +70,7 @@ class ModelFacts:
         return declared | dict(sizes)
 
     def probes(self, ports: Iterable[InputBinding]) -> list[Tensors]:
-        """Return two different sets of inputs: probes of the manifest, else random numbers."""
+        """Return two different sets of test inputs: probes of the manifest, else random numbers."""
         entries = list(ports)
         if self.manifest is not None and set(self._declared) == {p.name for p in entries}:
             shapes = {port.name: port.shape for port in entries}
@@ -100,7 +85,7 @@ class ModelFacts:
         return {i.name: i for i in self.manifest.inputs} if self.manifest else {}
 
     def open_dimensions(self) -> Iterator[tuple[str, int | None]]:
-        """Yield the open dimensions of all inputs with their declared sizes.
+        """Yield the symbolic dimensions of all inputs with the sizes that the manifest declares.
 
         A dimension without a symbol is called ``NAME[AXIS]``.
         """
@@ -119,12 +104,7 @@ def _random(port: InputBinding, rng: np.random.Generator, top: int) -> np.ndarra
 
 
 def read_model_facts(path: Path, manifest: Manifest | None) -> ModelFacts:
-    """Read a model's structure, and its embedded manifest unless one is passed.
-
-    Raises:
-        ModelUnreadable: The file is not an ONNX model.
-        ManifestInvalid: The embedded manifest cannot be read.
-    """
+    """Read a model's structure, and its embedded manifest unless one is passed."""
     file = open_model(path)
     if manifest is None and file.manifest_text is not None:
         manifest = loads(file.manifest_text)

@@ -36,15 +36,10 @@ _CULPRITS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class WrongReplay:
-    """An output whose replays differ from a run without capture.
+    """An output whose replays differ from a run without capture."""
 
-    Attributes:
-        output: The output, as a location.
-        actual: How its replays differ, and the operator that computes it.
-    """
-
-    output: str
-    actual: str
+    output: str  # the output, as a location
+    actual: str  # how its replays differ, and the operator that computes it
 
 
 def wrong_outputs(
@@ -75,7 +70,7 @@ def wrong_outputs(
 
 
 def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
-    """Return whether two arrays agree within the tolerance where ``a`` is finite."""
+    """Return whether two arrays agree within a tolerance wherever ``a`` is finite."""
     if a.shape != b.shape or a.dtype != b.dtype:
         return False
     if _same_bits(a, b):
@@ -88,7 +83,7 @@ def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
 
 
 def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference where ``a`` is finite; infinity if ``b`` is not finite there."""
+    """Return the largest difference of two arrays; infinity if only ``a`` is finite somewhere."""
     if a.shape != b.shape:
         return float("inf")
     x, y = a.astype(np.float64), b.astype(np.float64)
@@ -103,7 +98,7 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def output_origin(graph: "Graph", name: str) -> str:
-    """Describe the operator that probably breaks an output: its own, or an ancestor."""
+    """Describe the node that probably breaks an output under replay: producer or ancestor."""
     if graph.input(name) is not None:
         return "it is an unchanged input"
     producer = graph.producers.get(name)

@@ -136,21 +136,21 @@ class FrameSession:
 
     @property
     def closed(self) -> bool:
-        """Whether the session was closed."""
+        """Whether :meth:`close` was called on the session."""
         return self._ready is None
 
     @property
     def inputs(self) -> Mapping[str, InputBinding]:
-        """Input name → its dtype, shape and role."""
+        """The inputs of the model by name: dtype, shape and role."""
         return MappingProxyType(self._require_open().ports)
 
     @property
     def outputs(self) -> Mapping[str, Buffer]:
-        """Output name → its buffer, with dtype and shape."""
+        """The outputs of the model by name, as buffers with dtype and shape."""
         return MappingProxyType(self._require_open().bound.outputs)
 
     def samples(self) -> list[dict[str, np.ndarray]]:
-        """Return two different sets of input tensors for :meth:`write`, to test the model."""
+        """Return two different sets of input tensors to test the model with."""
         return [dict(probe) for probe in self._sources.probes(self._require_open().ports.values())]
 
     # ---- Every frame
@@ -162,7 +162,7 @@ class FrameSession:
         camera: Camera | None = None,
         copy: bool = False,
     ) -> Frame:
-        """Update inputs and compute a frame.
+        """Update inputs of the model and compute a frame.
 
         Args:
             values: As in :meth:`update`.
@@ -244,7 +244,7 @@ class FrameSession:
     # ---- Access for frames
 
     def read(self, name: str, number: int) -> np.ndarray:
-        """Return an output of frame ``number``; see :class:`gsgen.sdk.binding.Frame`."""
+        """Return an output of frame ``number`` as an array; raise if a newer frame replaced it."""
         with self.hold_frame(number):
             self._output(name)
             try:
@@ -253,7 +253,7 @@ class FrameSession:
                 raise translate_error(error) from error
 
     def handle(self, name: str, number: int) -> Any:
-        """Return ONNX Runtime's handle of an output of frame ``number``."""
+        """Return the ``OrtValue`` that holds an output of frame ``number``."""
         with self.hold_frame(number):
             return self._output(name).value
 

@@ -1,4 +1,4 @@
-"""Opens a session and verifies its capture; if the capture is wrong, opens it without capture.
+"""Opens a session and verifies its graph capture; after a fault, opens it without capture.
 
 Capture records kernels and not buffer copies, so a captured model may repeat its first frame
 forever without an error. Therefore, before the first frame, two different inputs are computed
@@ -22,34 +22,20 @@ from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WarmSession:
-    """A bound session that has run at least once.
+    """A bound session that has run at least once."""
 
-    Attributes:
-        choice: The chosen provider.
-        bound: The session and its buffers.
-        ports: Input name → binding.
-        nodes: The execution provider of each node.
-        captured: Whether frames are replayed.
-        cause: The reason why they are not; empty if they are, or if capture is off.
-    """
-
-    choice: Choice
-    bound: BoundSession
-    ports: Mapping[str, InputBinding]
-    nodes: tuple[Node, ...]
-    captured: bool
-    cause: str = ""
+    choice: Choice  # the chosen provider
+    bound: BoundSession  # the session and its buffers
+    ports: Mapping[str, InputBinding]  # input name → binding
+    nodes: tuple[Node, ...]  # the execution provider of each node
+    captured: bool  # whether frames are replayed
+    cause: str = ""  # the reason why they are not; empty if they are, or if capture is off
 
 
 def warm_up(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
-    """Open a session that computes correct frames, with capture if possible.
+    """Open a session that computes correct frames, with graph capture if possible.
 
     If a provider that was chosen automatically fails, the CPU is used instead.
-
-    Raises:
-        ProviderUnavailable: The provider cannot be opened.
-        RunFailed: The model does not run on it.
-        SizeUnknown: A dimension has no size.
     """
     choice = opening.choice
     try:

@@ -180,7 +180,7 @@ def _decimal_size(count: int) -> str:
 
 
 def _notes(result: "BenchmarkResult") -> list[str]:
-    """Return remarks about a result that the figures do not show."""
+    """Return remarks about a benchmark result that the figures do not show."""
     if result.state != "measured":
         return [result.reason]
     facts, notes = result.facts, []

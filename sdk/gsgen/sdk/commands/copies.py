@@ -1,4 +1,4 @@
-"""The output path of commands that change a model: `-o OUT.onnx`, or none with `--dry-run`."""
+"""The output option of commands that write a changed model: `-o OUT.onnx`, or `--dry-run`."""
 
 __all__ = ["copy_of"]
 
@@ -8,11 +8,7 @@ from gsgen.contract.errors import ConfigInvalid
 
 
 def copy_of(output: Path | None, *, dry_run: bool) -> Path | None:
-    """Return the output path; None for a dry run.
-
-    Raises:
-        ConfigInvalid: The output path is missing.
-    """
+    """Return the path of the changed model that a command writes; None for a dry run."""
     if dry_run:
         return None
     if output is None:

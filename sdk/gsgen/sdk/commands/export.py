@@ -1,4 +1,4 @@
-"""`gsgen export`: export a generator from a torch module, or from the files of a method."""
+"""`gsgen export`: write a torch module, or the checkpoint of a method, as an ONNX generator."""
 
 __all__ = ["app"]
 
@@ -25,7 +25,7 @@ _ANY_WORDS = {"ignore_unknown_options": True, "allow_extra_args": True}
 
 
 class _Targets(TyperGroup):
-    """The command group of all installed plugins and any ``module:factory``."""
+    """The command group of `gsgen export`: all installed plugins, and any ``module:factory``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Move the target to the front if options precede it."""
@@ -36,7 +36,7 @@ class _Targets(TyperGroup):
         return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the target's command; raise with suggestions for an unknown target."""
+        """Return the command of an export target; raise with suggestions for an unknown target."""
         word = args[0]
         if word not in self.commands and is_target(word):
             wants_help = bool({"-h", "--help"} & set(args))
@@ -65,7 +65,7 @@ def _unknown(word: str, plugins: list[str]) -> UnknownName:
 
 
 def _command_for(target: str, *, wants_help: bool) -> Any:
-    """Return the command that exports ``target``; only its help imports the target at once."""
+    """Return the command that exports ``target``; the target is imported when the command runs."""
     single = typer.Typer(add_completion=False)
     entry = typer.Option(
         "--arg",
@@ -94,7 +94,7 @@ def _command_for(target: str, *, wants_help: bool) -> Any:
 
 
 def _described(target: str) -> str:
-    """Return a sentence about the arguments of the factory."""
+    """Return a sentence about the arguments of a user's generator factory."""
     from gsgen.sdk.plugins.factory import load_factory
 
     parameters = load_factory(target).parameters.values()
@@ -104,7 +104,7 @@ def _described(target: str) -> str:
 
 
 def _function_of(plugin: Plugin) -> tuple[Callable[..., Any], dict[str, Any]]:
-    """Return a plugin's function; for a broken plugin, a function that raises its error."""
+    """Return the export function of a plugin; for a broken plugin, one that raises its error."""
     try:
         return plugin.function, {}
     except TypeError as error:

@@ -64,7 +64,7 @@ def _facts(command: Command) -> dict[str, Any]:
 
 
 def _loaded(command: Command) -> Any:
-    """Return the plugin, or None if its import fails; the import does not import torch."""
+    """Return a plugin object without importing torch; None if the plugin's import fails."""
     if not command.missing:
         return command.load()
     try:

@@ -1,4 +1,4 @@
-"""`gsgen rewrite`: rewrite a graph for a consumer."""
+"""`gsgen rewrite`: rewrite a model's graph for a runtime, such as WebGPU."""
 
 __all__ = ["rewrite"]
 
@@ -96,7 +96,7 @@ def rewrite(
 
 
 def _show(result: "Rewritten") -> None:
-    """Print the report, and a warning for outputs that could not be compared."""
+    """Print the report of a rewrite, and a warning for outputs that could not be compared."""
     for line in _report(result):
         typer.echo(line)
     if result.uncompared:

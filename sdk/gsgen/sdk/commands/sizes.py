@@ -8,14 +8,9 @@ from gsgen.contract.errors import ConfigInvalid
 
 
 def sizes_of(entries: Iterable[str] | None, option: str) -> dict[str, int]:
-    """Parse entries SYMBOL=SIZE, and return symbol → size.
+    """Parse options SYMBOL=SIZE into a dict from symbolic dimension to size.
 
-    Args:
-        entries: The option's values; None if it was not used.
-        option: Name of the option, for errors.
-
-    Raises:
-        ConfigInvalid: An entry is not SYMBOL=SIZE.
+    ``option`` is the name of the option in errors.
     """
     return dict(_sized(entry, option) for entry in entries or ())
 

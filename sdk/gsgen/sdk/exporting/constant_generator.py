@@ -1,4 +1,4 @@
-"""Export a scene that does not change as a generator without inputs; torch is not needed.
+"""Exports a scene that does not change as a generator without inputs; torch is not needed.
 
 The graph holds weights alone. Each output ends on a Mul by one, so that capture and replay have a
 kernel to record.
@@ -57,31 +57,22 @@ _OUTPUT_NAMES = {"sh": "color_sh", "rgb": "color_rgb"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConstantRows:
-    """Packed Gaussians of a scene that does not change.
+    """Packed Gaussians of a scene that does not change."""
 
-    Attributes:
-        rows: Packed Gaussians, float32 or float16 [N, 10].
-        appearance: SH or RGB, float32 or float16 [N, C].
-        space: Whether ``appearance`` holds SH or RGB.
-        description: The origin of the rows, such as "500 splats of SH degree 3".
-        color_space: Color space of the appearance.
-        antialias: The antialiasing that the scene was trained with.
-        notes: Changes that the user should know of, a sentence each.
-        passes_through: Whether the rows are the user's own, written even if they break rules.
-    """
-
-    rows: Float[np.ndarray, "n 10"]
-    appearance: Float[np.ndarray, "n c"]
-    space: Literal["sh", "rgb"]
-    description: str
-    color_space: Literal["srgb", "linear"] = "srgb"
+    rows: Float[np.ndarray, "n 10"]  # packed Gaussians, float32 or float16 [N, 10]
+    appearance: Float[np.ndarray, "n c"]  # SH or RGB, float32 or float16 [N, C]
+    space: Literal["sh", "rgb"]  # whether ``appearance`` holds SH or RGB
+    description: str  # the origin of the rows, such as "500 splats of SH degree 3"
+    color_space: Literal["srgb", "linear"] = "srgb"  # color space of the appearance
+    # the antialiasing that the scene was trained with
     antialias: Literal["classic", "mip"] = "classic"
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # changes that the user should know of, a sentence each
+    # whether the rows are the user's own, written even if they break rules
     passes_through: bool = False
 
     @property
     def degree(self) -> int | None:
-        """The SH degree, or None for RGB."""
+        """The SH degree of the appearance, or None for RGB."""
         return degree_of(self.appearance.shape[1] // 3) if self.space == "sh" else None
 
     @property
@@ -91,35 +82,24 @@ class ConstantRows:
 
 
 class ConstantSource(ABC):
-    """A scene that does not change, and that can be packed in either dtype.
+    """A scene that does not change, and can be packed as float32 or float16."""
 
-    Attributes:
-        family: The manifest's word for the kind of generator.
-    """
-
-    family: ClassVar[str | None] = None
+    family: ClassVar[str | None] = None  # the manifest's word for the kind of generator
 
     @abstractmethod
     def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:
-        """Return the scene's packed rows.
+        """Return the scene's Gaussians in packed rows.
 
-        Args:
-            dtype: The dtype of the rows; the source's own if absent.
-            target: Name of the consumer, which may read one SH degree alone.
+        Without ``dtype``, the rows have the source's own; ``target`` may read one SH degree alone.
         """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportedConstant(ExportResult):
-    """A finished export of a scene that does not change.
+    """A finished export of a scene that does not change."""
 
-    Attributes:
-        manifest: The embedded manifest.
-        rows: The exported rows.
-    """
-
-    manifest: GeneratorManifest
-    rows: ConstantRows
+    manifest: GeneratorManifest  # the embedded manifest
+    rows: ConstantRows  # the exported rows
 
     @property
     def dtype(self) -> Dtype:
@@ -128,7 +108,7 @@ class ExportedConstant(ExportResult):
 
     @property
     def contents(self) -> str:
-        """The origin of the rows and their dtype."""
+        """A short description of the model: the origin of the Gaussians and their dtype."""
         return f"{self.rows.description}, {self.rows.dtype}"
 
 
@@ -187,11 +167,7 @@ def export_constant(
 def constant_manifest(
     packed: ConstantRows, name: str, *, family: str | None, capacity: int | None = None
 ) -> GeneratorManifest:
-    """Return the manifest of a generator that emits ``packed``.
-
-    Raises:
-        ConfigInvalid: The capacity is smaller than the number of rows.
-    """
+    """Return the manifest of a generator that emits ``packed``."""
     count = len(packed.rows)
     total = count if capacity is None else capacity
     if total < count:
@@ -306,7 +282,7 @@ def _save(model: ModelProto, path: Path) -> None:
 
 
 def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
-    """Run the model once and compare the bits of its outputs."""
+    """Run the exported model once, and raise unless its outputs have the source's bits."""
     limits = Limits().for_model(sum(value.nbytes for value in outputs.values()))
     with execute(path, list(outputs), [Probe(label="no inputs", inputs={})], limits) as execution:
         if execution.fault is not None:

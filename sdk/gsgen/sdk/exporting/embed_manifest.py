@@ -18,11 +18,7 @@ def rewrite_and_embed(
 ) -> list[Change]:
     """Rewrite ``model`` for ``target``, embed ``manifest``, and return the rewrites.
 
-    Args:
-        model: An exported graph; it is changed.
-        manifest: The manifest to embed.
-        target: The consumer; ``core`` means all that are known.
-        rewrite: Whether to rewrite; if False, the graph stays as torch exported it.
+    Without ``rewrite``, the graph stays as torch exported it.
     """
     # The exporter may call a tensor `view` although an input has that name.
     NameFixPass()(model)

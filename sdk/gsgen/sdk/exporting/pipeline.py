@@ -1,4 +1,4 @@
-"""The last steps of every export: save a draft, verify it, validate it, and move it into place."""
+"""The last steps of every export: save the model as a draft, verify, validate and move the file."""
 
 __all__ = ["OPSET", "Dtype", "ExportResult", "Progress", "check_contract", "silent", "write_export"]
 
@@ -26,36 +26,29 @@ OPSET = SAFEST_OPSET
 
 
 def silent(_: str) -> None:
-    """Ignore a progress message."""
+    """Ignore a progress message of an export."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportResult(ABC):
-    """A finished export.
-
-    Attributes:
-        path: The model file.
-        report: The validator's report on it.
-        parity: How closely it agrees with eager torch; None if no torch module was exported.
-        changes: The rewrites of the graph.
-        notes: Further facts for the user, a sentence each.
-    """
+    """The path, report and figures of a finished export."""
 
     path: Path
-    report: "Report"
+    report: "Report"  # the validator's report on it
+    # how closely it agrees with eager torch; None if no torch module was exported
     parity: "Parity | None" = None
-    changes: "tuple[Change, ...]" = ()
-    notes: tuple[str, ...] = ()
+    changes: "tuple[Change, ...]" = ()  # the rewrites of the graph
+    notes: tuple[str, ...] = ()  # further facts for the user, a sentence each
 
     @property
     @abstractmethod
     def dtype(self) -> Dtype:
-        """The dtype of the outputs."""
+        """The dtype of the exported model's outputs."""
 
     @property
     @abstractmethod
     def contents(self) -> str:
-        """A short description of the model's outputs."""
+        """A short description of the exported model's outputs."""
 
 
 def write_export(
@@ -68,23 +61,9 @@ def write_export(
     progress: Progress,
     must_conform: bool = True,
 ) -> "tuple[_Verified, Report]":
-    """Save, verify and validate a draft, and move it to ``path`` if all of that succeeds.
+    """Save a model as a draft, verify and validate the file, and move it to ``path`` at success.
 
-    Args:
-        path: The model file.
-        save: Writes the model to the draft's path.
-        verify: Compares the draft with its reference; raises if the two differ.
-        target: Name of the consumer to validate for.
-        settings: Level, limits and severities of the validation.
-        progress: Called with a message when a step begins.
-        must_conform: Whether a model that breaks a rule is rejected.
-
-    Returns:
-        The result of ``verify``, and the validator's report.
-
-    Raises:
-        ParityFailed: ``verify`` found a difference.
-        ExportRejected: The model breaks a rule; the error carries the report.
+    ``save`` writes the draft; ``verify`` raises if the draft differs from its reference.
     """
     with atomic_write(path) as draft:
         save(draft)
@@ -102,10 +81,9 @@ def check_contract(
     *,
     must_conform: bool = True,
 ) -> "Report":
-    """Validate ``draft``, and return the report as one on ``path``.
+    """Validate an exported file before it is moved, and return the report for its final ``path``.
 
-    Raises:
-        ExportRejected: The model breaks a rule and ``must_conform``; the error carries the report.
+    Raises :class:`ExportRejected`, which carries the report, if the model breaks a rule.
     """
     from gsgen.contract.spec.severity import Level, Severity
     from gsgen.contract.spec.targets import load_target

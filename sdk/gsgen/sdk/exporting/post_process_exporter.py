@@ -70,7 +70,7 @@ class ExportedImage(ExportResult):
 
     @property
     def contents(self) -> str:
-        """The size of the image and its dtype."""
+        """The size and the dtype of the image that the exported model takes."""
         shape = _image(self.manifest.inputs).shape
         size = "any size" if shape is None else f"{shape[2]} × {shape[3]} (height × width)"
         return f"an image of {size}, {self.dtype}"
@@ -156,14 +156,14 @@ def export_post_process(
 
 
 def _trace(model: PostProcess, example: Probe, opset: int, *, half: bool) -> ir.Model:
-    """Trace ``model``, or with ``half`` a copy of it in float16."""
+    """Trace a post-process model to an ONNX graph; with ``half``, trace a float16 copy."""
     module = _Positional(copy.deepcopy(model).half() if half else model)
     names = TensorNames(tuple(example.inputs), (OUTPUT,), _open_axes(model.inputs))
     return trace_module(module, example, names, opset, where=type(model).__name__)
 
 
 def _widened(probe: Probe) -> Probe:
-    """Return a probe whose image is float32."""
+    """Copy a set of test inputs, with the image converted to float32."""
     inputs = {
         name: value.astype(np.float32) if value.dtype == np.float16 else value
         for name, value in probe.inputs.items()
@@ -172,7 +172,7 @@ def _widened(probe: Probe) -> Probe:
 
 
 class _Positional(nn.Module):
-    """A model whose arguments have no names, so that the exporter takes those of the manifest."""
+    """Calls a model by position, so that the traced inputs get the names of the manifest."""
 
     def __init__(self, model: nn.Module) -> None:
         super().__init__()
@@ -184,7 +184,7 @@ class _Positional(nn.Module):
 
 
 def _image(inputs: Any) -> Input:
-    """Return the manifest's entry of the image."""
+    """Return the manifest's entry for the image input of a post-process model."""
     image: Input = next(entry for entry in inputs if entry.role == "image")
     return image
 
@@ -232,7 +232,7 @@ def _manifest(model: PostProcess, name: str, dtype: Any) -> PostProcessManifest:
 def _probes_of_sizes(
     model: PostProcess, manifest: PostProcessManifest, dtype: Dtype
 ) -> Iterator[Probe]:
-    """Yield the probes of each image size that is compared: two sizes for models of any size."""
+    """Yield the test inputs for each compared image size: two sizes for models of any size."""
     any_size = _image(model.inputs).shape is None
     for size in (_TRACED_SIZE, _SECOND_SIZE) if any_size else (_TRACED_SIZE,):
         yield from _probes(manifest, dtype, (1, model.channels, *size))
@@ -257,7 +257,7 @@ def _open_axes(inputs: Any) -> tuple[dict[int, Any], ...] | None:
 
 
 def _run_eager(model: PostProcess, probe: Probe) -> Float[np.ndarray, "1 c h w"]:
-    """Run the module in float32, also if it will be exported as float16."""
+    """Run a post-process module in eager torch in float32, even for a float16 export."""
     tensors = [torch.from_numpy(np.array(value)).float() for value in probe.inputs.values()]
     image = call_module(model, tensors)
     height, width = probe.inputs[_image(model.inputs).name].shape[2:]
@@ -280,7 +280,8 @@ def _check_parity(
 ) -> Parity:
     progress(f"comparing with eager torch at {len(probes)} probes")
     low, high = manifest.outputs.image.range
-    images = [outputs[OUTPUT] for outputs in run_exported(path, (OUTPUT,), probes)]
+    runs = run_exported(path, (OUTPUT,), probes, frame_bytes=max(e.nbytes for e in expected))
+    images = [np.array(outputs[OUTPUT]) for outputs in runs]
     compared = list(_compared(images, expected, probes, abs(high - low), allowed))
     worst = max(compared, key=lambda field: field.excess)
     parity = Parity((worst,), len(probes))

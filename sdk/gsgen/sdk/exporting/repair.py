@@ -1,4 +1,4 @@
-"""Repair a model: only faults with one right answer, each repair validated and listed."""
+"""Repairs a model: only faults with one right answer, each repair validated and listed."""
 
 __all__ = ["Repair", "RepairRequest", "RepairResult", "repair"]
 
@@ -36,24 +36,18 @@ from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
 @dataclass(frozen=True, slots=True)
 class RepairRequest:
-    """Facts that the model does not contain, and repairs that are made only on request.
+    """Facts that the model does not contain, and repairs that are made only on request."""
 
-    Attributes:
-        sizes: Symbolic dimension → its size.
-        manifest: The manifest to embed; the model's own if absent.
-        rename: Whether to give the outputs the names that viewers look for.
-        channel_major: Whether the SH are stored channel by channel, so that they are reordered.
-    """
-
-    sizes: Mapping[str, int] = field(default_factory=dict)
-    manifest: GeneratorManifest | None = None
-    rename: bool = False
+    sizes: Mapping[str, int] = field(default_factory=dict)  # symbolic dimension → its size
+    manifest: GeneratorManifest | None = None  # the manifest to embed; the model's own if absent
+    rename: bool = False  # whether to give the outputs the names that viewers look for
+    # whether the SH are stored channel by channel, so that they are reordered
     channel_major: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Repair:
-    """One change, and the id of the rule that requires it."""
+    """One change that repairs a model, and the id of the rule that requires it."""
 
     description: str
     rule: str
@@ -61,17 +55,11 @@ class Repair:
 
 @dataclass(frozen=True, slots=True)
 class RepairResult:
-    """The repairs of a model, and its reports before and after them.
+    """The repairs of a model, and its reports before and after them."""
 
-    Attributes:
-        repairs: The changes, in order.
-        before: The report on the source.
-        after: The report on the repaired model.
-    """
-
-    repairs: tuple[Repair, ...]
-    before: Report
-    after: Report
+    repairs: tuple[Repair, ...]  # the changes, in order
+    before: Report  # the report on the source
+    after: Report  # the report on the repaired model
 
 
 def repair(
@@ -87,12 +75,6 @@ def repair(
         target: The copy's path; if None, the copy is repaired and validated, but not written.
         request: Facts that the model does not contain, and optional repairs.
         settings: Settings of both validations.
-
-    Raises:
-        ModelUnreadable: ``source`` is not a readable model.
-        ConfigInvalid: ``target`` would replace the weights of ``source``.
-        UnknownName: A size names a dimension that its inputs and outputs do not have.
-        GsgenError: There is nothing to repair, or the result breaks a rule that ``source`` keeps.
     """
     request, settings = request or RepairRequest(), settings or Settings()
     before = validate(source, settings)
@@ -124,7 +106,7 @@ def repair(
 
 @contextmanager
 def _draft(target: Path | None, source: Path) -> Iterator[Path]:
-    """Yield the path of the draft to validate; without ``target``, it is deleted afterwards."""
+    """Yield the path of the repaired draft; without ``target``, delete the file afterwards."""
     if target is not None:
         with atomic_write(target) as draft:
             yield draft
@@ -166,7 +148,7 @@ def _own_manifest(subject: InspectedModel) -> GeneratorManifest:
 def _steps(
     subject: InspectedModel, manifest: GeneratorManifest, broken: set[str], request: RepairRequest
 ) -> tuple[Steps, GeneratorManifest]:
-    """Return the changes to make, in order, and the manifest of the result."""
+    """Return the repairs of a model in order, and the manifest of the repaired model."""
     steps: Steps = []
     outputs = manifest.outputs
     rows, color, count = outputs.gaussians, outputs.appearance, outputs.count

@@ -1,6 +1,6 @@
-"""The SH degree to store: packed rows must fill words, and some consumers read one degree alone."""
+"""Chooses the SH degree to store: packed rows must fill words, and some viewers read one degree."""
 
-__all__ = ["REQUIRED_DEGREES", "stored_degree"]
+__all__ = ["HALF_RGB", "REQUIRED_DEGREES", "stored_degree"]
 
 from collections.abc import Mapping
 from typing import Final
@@ -9,16 +9,15 @@ REQUIRED_DEGREES: Final[Mapping[str, int]] = {"visionary": 3}
 """Consumers that read rows of one width alone (rule TV104)."""
 
 
+HALF_RGB: Final = frozenset({"visionary"})
+"""Consumers that read RGB as float16 alone (rule TV104)."""
+
+
 def stored_degree(degree: int, *, half: bool, target: str = "core") -> tuple[int, str]:
     """Return the SH degree to store, and the reason if it differs from ``degree``.
 
     Rows of float16 must fill words of four bytes (rule GO015), which degrees 0 and 2 do not. Some
     consumers read one degree alone. The added coefficients are zero.
-
-    Args:
-        degree: The SH degree of the scene.
-        half: Whether rows are float16.
-        target: Name of the consumer.
     """
     if target in REQUIRED_DEGREES:
         stored, reason = REQUIRED_DEGREES[target], f"{target} reads no other"

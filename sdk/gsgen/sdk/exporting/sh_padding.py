@@ -20,13 +20,7 @@ def padded_harmonics(
 ) -> Iterator[list[str]]:
     """Let ``generator`` return SH of :func:`~gsgen.sdk.exporting.sh_degrees.stored_degree`.
 
-    Args:
-        generator: Within the context, its ``forward`` returns padded SH.
-        half: Whether the outputs are float16.
-        target: Name of the consumer.
-
-    Yields:
-        Notes on the padding; the list stays empty if the SH need none.
+    Yields notes on the padding; the list stays empty if the SH need none.
     """
     notes: list[str] = []
 

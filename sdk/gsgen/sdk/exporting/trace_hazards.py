@@ -1,4 +1,4 @@
-"""Watch a module run, and record the operations that tracing cannot follow, each with a hint.
+"""Watches a torch module run, and records operations that tracing cannot follow, with hints.
 
 Tracing records torch functions. A value of an input that leaves torch (a Python number, a numpy
 array, a branch) is either refused, or keeps its value of the traced frame. The same holds for
@@ -70,24 +70,19 @@ _TAINT = "_gsgen_of_an_input"
 
 @dataclass(frozen=True, slots=True)
 class Hazard:
-    """An operation that tracing cannot follow.
+    """An operation of a user's module that tracing cannot follow."""
 
-    Attributes:
-        kind: The kind of operation.
-        where: ``file:line (code)``; where an attribute is set, its name stands in front.
-    """
-
-    kind: Kind
-    where: str
+    kind: Kind  # the kind of operation
+    where: str  # ``file:line (code)``; where an attribute is set, its name stands in front
 
     @property
     def description(self) -> str:
-        """A short description of the operation."""
+        """A short description of the operation that tracing cannot follow."""
         return _DESCRIPTIONS_AND_HINTS[self.kind][0]
 
     @property
     def hint(self) -> str:
-        """The code to write in its place."""
+        """The code to write in place of an operation that tracing cannot follow."""
         return _DESCRIPTIONS_AND_HINTS[self.kind][1]
 
     def __str__(self) -> str:
@@ -95,7 +90,7 @@ class Hazard:
 
 
 class Watch(TorchFunctionMode):
-    """Records hazards while a module runs.
+    """Records operations that tracing cannot follow while a torch module runs.
 
     For example::
 
@@ -134,16 +129,16 @@ class Watch(TorchFunctionMode):
 
     @property
     def changes_module(self) -> bool:
-        """Whether the run changed an attribute, a parameter or a buffer."""
+        """Whether the run changed an attribute, a parameter or a buffer of the module."""
         return bool(self._undo)
 
     def undo(self) -> None:
-        """Restore every attribute and buffer to its value before the run."""
+        """Restore every attribute and buffer of the module to its value before the run."""
         for step in reversed(self._undo):
             step()
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Call ``func``, record its hazards, and mark results that depend on inputs."""
+        """Call the torch function ``func``, record hazards, and mark input-dependent results."""
         kwargs = kwargs or {}
         name = getattr(func, "__name__", "")
         leaves = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor)]

@@ -36,17 +36,9 @@ def trace_generator(
     opset: int,
     hazards: Sequence[Hazard] = (),
 ) -> ir.Model:
-    """Trace a packed generator, and return the graph.
+    """Trace a generator with packed outputs, and return its ONNX graph.
 
-    Args:
-        packed: The module.
-        example: The inputs to trace it with.
-        manifest: Names the outputs.
-        opset: ONNX operator set.
-        hazards: Operations that tracing cannot follow, to explain an error.
-
-    Raises:
-        ExportFailed: The exporter refused the module; the message names the line of its code.
+    ``hazards`` explain an error.
     """
     names = TensorNames(tuple(example.inputs), output_names(manifest))
     where = type(packed.generator).__name__
@@ -55,16 +47,11 @@ def trace_generator(
 
 @dataclass(frozen=True, slots=True)
 class TensorNames:
-    """The names of a graph's inputs, outputs and open sizes.
+    """The names of a graph's inputs, outputs and symbolic dimensions."""
 
-    Attributes:
-        inputs: In the order of the module's arguments.
-        outputs: In the order of its results.
-        dynamic: For each argument, axis → the name of its size; all sizes are fixed if absent.
-    """
-
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]  # in the order of the module's arguments
+    outputs: tuple[str, ...]  # in the order of its results
+    # for each argument, axis → the name of its size; all sizes are fixed if absent
     dynamic: tuple[dict[int, Any], ...] | None = None
 
 
@@ -79,16 +66,8 @@ def trace_module(
 ) -> ir.Model:
     """Trace any module with ``torch.onnx.export(dynamo=True)``, and return the graph.
 
-    Args:
-        module: The module to trace.
-        example: The inputs to trace it with.
-        names: Names of inputs and outputs.
-        opset: ONNX operator set.
-        where: The module's name in an error.
-        hazards: Operations that tracing cannot follow, to explain an error.
-
-    Raises:
-        ExportFailed: The exporter refused the module; the message names the line of its code.
+    ``where`` is the module's name in an error, which ``hazards`` explain and which names the line
+    of the user's code.
     """
     arguments = tuple(torch.from_numpy(np.array(value)) for value in example.inputs.values())
     try:
@@ -117,7 +96,7 @@ def trace_module(
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress torch's messages on operators, failed attempts and graphs."""
+    """Suppress torch's messages about operators, failed attempts and graphs during tracing."""
     level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -130,7 +109,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> ExportFailed:
-    """Return an error with torch's reason, the line of the user's code, and a hint."""
+    """Return an error of tracing with torch's reason, the line of the user's code, and a hint."""
     root: BaseException = error
     while root.__cause__ is not None:
         root = root.__cause__

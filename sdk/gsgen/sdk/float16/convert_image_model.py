@@ -39,19 +39,12 @@ _BUDGET = 24
 
 @dataclass(frozen=True, slots=True)
 class Float16ImageResult:
-    """Counts of the nodes and weights of a post-process model that became float16.
+    """Counts of the nodes and weights of a post-process model that became float16."""
 
-    Attributes:
-        computed: Number of nodes that compute in float16.
-        retained: Number of nodes that could, but compute in float32.
-        stored: Number of weights that are stored in float16.
-        retained_weights: Names of the weights that are stored in float32.
-    """
-
-    computed: int
-    retained: int
-    stored: int
-    retained_weights: tuple[str, ...]
+    computed: int  # number of nodes that compute in float16
+    retained: int  # number of nodes that could, but compute in float32
+    stored: int  # number of weights that are stored in float16
+    retained_weights: tuple[str, ...]  # names of the weights that are stored in float32
 
 
 def image_to_float16(
@@ -63,12 +56,8 @@ def image_to_float16(
 ) -> Float16ImageResult:
     """Convert a post-process model to float16 in place.
 
-    Args:
-        model: A model with float32 images.
-        image: Name of the input that becomes float16.
-        probes: Inputs to measure at, with images that float16 can hold.
-        allowed: Tolerance of the result, as a share of its largest value.
-        progress: Called with a message when a step begins.
+    ``image`` names the input that becomes float16. ``probes`` have images that float16 can hold;
+    ``allowed`` is a share of the result's largest value.
     """
     prepare(model)
     measure = _Measure(model, probes)
@@ -97,7 +86,7 @@ def image_to_float16(
 
 
 class _Measure:
-    """Measures how far rounding changes the output image."""
+    """Measures how far rounding to float16 changes the image of a post-process model."""
 
     def __init__(self, model: ir.Model, probes: Sequence[Probe]) -> None:
         self._model, self._probes = InstrumentedModel(model), probes
@@ -105,16 +94,16 @@ class _Measure:
         self.rebase()
 
     def rebase(self) -> None:
-        """Take the outputs with the weights stored so far as the new reference."""
+        """Take the images computed with the weights stored so far as the new reference."""
         self._expected = [self._output_image(probe, (), self.stored) for probe in self._probes]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the largest error of storing these weights, as a share of the largest value of all images."""
+        """Return the largest relative image error of storing these weights as float16."""
         largest = max(float(np.abs(image).max()) for image in self._expected)
         return self._error((), stored, largest), "image"
 
     def of_nodes(self, selected: Collection[int]) -> tuple[float, str]:
-        """Return the largest error of computing these nodes in float16, as a share of each image's maximum."""
+        """Return the largest relative image error of computing these nodes in float16."""
         return self._error(selected, self.stored), "image"
 
     def _error(
@@ -142,7 +131,7 @@ class _Measure:
 
 
 def _halve_input(graph: ir.Graph, name: str) -> None:
-    """Make an input float16, and cast it to float32 for the graph."""
+    """Make a graph input float16, and cast it to float32 for the readers in the graph."""
     value = next(graph_input for graph_input in graph.inputs if graph_input.name == name)
     node = ir.node("Cast", [value], attributes={"to": FLOAT.value})
     widened = node.outputs[0]

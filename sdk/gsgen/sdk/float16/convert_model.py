@@ -58,7 +58,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Float16Result:
-    """A finished conversion.
+    """Counts, errors and path of a finished conversion to float16.
 
     Attributes:
         path: The file; None if it was not written.
@@ -160,7 +160,7 @@ def to_float16(
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[ir.Model, Float16Result]:
-    """Return a float16 copy of ``model``, and the result of the search; see :func:`write_float16`.
+    """Return a float16 copy of ``model``, and the nodes and tables that stay float32.
 
     Args:
         model: A prepared graph in float32.
@@ -227,28 +227,21 @@ def to_float16(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Choice:
-    """The nodes that compute in float32, and the tables that are stored in 16 bits.
+    """The nodes that compute in float32, and the weight tables that are stored in 16 bits."""
 
-    Attributes:
-        retained: Nodes that compute in float32, with reasons.
-        retained_weights: Tables that are stored in float32, with reasons.
-        stored: Names of the tables that are stored in 16 bits a number.
-        unstepped: Names of those that are stored as float16, not in even steps.
-    """
-
-    retained: tuple[RetainedFloat32, ...]
-    retained_weights: tuple[RetainedFloat32, ...]
-    stored: frozenset[str]
-    unstepped: frozenset[str]
+    retained: tuple[RetainedFloat32, ...]  # nodes that compute in float32, with reasons
+    retained_weights: tuple[RetainedFloat32, ...]  # tables that are stored in float32, with reasons
+    stored: frozenset[str]  # names of the tables that are stored in 16 bits a number
+    unstepped: frozenset[str]  # names of those that are stored as float16, not in even steps
 
     @property
     def retained_names(self) -> set[str]:
-        """Names of the nodes that compute in float32."""
+        """The names of the nodes that compute in float32."""
         return {entry.node for entry in self.retained}
 
 
 class _Search:
-    """Searches for nodes and tables that can be rounded to float16 together.
+    """Searches for nodes and weight tables that can be rounded to float16 together.
 
     Attributes:
         nodes: The nodes that can compute in float16.
@@ -271,7 +264,7 @@ class _Search:
         self._guards = epsilon_guards(self.nodes, opset)
 
     def choose(self, share: float, progress: Progress) -> _Choice:
-        """Choose tables, then nodes, whose error is at most ``share`` of the tolerance."""
+        """Choose tables, then nodes, whose rounding uses at most ``share`` of the tolerance."""
         measure, nodes = self._measure, self.nodes
         # Tables come first: their size decides the size of the file and of the download.
         progress(f"measuring which of {len(measure.weights)} weights may be float16")
@@ -306,7 +299,7 @@ class _Search:
 
 
 def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
-    """Refuse SH whose float16 rows would not fill words (rule GO015); RGB gets a fourth channel."""
+    """Raise if float16 SH rows would not fill 32-bit words (rule GO015)."""
     color = manifest.outputs.appearance
     if color is None or color.space != "sh":
         return
@@ -326,7 +319,7 @@ def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
 def _convert(
     model: ir.Model, manifest: GeneratorManifest, choice: _Choice, *, outputs: bool
 ) -> None:
-    """Convert ``model`` in place, and embed the manifest of the result."""
+    """Convert a generator to float16 in place, and embed its new manifest."""
     ToFloat16(
         choice.retained_names, outputs=outputs, stored=choice.stored, unstepped=choice.unstepped
     )(model)

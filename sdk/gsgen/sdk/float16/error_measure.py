@@ -1,21 +1,23 @@
-"""Measures the output error caused by rounding nodes and tables to float16, in the contract's units."""
+"""Measures the output error of rounding nodes and weights to float16, in the contract's units."""
 
 __all__ = ["ErrorProbe"]
 
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import cached_property
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.probing.probes import Probe, default_probes
-from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.instrumented_model import InstrumentedModel
+from gsgen.sdk.model_runs import KEPT_BYTES, run_in_groups
 from gsgen.sdk.parity import FieldParity, ModelOutput, Parity, Reference, compare
 from gsgen.sdk.rewriting.model_io import has_external_weights, save_model
 
@@ -25,7 +27,7 @@ _UNSEEN = 12
 
 
 class ErrorProbe:
-    """Measures the error of rounding some nodes of a model, in the contract's units.
+    """Measures the output error of rounding nodes or weights to float16, in the contract's units.
 
     Args:
         model: A graph in float32.
@@ -40,9 +42,6 @@ class ErrorProbe:
         sizes: Count of numbers in each table.
         stored: Indices of the tables that are stored in 16 bits in the next measurements.
         rounded: The error of storing the outputs alone.
-
-    Raises:
-        RewriteFailed: The outputs are float16 already, or some are not declared.
     """
 
     def __init__(
@@ -71,20 +70,22 @@ class ErrorProbe:
         self.model = InstrumentedModel(model)
         self.weights, self.sizes = self.model.weights, self.model.sizes
         self.stored: Collection[int] = ()
-        self._references = [self._reference(probe) for probe in probes]
-        self._unseen = [self._reference(probe) for probe in _unseen(manifest, probes)]
+        # The search compares every step-th row of large outputs; the result is compared in full.
+        self._step = max(1, -(-len(probes) * self.frame_bytes // KEPT_BYTES))
+        self._references = [self._reference(probe, self._step) for probe in probes]
+        self._unseen = _unseen(manifest, probes)
         self.rounded = self.parity(frozenset())
         self._stored = {field.field: _excess(field) for field in self.rounded.fields}
 
-    @property
+    @cached_property
     def frame_bytes(self) -> int:
-        """Bytes of float32 rows that a frame gives."""
+        """The size in bytes of the float32 outputs of a frame."""
         outputs = self.model.run(self.probes[0].inputs, np.zeros(len(self.model.units), np.bool_))
         return sum(outputs[name].nbytes for name in self.names if outputs[name].dtype.kind == "f")
 
-    def _reference(self, probe: Probe) -> Reference:
+    def _reference(self, probe: Probe, step: int = 1) -> Reference:
         nothing = np.zeros(len(self.model.units), np.bool_)
-        output = self._read(self.model.run(probe.inputs, nothing))
+        output = self._read(self.model.run(probe.inputs, nothing)).every(step)
         if output.rows.dtype != np.float32:
             message = f"is {output.rows.dtype} already"
             raise RewriteFailed(message, where=f"output {self.names[0]}")
@@ -97,63 +98,67 @@ class ErrorProbe:
         return ModelOutput(rows, color, int(np.ravel(count)[0]), *cells)
 
     def _stored_as(self, output: ModelOutput) -> ModelOutput:
-        """Return the output in the dtype in which it will be stored."""
+        """Round an output to the dtype in which the converted model stores it."""
         with np.errstate(over="ignore"):
             cells = None if output.cells is None else output.cells.astype(self.storage)
             rows, color = (output.rows.astype(self.storage), output.color.astype(self.storage))
             return ModelOutput(rows, color, output.count, cells)
 
     def parity(self, selected: Collection[int]) -> Parity:
-        """Round the selected units, and compare the stored outputs with those of float32."""
+        """Round the selected nodes and tables, and compare the outputs with those of float32."""
         flags = np.zeros(len(self.model.units), np.bool_)
         flags[list(selected)] = True
         stored = np.zeros(len(self.weights), np.bool_)
         stored[list(self.stored)] = True
         runs = (self.model.run(probe.inputs, flags, stored) for probe in self.probes)
-        outputs = [self._stored_as(self._read(run)) for run in runs]
+        outputs = (self._stored_as(self._read(run).every(self._step)) for run in runs)
         return self._compared(self._references, outputs)
 
-    def _compared(self, references: Sequence[Reference], outputs: Sequence[ModelOutput]) -> Parity:
+    def _compared(self, references: Iterable[Reference], outputs: Iterable[ModelOutput]) -> Parity:
         return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
-        """Return the largest share of the tolerance that rounding these units uses, and its field."""
+        """Return the largest share of a tolerance that rounding these nodes uses, and the field."""
         used = {field.field: self._used(field) for field in self.parity(selected).fields}
         worst = max(used, key=lambda field: used[field], default="")
         return used.get(worst, 0.0), worst
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the share of the tolerance that storing these tables in 16 bits uses, and its field."""
+        """Return the largest share of a tolerance that 16-bit weight tables use, and the field."""
         self.stored = stored
         return self(())
 
     def _used(self, field: FieldParity) -> float:
-        """Return the used share of a field's tolerance, without the part for storing the outputs."""
+        """Return the used share of a field's tolerance, without the error of storing outputs."""
         base = self._stored.get(field.field, 0.0)
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 
     def of_model(self, model: ir.Model, limits: Limits) -> Parity:
-        """Compare a converted model with float32, at probes that the search did not use, too."""
-        references = [*self._references, *self._unseen]
-        probes = [reference.probe for reference in references]
+        """Compare a float16 model with float32, also at test inputs that the search did not use."""
+        probes = [*self.probes, *self._unseen]
+        known = self._references if self._step == 1 else ()
+        references = chain(known, (self._reference(probe) for probe in probes[len(known) :]))
         with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
             file = Path(folder) / "float16.onnx"
             save_model(model, file, external_weights=has_external_weights(model))
             size = sum(path.stat().st_size for path in Path(folder).iterdir())
-            with execute(file, self.names, probes, limits.for_model(size)) as execution:
-                if execution.fault is not None:
-                    raise RewriteFailed(
-                        f"ONNX Runtime cannot run the result: {execution.fault.message}",
-                        where="float16",
-                    )
-                outputs = [
-                    self._read(execution.samples[run.sample].outputs) for run in execution.runs
-                ]
-                return self._compared(references, outputs)
+            runs = run_in_groups(
+                file,
+                self.names,
+                probes,
+                limits.for_model(size + self.frame_bytes),
+                frame_bytes=self.frame_bytes,
+                failure=_cannot_run,
+            )
+            return self._compared(references, (self._read(outputs) for outputs in runs))
+
+
+def _cannot_run(message: str) -> RewriteFailed:
+    return RewriteFailed(f"ONNX Runtime cannot run the result: {message}", where="float16")
 
 
 def _unseen(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:
-    """Return probes with other cameras, times and poses than those of the search."""
+    """Return test inputs with other cameras, times and poses than those of the float16 search."""
     inputs = probes[0].inputs
     shapes = {name: array.shape for name, array in inputs.items()}
     dtypes = {name: array.dtype.name for name, array in inputs.items()}

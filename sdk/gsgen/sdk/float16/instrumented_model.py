@@ -1,4 +1,4 @@
-"""A model that rounds selected nodes and tables to float16, with another selection in every run."""
+"""A model that rounds selected nodes and weights to float16, with another selection in each run."""
 
 __all__ = ["FLAGS", "GUARD_ELEMENTS", "InstrumentedModel", "tables"]
 
@@ -81,31 +81,31 @@ class InstrumentedModel:
         selected: Bool[np.ndarray, " n"],
         stored: Bool[np.ndarray, " w"] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Return the outputs, in float32, with the selected units and stored tables rounded."""
+        """Return the float32 outputs with the selected nodes and tables rounded to float16."""
         if stored is None:
             stored = np.zeros(len(self.weights), np.bool_)
         session_inputs = {**inputs, **self._constants(stored), FLAGS: selected}
         return _run(self._session, self._names, session_inputs)
 
     def _halved(self, name: str) -> HalfTable:
-        """Return a table stored in 16 bits a number."""
+        """Return a weight table stored in 16 bits a number."""
         if name not in self._halves:
             in_steps = self.weights.index(name) not in self.unstepped
             self._halves[name] = half_table(self._tables[name], in_steps=in_steps)
         return self._halves[name]
 
     def is_in_steps(self, table: int) -> bool:
-        """Return whether a table is stored in even steps rather than as float16."""
+        """Return whether a weight table is stored in even steps rather than as float16."""
         return self._halved(self.weights[table]).step is not None
 
     def store_unstepped(self, tables: Collection[int]) -> None:
-        """Store these tables as float16, and the others in the form that is closer."""
+        """Store the given weight tables as float16, and all others in the form that is closer."""
         for table in self.unstepped ^ frozenset(tables):
             self._halves.pop(self.weights[table], None)
         self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})
 
     def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
-        """Return the tables and the results of constant nodes; those of the last selection are cached."""
+        """Return weight tables and results of constant nodes, cached for one selection."""
         key = stored.tobytes()
         if key != self._cached.key or not self._cached.arrays:
             arrays = {
@@ -120,14 +120,14 @@ class InstrumentedModel:
 
 @dataclass(frozen=True, slots=True)
 class _CachedConstants:
-    """The tables and the results of constant nodes for one selection of stored tables."""
+    """Cached weight tables and results of constant nodes, for one selection of stored tables."""
 
     key: bytes
     arrays: Mapping[str, np.ndarray]
 
 
 def tables(graph: ir.Graph) -> list[ir.Value]:
-    """Return the float32 weights that fit the range of float16 and have too many elements for a guard."""
+    """Return the float32 weights that fit the range of float16, without small constants."""
     return [value for value in graph.initializers.values() if _is_table(value)]
 
 
@@ -152,7 +152,7 @@ def _run(session: Any, names: list[str], arrays: Mapping[str, np.ndarray]) -> di
 
 
 def _feed_tables(model: ir.Model, names: Sequence[str]) -> None:
-    """Turn tables into inputs, so that each run can round them."""
+    """Turn weight tables into graph inputs, so that each run can round them."""
     for name in names:
         value = model.graph.initializers.pop(name, None)
         if value is not None:

@@ -1,4 +1,4 @@
-"""Decides which tables and nodes stay float32: costly ones, guards, and islands between them."""
+"""Decides which weight tables and nodes stay float32: costly ones, ε guards, and isolated nodes."""
 
 __all__ = ["RetainedFloat32", "choose_tables", "epsilon_guards", "merge_islands", "retained_nodes"]
 
@@ -41,14 +41,11 @@ class RetainedFloat32:
 
 
 def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
-    """Find tables to store in 16 bits a number: large tables first, since they save the most.
+    """Choose weight tables to store in 16 bits: large tables first, since they save the most.
 
     A table whose even steps are too coarse is tried as float16, which rounds small numbers less.
 
-    Args:
-        measure: Measures the error of stored tables.
-        budget: Largest number of measurements.
-        allowed: Largest share of the tolerance.
+    ``allowed`` is the largest share of the tolerance.
     """
     # Step 1: large tables, each in the form that is closer.
     measure.model.store_unstepped(())
@@ -85,7 +82,7 @@ def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
 
 
 def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
-    """Return nodes that must stay float32 even if the probes show no error, with the reasons.
+    """Return nodes that stay float32 for safety: comparisons, ε guards, constants above 65,504.
 
     Case 1: a comparison turns a small error into a large one, at a time between the probes.
     Case 2: a constant beyond 65,504 becomes infinite.
@@ -125,7 +122,7 @@ def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
 def retained_nodes(
     nodes: Sequence[ir.Node], guarded: Mapping[ir.Node, str], costly: Sequence[Sensitivity]
 ) -> list[RetainedFloat32]:
-    """Return the nodes that stay float32: guards, and groups whose measured error is too large."""
+    """Return the nodes that stay float32: ε guards, and groups whose error is too large."""
     able = set(nodes)
     retained = [
         RetainedFloat32(node_key(node), reason) for node, reason in guarded.items() if node in able
@@ -140,7 +137,7 @@ def retained_nodes(
 def merge_islands(
     boundary: Boundary, nodes: Sequence[ir.Node], retained: Sequence[RetainedFloat32]
 ) -> list[RetainedFloat32]:
-    """Return further nodes to retain in float32, because that saves Casts."""
+    """Return further nodes to retain in float32 because that saves Casts around them."""
     keep = {entry.node for entry in retained}
     added: list[RetainedFloat32] = []
     while True:

@@ -1,4 +1,4 @@
-"""Search for many units that can be quantized together, within a budget of measurements."""
+"""Searches for many nodes or tables that can be quantized together, with few measurements."""
 
 __all__ = ["Search", "Sensitivity", "max_quantizable"]
 
@@ -11,32 +11,21 @@ _HARMLESS = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """The error of quantizing some units, and no others.
+    """The output error of quantizing some nodes or tables, and no others."""
 
-    Attributes:
-        units: Indices of the units, neighbours in the graph.
-        excess: The error as a share of the tolerance.
-        field: The field with the largest error.
-    """
-
-    units: tuple[int, ...]
-    excess: float
-    field: str
+    units: tuple[int, ...]  # indices of the units, neighbours in the graph
+    excess: float  # the error as a share of the tolerance
+    field: str  # the field with the largest error
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The result of a search.
+    """The quantized nodes or tables that a sensitivity search chose, and the measured errors."""
 
-    Attributes:
-        quantized: Indices of the units that can be quantized together.
-        retained: The other units, in groups, each with its error if quantized alone.
-        measured: Number of measured choices.
-    """
-
-    quantized: frozenset[int]
+    quantized: frozenset[int]  # indices of the units that can be quantized together
+    # the other units, in groups, each with its error if quantized alone
     retained: tuple[Sensitivity, ...]
-    measured: int
+    measured: int  # number of measured choices
 
 
 Measure = Callable[[Collection[int]], tuple[float, str]]
@@ -45,7 +34,7 @@ Measure = Callable[[Collection[int]], tuple[float, str]]
 def max_quantizable(
     units: Sequence[int], measure: Measure, *, budget: int = 200, allowed: float = 1.0
 ) -> Search:
-    """Find many units that can be quantized together with an error of at most ``allowed``.
+    """Find many nodes or tables to quantize together, with an error of at most ``allowed``.
 
     Step 1: all units together.
     Step 2: groups of neighbours are measured alone and halved, the most costly first, until each
@@ -54,11 +43,8 @@ def max_quantizable(
     bisection.
     Step 4: each of the other groups is added if the error stays small enough.
 
-    Args:
-        units: Indices of the units, in the order of the graph.
-        measure: Returns the error of quantizing these units, and the field with that error.
-        budget: Largest number of measurements; step 4 ends early beyond it.
-        allowed: The largest error of the result, as a share of the tolerance.
+    ``measure`` returns the error, as a share of the tolerance, and the field that has it.
+    ``budget`` limits its calls; step 4 ends early beyond it.
     """
     count = 0
 

@@ -69,7 +69,7 @@ class ToFloat16(CautiousRewrite):
         return
 
     def rewrite(self, model: ir.Model) -> None:
-        """Convert nodes, weights and outputs, and insert Casts between them."""
+        """Convert nodes, weights and outputs to float16, and insert Casts at float32 nodes."""
         graph, opset = model.graph, opset_of(model)
         once = set(constant_nodes(graph))
         selected = [
@@ -212,7 +212,7 @@ def _convert_weight(
 
 
 def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: HalfInputs) -> None:
-    """Store a weight as ``table``, for readers of either dtype."""
+    """Store a weight in 16 bits, for readers in float16 and in float32."""
     value.const_value = ir.tensor(table.numbers, name=value.name)
     value.type = ir.TensorType(value.const_value.dtype)
     if table.step is None or table.start is None:
@@ -236,7 +236,7 @@ def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: Half
 def _convert_value(
     graph: ir.Graph, value: ir.Value, half_inputs: HalfInputs, *, is_half: bool
 ) -> None:
-    """Insert a Cast after ``value`` for its readers in the other dtype."""
+    """Insert a Cast after ``value`` for its readers in the other float dtype."""
     mismatched = [use for use in _readers(value) if (use in half_inputs) is not is_half]
     if not mismatched:
         return
@@ -247,7 +247,7 @@ def _convert_value(
 
 
 def _convert_output(graph: ir.Graph, index: int, value: ir.Value, *, is_half: bool) -> None:
-    """Cast an output to its new dtype, and keep its name."""
+    """Cast a graph output to its new float dtype, and keep its name."""
     dtype = HALF if is_half else FLOAT
     if value.dtype == dtype:
         return
@@ -283,7 +283,7 @@ def _insert_after(graph: ir.Graph, value: ir.Value, node: ir.Node) -> None:
 
 
 class Boundary:
-    """Counts the Casts that :class:`ToFloat16` would write for a list of nodes to keep."""
+    """Counts the Casts that a conversion to float16 inserts between float16 and float32 nodes."""
 
     def __init__(self, graph: ir.Graph, opset: int) -> None:
         self._graph = graph

@@ -1,4 +1,4 @@
-"""Store tables of weights in 16 bits a number: as float16, or in even steps for each column.
+"""Stores weight tables in 16 bits a number: as float16, or in even steps for each column.
 
 Float16 rounds every number to 11 significant bits. 65,536 even steps between the smallest and the
 largest number of a column are finer for numbers that fill the range: positions in a scene,
@@ -32,22 +32,18 @@ Block = tuple[slice, slice, slice]
 
 @dataclass(frozen=True, slots=True)
 class HalfTable:
-    """A table of weights, stored in 16 bits a number.
+    """A table of weights, stored in 16 bits a number."""
 
-    Attributes:
-        numbers: float16, or the steps as uint16; of the table's shape.
-        step: Size of a step, float32 [columns], [] for all, or of another axis, such as [rows, 1];
-            None with float16.
-        start: The number of step 0, of the same shape as ``step``.
-    """
-
-    numbers: np.ndarray
+    numbers: np.ndarray  # float16, or the steps as uint16; of the table's shape
+    # size of a step, float32 [columns], [] for all, or of another axis, such as [rows, 1]; None
+    # with float16
     step: Float32[np.ndarray, "..."] | None = None
+    # the number of step 0, of the same shape as ``step``
     start: Float32[np.ndarray, "..."] | None = None
 
     @property
     def decoded(self) -> Float32[np.ndarray, "..."]:
-        """The float32 numbers that the graph computes from the stored ones."""
+        """The float32 numbers that the graph computes from the stored 16-bit numbers."""
         numbers = self.numbers.astype(np.float32)
         if self.step is None or self.start is None:
             return numbers
@@ -55,14 +51,10 @@ class HalfTable:
 
 
 def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> HalfTable:
-    """Store a table in the form that is closer to it, or as float16 without ``in_steps``.
+    """Store a weight table as float16 or in even steps, whichever is closer to float32.
 
     Float16 suits sizes from very small to large: even steps may be closer by the mean square, but
     make the small numbers zero.
-
-    Args:
-        array: Numbers within the range of float16.
-        in_steps: Whether even steps are tried.
     """
     if in_steps and array.size >= LEAST_ELEMENTS:
         steps = _in_steps(array)
@@ -72,7 +64,7 @@ def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> H
 
 
 def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
-    """Store a table in even steps; None if float16 is as close, by the mean square."""
+    """Store a weight table in even steps; None if float16 is as close, by the mean square."""
     axis = _axis_of_steps(array)
     start, width = _range(array, axis)
     step = (width / _STEPS).astype(np.float32)
@@ -95,7 +87,7 @@ def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
 
 
 def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
-    """Return the axis whose positions have their own steps; None if all numbers share one."""
+    """Return the axis whose positions have step sizes of their own; None for one size."""
     last = array.ndim - 1
     axes = [k for k, n in enumerate(array.shape) if 1 < n <= array.size // _LEAST_ROWS]
     coarse = {k: float(np.square(_range(array, k)[1]).mean()) for k in axes}
@@ -107,7 +99,7 @@ def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
 def _range(
     array: Float32[np.ndarray, "..."], axis: int | None
 ) -> tuple[Float32[np.ndarray, " k"], np.ndarray]:
-    """Return the smallest number at each position of ``axis``, and the width of the range there."""
+    """Return minimum and width of the value range at each position of ``axis``."""
     other_axes = tuple(k for k in range(array.ndim) if k != axis)
     least = np.atleast_1d(array.min(axis=other_axes))
     return least, np.atleast_1d(array.max(axis=other_axes)).astype(np.float64) - least
@@ -129,5 +121,5 @@ def _blocks(shape: tuple[int, int, int]) -> Iterator[Block]:
 
 
 def _error(table: HalfTable, array: Float32[np.ndarray, "..."]) -> float:
-    """Return the sum of squared errors of the decoded table."""
+    """Return the sum of squared errors of a decoded weight table."""
     return float(np.square(table.decoded - array, dtype=np.float64).sum())

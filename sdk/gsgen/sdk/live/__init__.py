@@ -1,1 +1,1 @@
-"""Does a model compute the same if a GPU captures and replays it (level live)?"""
+"""Does a model compute the same when WebGPU captures and replays it (validation level ``live``)?"""

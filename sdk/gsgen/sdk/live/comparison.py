@@ -29,7 +29,7 @@ _EXPECTED = "the CPU's value"
 
 
 def wrong_replays(live: Live) -> Iterator[WrongReplay]:
-    """Yield every output whose replays are wrong, including undeclared outputs."""
+    """Yield every output whose replayed frames differ from uncaptured ones, undeclared ones too."""
     graph = live.subject.graph
     pairs = [(f.uncaptured, f.replayed) for f in live.frames if f.uncaptured and f.replayed]
     uncaptured, replayed = ([expected for expected, _ in pairs], [actual for _, actual in pairs])
@@ -53,7 +53,7 @@ def disagreements(live: Live) -> Iterator[tuple[str, str, str]]:
 
 
 def _compare_rows(live: Live, frames: list[Frame]) -> Parity | None:
-    """Compare packed rows field by field; None if the model has no packed rows."""
+    """Compare packed Gaussians of two runs field by field; None for a model without packed rows."""
     generator = live.subject.generator
     if generator is None:
         return None
@@ -118,7 +118,7 @@ def _declared_names(live: Live) -> set[str]:
 
 
 def _compare_whole(name: str, frames: list[Frame]) -> Iterator[tuple[str, str, str]]:
-    """Compare one whole output, relative to its largest value."""
+    """Compare one whole output of two runs, relative to the output's largest value."""
     for frame in frames:
         cpu, gpu = np.asarray(frame.cpu[name]), np.asarray((frame.uncaptured or {})[name])
         if not agree(cpu, gpu, _TOLERANCE):

@@ -1,4 +1,4 @@
-"""Example models that violate a rule of level ``live`` and pass all lower levels.
+"""Fixtures: models that violate a rule of validation level ``live`` and pass all lower levels.
 
 They extend the corpus of :mod:`gsgen.conformance.fixtures`, whose models need no GPU.
 """
@@ -22,13 +22,13 @@ _PARTS = 64
 
 
 def live_fixtures() -> list[Fixture]:
-    """Return the example models, one per rule."""
+    """Return one faulty example model for each rule of validation level ``live``."""
     return fixtures_in(sys.modules[__name__])
 
 
 @invalid("GB011", level=Level.LIVE)
 def integers_of_64_bits() -> ModelSpec:
-    """A number above 2³² is added and removed; the GPU keeps only its lower half."""
+    """Fixture: a generator that adds and removes a number above 2³², which a GPU truncates."""
     counted = drifting().reworded(
         SHIFT_NODE,
         "scaled = Mul (time, thousand) whole = Cast <to = 7> (scaled) far = Add (whole, big) "
@@ -40,7 +40,7 @@ def integers_of_64_bits() -> ModelSpec:
 
 @invalid("GB014", level=Level.LIVE)
 def branches_by_if() -> ModelSpec:
-    """An If whose branches differ; a graph rule warns about it, too."""
+    """Fixture: a generator with an If whose branches differ; a graph rule warns about it, too."""
     branched = drifting().reworded(
         SHIFT_NODE,
         "late = Greater (time, half) turned = If (late) <then_branch = t () => (float[1] a) { a = Neg (time) }, "
@@ -52,7 +52,7 @@ def branches_by_if() -> ModelSpec:
 
 @invalid("GB015", level=Level.LIVE)
 def round_on_the_cpu() -> ModelSpec:
-    """Time is rounded to tenths by Round, which has no GPU kernel."""
+    """Fixture: a generator that rounds time to tenths by Round, which has no GPU kernel."""
     stepped = drifting().reworded(
         SHIFT_NODE,
         "scaled = Mul (time, ten) whole = Round (scaled) step = Div (whole, ten) "
@@ -63,7 +63,7 @@ def round_on_the_cpu() -> ModelSpec:
 
 @invalid("GB016", level=Level.LIVE)
 def output_from_idle_sum() -> ModelSpec:
-    """The output is a ReduceSum over no axis, which is a copy; a graph rule warns about it, too."""
+    """Fixture: a generator whose output is a ReduceSum over no axis, which only copies."""
     return drifting().reworded(
         _OUTPUT_NODE,
         "packed = Concat <axis = 1> (moved, opacity, spread) "
@@ -73,7 +73,7 @@ def output_from_idle_sum() -> ModelSpec:
 
 @invalid("GB017", level=Level.LIVE)
 def split_into_many() -> ModelSpec:
-    """A Split has more outputs than a kernel may bind, which only fails at its launch."""
+    """Fixture: a generator with a Split into more outputs than a GPU kernel may bind."""
     parts = ", ".join(f"part_{index}" for index in range(_PARTS))
     wide_split = drifting().reworded(
         SHIFT_NODE,

@@ -35,22 +35,16 @@ Event = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class EarlyStop:
-    """The reason why a session ended before the last frame.
+    """The reason why a session ended before the last frame."""
 
-    Attributes:
-        phase: ``plain`` or ``captured``.
-        frame: Number of the frame; -1 during the creation of the session.
-        message: ONNX Runtime's message, or how the process ended.
-    """
-
-    phase: str
-    frame: int
-    message: str
+    phase: str  # ``plain`` or ``captured``
+    frame: int  # number of the frame; -1 during the creation of the session
+    message: str  # ONNX Runtime's message, or how the process ended
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The outputs of one frame, computed in three ways.
+    """The outputs of one frame on the CPU, in WebGPU without capture, and in WebGPU by replay.
 
     Attributes:
         probe: The inputs.
@@ -67,23 +61,15 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Live:
-    """The results of running a model in the WebGPU provider.
-
-    Attributes:
-        subject: The model.
-        adapter: The adapter that it ran on.
-        nodes: Execution provider of each node without capture; None without a session.
-        accepted: Whether ONNX Runtime accepted to capture the model.
-        stop: The reason for an early end, if any.
-        frames: All frames; the first one was captured, the others were replayed.
-    """
+    """The results of running a model in the WebGPU provider."""
 
     subject: InspectedModel
-    adapter: str
+    adapter: str  # the adapter that it ran on
+    # execution provider of each node without capture; None without a session
     nodes: tuple[Node, ...] | None
-    accepted: bool
-    stop: EarlyStop | None
-    frames: tuple[Frame, ...]
+    accepted: bool  # whether ONNX Runtime accepted to capture the model
+    stop: EarlyStop | None  # the reason for an early end, if any
+    frames: tuple[Frame, ...]  # all frames; the first one was captured, the others were replayed
 
     @property
     def refusal(self) -> str:
@@ -94,7 +80,7 @@ class Live:
 
     @property
     def state(self) -> str:
-        """The result of the capture, in one line."""
+        """The result of the graph capture, in one line."""
         if self.accepted:
             replayed = sum(frame.replayed is not None for frame in self.frames)
             return f"accepted, {max(replayed - 1, 0)} replays"
@@ -103,12 +89,7 @@ class Live:
 
 @contextmanager
 def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
-    """Run the model of ``trial`` in WebGPU; the arrays are valid within the ``with`` block.
-
-    Raises:
-        LevelUnavailable: A package, a driver or a feature of the adapter is missing.
-        RuntimeError: ONNX Runtime silently fell back to the CPU.
-    """
+    """Run a model in WebGPU; the returned arrays are valid within the ``with`` block."""
     _need_package()
     runs = _select_runs(trial)
     subject, probes = trial.subject, [trial.plan.probes[run] for run in runs]
@@ -126,11 +107,7 @@ def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
 
 
 def survey(seconds: float = 60) -> dict[str, str]:
-    """Return versions and adapter of the WebGPU provider, found out by a child process.
-
-    Raises:
-        LevelUnavailable: A package or a driver is missing.
-    """
+    """Start a child process that returns versions and adapter of the WebGPU provider."""
     _need_package()
     with execute(Path(), [], [], Limits(seconds=seconds), _WORKER, half=False) as execution:
         _raise_if_unavailable(execution)
@@ -144,7 +121,7 @@ def _need_package() -> None:
 
 
 def _select_runs(trial: ProbeRuns) -> list[int]:
-    """Return runs with different inputs; the last one repeats the first."""
+    """Return runs of the model with different inputs; the last run repeats the first."""
     plan = trial.plan
     runs = [run for run in range(plan.values) if not plan.probes[run].zeros]
     zeros = [run for run in range(plan.values) if plan.probes[run].zeros]
@@ -156,7 +133,7 @@ def _select_runs(trial: ProbeRuns) -> list[int]:
 
 
 def _raise_if_unavailable(execution: Execution) -> None:
-    """Raise if the child process ended before it ran the model."""
+    """Raise if the child process ended before it ran the model in WebGPU."""
     for event in execution.events:
         if event["event"] == "fell-back":
             raise RuntimeError(f"ONNX Runtime fell back to the CPU: {event['message']}")
@@ -177,7 +154,7 @@ def _environment(events: tuple[Event, ...]) -> dict[str, str]:
 
 
 def _adapter(events: tuple[Event, ...]) -> str:
-    """Return the adapter's name, its kind and its float16 support, as text."""
+    """Return a GPU's name, kind and float16 support, as text."""
     device = next((e["name"] for e in events if e["event"] == "device"), "")
     for event in events:
         if event["event"] == "adapter":

@@ -1,4 +1,4 @@
-"""The worker process of level live: runs one model in ONNX Runtime's WebGPU provider, then exits.
+"""The worker process of validation level ``live``: runs one model in WebGPU, then exits.
 
 Every frame is computed twice: by a session without capture, then by one that captures its commands
 with the first frame and replays them for the others. Both write their outputs to files for the
@@ -40,7 +40,7 @@ class Opener(Protocol):
 
 
 def main(folder: Path) -> int:
-    """Run the job that ``folder/job.json`` describes, and return the exit code."""
+    """Run the WebGPU job that ``folder/job.json`` describes, and return the exit code."""
     return serve(folder, _work)
 
 
@@ -76,7 +76,7 @@ def _set_driver_environment(folder: Path) -> None:
 
 
 def _find_provider(emit: Emit) -> Opener:
-    """Report the device, and return a function that opens sessions on it."""
+    """Report the GPU of the WebGPU provider, and return a function that opens sessions on it."""
     adapter = find_adapter()
     emit("device", name=adapter.name, version=adapter.version)
     choice = Choice("webgpu", "requested", adapter, is_requested=True)
@@ -88,7 +88,7 @@ def _find_provider(emit: Emit) -> Opener:
 
 
 def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> None:
-    """Run a minimal model in float32 and float16, and report the adapter that ran it."""
+    """Run a minimal model in float32 and float16, and report the GPU that ran it."""
     try:
         _run_smallest(opener, "float32")
     except FellBack:
@@ -140,7 +140,7 @@ class _Frames:
             self._phase("captured", self._captured)
 
     def _phase(self, name: str, work: Callable[[], None]) -> bool:
-        """Run a phase and return whether it finished; report an error as a fact about the model."""
+        """Run one phase of the job, and return success; an error is reported as a fact."""
         self.index = -1
         try:
             work()
@@ -170,7 +170,7 @@ class _Frames:
             self._keep("plain", dict(zip(names, outputs, strict=True)))
 
     def _captured(self) -> None:
-        """Capture the first frame and replay it for the others, with the same buffers."""
+        """Capture the first frame, and replay the capture for the others with the same buffers."""
         session = self.opener(Path(self.job["model"]), capture=True)
         self.emit("accepted")
         bound: BoundSession | None = None

@@ -13,7 +13,7 @@ from gsgen.sdk.math.rotations import quaternion_to_matrix
 def covariance_upper(
     scale: Float[Tensor, "n 3"], rotation: Float[Tensor, "n 4"]
 ) -> Float[Tensor, "n 6"]:
-    """Return xx xy xz yy yz zz of Σ = R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6).
+    """Return xx xy xz yy yz zz of the covariance R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6).
 
     Args:
         scale: Linear standard deviations along the local axes.
@@ -27,14 +27,14 @@ def covariance_upper(
 
 
 def covariance_matrix(upper: Float[Tensor, "n 6"]) -> Float[Tensor, "n 3 3"]:
-    """Return the symmetric matrices of upper triangles."""
+    """Convert upper triangles xx xy xz yy yz zz to symmetric 3×3 matrices."""
     xx, xy, xz, yy, yz, zz = upper.unbind(dim=-1)
     entries = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
     return torch.stack(entries, dim=-1).reshape(*upper.shape[:-1], 3, 3)
 
 
 def upper_triangle(matrix: Float[Tensor, "n 3 3"]) -> Float[Tensor, "n 6"]:
-    """Return xx xy xz yy yz zz of symmetric matrices."""
+    """Return the upper triangles xx xy xz yy yz zz of symmetric 3×3 matrices."""
     rows = matrix.unbind(dim=-2)
     return torch.stack([rows[a][..., b] for a, b in UPPER_TRIANGLE], dim=-1)
 

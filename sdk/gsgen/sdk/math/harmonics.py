@@ -20,7 +20,7 @@ _Y0 = 0.28209479177387814
 
 
 def sh_from_channel_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
-    """Reorder coefficients that are stored red first, then green, then blue.
+    """Reorder SH coefficients that are stored red first, then green, then blue.
 
     Args:
         sh: [N, 3, K], or [N, 3K] with all red coefficients first.
@@ -35,7 +35,7 @@ def sh_from_channel_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
 
 
 def sh_from_coefficient_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
-    """Reshape coefficients that are stored in sequence, each as red, green, blue.
+    """Reshape SH coefficients that are stored in sequence, each as red, green, blue.
 
     Args:
         sh: [N, K, 3], or [N, 3K] with the constant term first.

@@ -26,7 +26,7 @@ _HEX = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 def to_unit_cube(
     position: Float[Tensor, "n 3"], low: Float[Tensor, "3"], high: Float[Tensor, "3"]
 ) -> Float[Tensor, "n 3"]:
-    """Map a box to [−1, 1]³, the range of plane coordinates."""
+    """Map the points of a box to [−1, 1]³, the range of plane coordinates."""
     return (position - low) * (2 / (high - low)) - 1
 
 
@@ -97,7 +97,7 @@ def tri_plane(
     align_corners: bool = True,
     padding: Padding = "border",
 ) -> Float[Tensor, "n f"]:
-    """Sample three planes (Chan et al. 2022, "EG3D").
+    """Sample the three feature planes of a tri-plane (Chan et al. 2022, "EG3D").
 
     Args:
         planes: Spanned by xy, xz and yz, the first coordinate along the width.

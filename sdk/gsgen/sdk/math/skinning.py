@@ -73,7 +73,7 @@ def skin(
 
 
 def _local(turns: Tensor, joints: Tensor, parents: Sequence[int]) -> Float[Tensor, "j 4 4"]:
-    """Return each joint's transform in its parent's frame."""
+    """Return each joint's rigid transform in the frame of its parent joint."""
     origin = torch.cat([joints, torch.zeros_like(joints[:1])], dim=0)
     offset = joints - origin.index_select(0, _indices(parents, joints))
     last = torch.eye(4, dtype=turns.dtype, device=turns.device)[3].expand(len(parents), 1, 4)
@@ -81,7 +81,7 @@ def _local(turns: Tensor, joints: Tensor, parents: Sequence[int]) -> Float[Tenso
 
 
 def _chained(local: Float[Tensor, "j 4 4"], parents: Sequence[int]) -> Float[Tensor, "j 4 4"]:
-    """Multiply every transform by those of all its ancestors."""
+    """Multiply each joint's transform by those of all its ancestors."""
     root = torch.eye(4, dtype=local.dtype, device=local.device)[None]
     transforms = torch.cat([local, root], dim=0)
     for ancestors in _ancestor_rounds(parents):
@@ -90,7 +90,7 @@ def _chained(local: Float[Tensor, "j 4 4"], parents: Sequence[int]) -> Float[Ten
 
 
 def _ancestor_rounds(parents: Sequence[int]) -> Iterator[list[int]]:
-    """Yield the ancestor of each joint for each round; the last index means no ancestor."""
+    """Yield each joint's ancestor at distance 1, 2, 4, …; the last index means no ancestor."""
     none = len(parents)
     ancestors = [*parents, none]
     while any(ancestor != none for ancestor in ancestors):
@@ -103,7 +103,7 @@ def _indices(values: Sequence[int], like: Tensor) -> Tensor:
 
 
 def _parent_indices(parents: Sequence[int], count: int, shape: tuple[int, ...]) -> list[int]:
-    """Validate the parents, and return them with ``count`` for roots."""
+    """Validate the parent joints, and return their indices, with ``count`` for roots."""
     where = "skinning_transforms, parents"
     if len(parents) != count or shape != (count, 3):
         message = f"{count} turns, {len(parents)} parents and joints of shape {list(shape)}"

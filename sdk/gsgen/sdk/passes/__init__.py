@@ -1,4 +1,4 @@
-"""Which graph rewrites exist, and which outputs can they repair? None changes what a graph computes."""
+"""Which graph rewrites exist, and which outputs can they repair?"""
 
 __all__ = [
     "CastCount",

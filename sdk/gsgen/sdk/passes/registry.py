@@ -95,13 +95,7 @@ def find_rewrites(
 ) -> list[Rewrite]:
     """Return the rewrites that ``target`` needs, in order.
 
-    Args:
-        target: The consumer to rewrite for.
-        only: Names of the passes to run; all if empty.
-        skip: Names of passes not to run.
-
-    Raises:
-        UnknownName: No pass has this name.
+    ``only`` and ``skip`` are names of passes; all run without ``only``.
     """
     known = [rewrite.name for rewrite in REWRITES]
     for option, names in (("--pass", only), ("--skip", skip)):

@@ -1,4 +1,4 @@
-"""Repairs of outputs that violate a rule, where only one repair is possible."""
+"""Repairs of model outputs that violate a rule, where only one repair is possible."""
 
 __all__ = [
     "CastCount",
@@ -34,7 +34,7 @@ class CastCount(passes.InPlacePass):
         self.name = name
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Reshape and cast the count; Cast comes last because graph capture records it."""
+        """Reshape and cast the row count; Cast comes last because graph capture records it."""
         graph, count = model.graph, _output(model, self.name)
         flat = count.shape is not None and list(count.shape) == [1]
         if flat and count.dtype == ir.DataType.INT32:
@@ -66,7 +66,7 @@ class PadColor(passes.InPlacePass):
         self.name = name
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Append a column of ones to the colour output."""
+        """Append a column of ones to the colour output of a float16 model."""
         graph, color = model.graph, _output(model, self.name)
         if color.shape is None or len(color.shape) != 2 or color.shape[1] != _RGB:
             return passes.PassResult(model, modified=False)
@@ -105,7 +105,7 @@ class SilencePadding(passes.InPlacePass):
         self.count = count
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Mask each output with the same condition, row number < count."""
+        """Mask the rows after the count of each output, with the condition row number < count."""
         graph, count = model.graph, _output(model, self.count)
         outputs = [_output(model, name) for name in self.names]
         rows = outputs[0].shape[0] if outputs[0].shape is not None else None
@@ -133,11 +133,7 @@ class RenameOutputs(passes.InPlacePass):
         self.names = names
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rename the outputs; an inner value that has the new name gets another one.
-
-        Raises:
-            GsgenError: An input or another output already has the new name.
-        """
+        """Rename the outputs of a model; inner values with one of the new names get another one."""
         renames = {old: new for old, new in self.names.items() if old != new}
         graph = model.graph
         ends = {*graph.inputs, *(v for v in graph.outputs if v.name not in renames)}
@@ -157,14 +153,14 @@ class RenameOutputs(passes.InPlacePass):
 
 
 class PinDimensions(passes.InPlacePass):
-    """Give symbolic dimensions of inputs and outputs a size (rule GO004)."""
+    """Give symbolic dimensions of inputs and outputs a fixed size (rule GO004)."""
 
     def __init__(self, sizes: Mapping[str, int]) -> None:
         super().__init__()
         self.sizes = sizes
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Replace every symbolic dimension that has a size."""
+        """Replace every symbolic dimension for which the user passed a size."""
         modified = False
         for value in (*model.graph.inputs, *model.graph.outputs):
             if value.shape is None:
@@ -197,7 +193,7 @@ class ReorderHarmonics(passes.InPlacePass):
         self.name = name
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Gather the columns in coefficient-major order."""
+        """Gather the columns of the SH output in coefficient-major order."""
         graph, color = model.graph, _output(model, self.name)
         size = color.shape[1] if color.shape is not None and len(color.shape) == 2 else None
         if not isinstance(size, int) or size % _RGB:

@@ -1,1 +1,1 @@
-"""How does a method become a subcommand of `gsgen export`?"""
+"""How does a published method become a subcommand of `gsgen export`?"""

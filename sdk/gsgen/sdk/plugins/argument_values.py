@@ -16,16 +16,10 @@ _SEQUENCES = (list, tuple, Sequence)
 
 
 def convert(text: str, annotation: Any, where: str) -> Any:
-    """Return ``text`` as a value of ``annotation``.
+    """Convert text from the command line to a value of the declared type ``annotation``.
 
-    Args:
-        text: The text that the user typed.
-        annotation: ``str``, ``int``, ``float``, ``bool``, ``Path``, an Enum, a Literal, a union or
-            a list or tuple of those (separated by commas).
-        where: The option to name in an error, such as ``--arg side``.
-
-    Raises:
-        ConfigInvalid: The text is not a value of that type, or the type has no text form.
+    Types: ``str``, ``int``, ``float``, ``bool``, ``Path``, an Enum, a Literal, a union, or a list
+    or tuple of those (separated by commas). ``where`` names the option in an error.
     """
     try:
         return _converted(text, annotation)
@@ -67,7 +61,7 @@ def _converted(text: str, annotation: Any) -> Any:
 
 
 def _first_that_fits(text: str, members: Sequence[Any]) -> Any:
-    """Try each member of a union; text comes last, since every value is a text."""
+    """Convert text by the first matching member of a union; str comes last since it always fits."""
     for member in sorted(members, key=lambda member_type: member_type in (str, Path, Any)):
         try:
             return _converted(text, member)
@@ -128,6 +122,6 @@ def _described(annotation: Any) -> str:
 
 
 def name_of(annotation: Any) -> str:
-    """Return a type as it is written in an annotation."""
+    """Return a Python type as it is written in an annotation."""
     is_class = isinstance(annotation, type) and get_origin(annotation) is None
     return annotation.__name__ if is_class else str(annotation).replace("typing.", "")

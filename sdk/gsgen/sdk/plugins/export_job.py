@@ -19,14 +19,7 @@ if TYPE_CHECKING:
 def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
     """Build a module or scene, export it, and print the validator's findings.
 
-    Args:
-        build: Returns the module or scene.
-        request: The options of the export.
-        source: The plugin's name, or ``module:factory``.
-
-    Raises:
-        typer.Exit: With code 1, if it cannot be exported as a model that conforms.
-        GsgenError: Torch is not installed, or an option or input file is invalid.
+    Exits with code 1 if no conforming model can be exported.
     """
     from gsgen.sdk.errors import (
         ExportFailed,
@@ -67,7 +60,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
 
 def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult":
-    """Check the options, build, and export through the pipeline of the module's kind."""
+    """Check the options, build the module or scene, and export it by its kind."""
     from gsgen.contract.spec.severity import Level
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.settings import Settings
@@ -94,15 +87,17 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
     from gsgen.sdk.exporting.exporter import export
     from gsgen.sdk.exporting.post_process_exporter import export_post_process
 
-    options |= {"dtype": request.dtype or "float32", "rewrite": request.rewrite}
+    options["rewrite"] = request.rewrite
     # Case 2: a model from image to image.
     if isinstance(module, PostProcess):
         if request.capacity is not None:
             message = "a post-process model returns an image, which has no rows"
             raise ConfigInvalid(message, where="--capacity", hint="Leave the option out.")
-        return export_post_process(module, request.output, **options)
+        dtype = request.dtype or "float32"
+        return export_post_process(module, request.output, dtype=dtype, **options)
     # Case 3: a generator.
-    return export(module, request.output, capacity=request.capacity, **options)
+    options |= {"dtype": request.dtype, "capacity": request.capacity, "verify": request.verify}
+    return export(module, request.output, **options)
 
 
 def _built(build: Callable[[], Any]) -> Any:

@@ -27,37 +27,22 @@ OPSETS = (16, 23)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportRequest:
-    """The options of one export.
-
-    Attributes:
-        output: The model file.
-        name: Name in the manifest; the file's stem if absent.
-        dtype: The dtype of the outputs, and with float16 of weights, too; the source's own if
-            absent.
-        capacity: Rows of the outputs; as many as there are Gaussians if absent.
-        opset: ONNX operator set.
-        target: The consumer to rewrite and validate for.
-        level: The last level of the validation.
-        rewrite: Whether to rewrite the graph for runtimes.
-        report: The file for a JSON report on the export; not written if absent.
-    """
+    """The options of one run of `gsgen export`."""
 
     output: Path
-    name: str | None = None
+    name: str | None = None  # name in the manifest; the file's stem if absent
+    # the dtype of the outputs, and with float16 of weights, too; the source's own if absent
     dtype: Literal["float32", "float16"] | None = None
-    capacity: int | None = None
-    opset: int = OPSET
-    target: str = "core"
-    level: str = "behaviour"
-    rewrite: bool = True
-    report: Path | None = None
+    capacity: int | None = None  # rows of the outputs; as many as there are Gaussians if absent
+    opset: int = OPSET  # ONNX operator set
+    target: str = "core"  # the consumer to rewrite and validate for
+    level: str = "behaviour"  # the last level of the validation
+    verify: Literal["quick", "full"] = "full"  # how many probes are compared with eager torch
+    rewrite: bool = True  # whether to rewrite the graph for runtimes
+    report: Path | None = None  # the file for a JSON report on the export; not written if absent
 
     def __post_init__(self) -> None:
-        """Refuse a report that would overwrite a model.
-
-        Raises:
-            ConfigInvalid: The report's path is that of a model.
-        """
+        """Raise if the report of an export would overwrite a model file."""
         if self.report is not None:
             refuse_model(self.report, [self.output])
 
@@ -74,7 +59,7 @@ def _request(
         typer.Option(
             help="Dtype of the outputs; float16 stores weights in 16 bits, too, where the error is "
             "small.",
-            show_default="float32, or that of packed rows",
+            show_default="float32, or that of packed rows or of the target",
         ),
     ] = None,
     capacity: Annotated[
@@ -96,6 +81,10 @@ def _request(
     level: Annotated[
         str, typer.Option(help="Last level to validate: static, values, behaviour, live or render.")
     ] = "behaviour",
+    verify: Annotated[
+        Literal["quick", "full"],
+        typer.Option(help="Compare with eager torch at a third of the probes, or at all of them."),
+    ] = "full",
     no_rewrite: Annotated[
         bool, typer.Option("--no-rewrite", help="Leave the graph as torch exports it.")
     ] = False,
@@ -111,6 +100,7 @@ def _request(
         opset=opset,
         target=target,
         level=level,
+        verify=verify,
         rewrite=not no_rewrite,
         report=report,
     )
@@ -124,12 +114,8 @@ def with_common_options(
 ) -> Callable[..., None]:
     """Return a typer function with the parameters of ``build`` and every common option.
 
-    Args:
-        build: Returns the module or scene to export; its parameters become arguments and options.
-        run: Called with ``build``, its arguments bound, and the request.
-
-    Raises:
-        TypeError: A parameter of ``build`` has the name of a common option.
+    ``run`` is called with ``build``, its arguments bound, and the request. A parameter of ``build``
+    with the name of a common option is a TypeError.
     """
     parameters = inspect.signature(build).parameters
     conflicts = sorted(set(parameters) & set(_COMMON))

@@ -24,35 +24,18 @@ _SCHEMA = "gsgen-export/1"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """The result of an export, or the error that stopped it.
+    """The result of `gsgen export`, or the error that stopped it."""
 
-    Attributes:
-        written: Whether the model file was written.
-        report: The validator's report, if the model was validated.
-        parity: How closely the model agrees with torch, if the two were compared.
-        changes: The rewrites of the graph.
-        error: The error that stopped the export.
-    """
-
-    written: bool
-    report: "Report | None" = None
+    written: bool  # whether the model file was written
+    report: "Report | None" = None  # the validator's report, if the model was validated
+    # how closely the model agrees with torch, if the two were compared
     parity: "Parity | None" = None
-    changes: "tuple[Change, ...]" = ()
-    error: GsgenError | None = None
+    changes: "tuple[Change, ...]" = ()  # the rewrites of the graph
+    error: GsgenError | None = None  # the error that stopped the export
 
 
 def write_report(path: Path, request: ExportRequest, source: str, outcome: Outcome) -> None:
-    """Write the options of an export and its outcome to a JSON file.
-
-    Args:
-        path: The JSON file.
-        request: The options.
-        source: The plugin's name, or ``module:factory``.
-        outcome: The result or the error.
-
-    Raises:
-        ConfigInvalid: The file cannot be written.
-    """
+    """Write the options of an export and its outcome to a JSON file."""
     document = {
         "schema": _SCHEMA,
         "tool": f"gsgen {version('gsgen')}",

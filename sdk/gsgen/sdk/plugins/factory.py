@@ -22,19 +22,14 @@ _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 @dataclass(frozen=True, slots=True)
 class Factory:
-    """A callable that returns a generator, or a finished generator.
+    """A user's callable that returns a generator, or a finished generator."""
 
-    Attributes:
-        target: ``module:name``, as the user typed it.
-        make: The class, function or finished generator.
-    """
-
-    target: str
-    make: Any
+    target: str  # ``module:name``, as the user typed it
+    make: Any  # the class, function or finished generator
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """The parameters of the callable; empty for a finished generator."""
+        """The parameters of a user's factory; empty for a finished generator."""
         if not _is_factory(self.make):
             return {}
         try:
@@ -44,11 +39,7 @@ class Factory:
         return dict(parameters)
 
     def arguments(self, entries: Sequence[str]) -> dict[str, Any]:
-        """Convert ``KEY=VALUE`` entries to keyword arguments of the declared types.
-
-        Raises:
-            ConfigInvalid: An entry is malformed, has an unknown key, or a value of another type.
-        """
+        """Convert ``KEY=VALUE`` entries to keyword arguments of the declared types."""
         values: dict[str, Any] = {}
         for entry in entries:
             key, sign, text = entry.partition("=")
@@ -64,11 +55,7 @@ class Factory:
         return values
 
     def build(self, arguments: dict[str, Any]) -> Any:
-        """Call the factory and return its generator.
-
-        Raises:
-            GsgenError: It raised, or did not return a generator.
-        """
+        """Call a user's factory and return its generator."""
         if not _is_factory(self.make):
             return self.make
         try:
@@ -122,27 +109,18 @@ def is_target(word: str) -> bool:
 
 
 def require_torch() -> None:
-    """Raise if torch is not installed.
-
-    Raises:
-        GsgenError: Torch is not installed.
-    """
+    """Raise if torch is not installed."""
     if find_spec("torch") is None:
         message = "`gsgen export` needs torch, which is not installed"
         raise GsgenError(message, hint="pip install 'gsgen[sdk]'")
 
 
 def load_factory(target: str, folder: Path | None = None) -> Factory:
-    """Import a factory by name; modules of ``folder`` take precedence.
+    """Import a factory ``module:name``; modules of ``folder`` take precedence.
 
     Args:
         target: ``package.module:factory``, or ``file.py:factory``.
         folder: The folder to search first; the current folder if absent.
-
-    Raises:
-        UnknownName: The module does not exist, or has no such name.
-        ConfigInvalid: The target has another form.
-        GsgenError: Torch is not installed, or the module raised while it was imported.
     """
     require_torch()
     search_folder = folder or Path.cwd()
@@ -184,7 +162,7 @@ def _import(name: str, search_folder: Path) -> Any:
 
 
 def _no_module(name: str, absent: str, search_folder: Path) -> UnknownName:
-    """Return an error that suggests a module of ``search_folder``."""
+    """Return the error for an unknown module, with a suggestion from the files of a folder."""
     parent = search_folder.joinpath(*absent.split(".")[:-1])
     prefix = absent.rpartition(".")[0]
     stems = [path.stem for path in parent.glob("*.py") if path.stem != "__init__"]
@@ -233,7 +211,7 @@ def _checked(module: Any, target: str) -> Any:
 
 
 def _raised(error: Exception, where: str) -> GsgenError:
-    """Return an error that carries the user's exception and the line that raised it."""
+    """Return an error that carries an exception of the user's code, and the line that raised it."""
     reason = error.msg if isinstance(error, SyntaxError) else str(error)
     line = user_line_of(error)
     location = f"{where}, {line}" if line else where

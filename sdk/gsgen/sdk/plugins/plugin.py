@@ -22,7 +22,7 @@ _GROUP = "gsgen.generators"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Publication:
-    """Where a method was published, and under which licence its code is.
+    """Paper, code and licence of a published method.
 
     Attributes:
         paper: Authors and year; empty if there is no paper.
@@ -37,7 +37,7 @@ class Publication:
     licence: str = ""
 
     def describe(self) -> str:
-        """Return paper, code and licence in one line; empty if nothing is known of them."""
+        """Return paper, code and licence of a method in one line; empty without any."""
         arxiv = f"https://arxiv.org/abs/{self.arxiv}" if self.arxiv else ""
         paper = ", ".join(filter(None, (self.paper, arxiv)))
         code = ", ".join(filter(None, (self.code, self.licence)))
@@ -46,7 +46,7 @@ class Publication:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demo:
-    """An example of a method, exported and drawn by the demo from synthetic files.
+    """An example of a plugin's method, exported and drawn by the demo from synthetic files.
 
     Attributes:
         write: Writes the files into a folder, and returns the method's arguments for
@@ -66,7 +66,7 @@ class Demo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plugin:
-    """One method: give ``build``, or ``command`` where a plugin exports by itself.
+    """The plugin of one method: give ``build``, or ``command`` if the plugin exports by itself.
 
     Attributes:
         name: The word after ``gsgen export``.
@@ -104,12 +104,12 @@ class Plugin:
 
     @property
     def headline(self) -> str:
-        """The summary, with the method's name in parentheses."""
+        """The summary of a plugin, with the method's name in parentheses."""
         return f"{self.summary.removesuffix('.')} ({self.title})." if self.title else self.summary
 
     @property
     def function(self) -> Callable[..., Any]:
-        """The typer function, with every option."""
+        """The typer function behind `gsgen export NAME`, with every option."""
         if self.command is not None:
             return self.command
         assert self.build is not None
@@ -122,12 +122,12 @@ class Plugin:
 
 
 def find_plugins() -> dict[str, Command]:
-    """Return every registered plugin by name, as commands that may lack a distribution."""
+    """Return every registered plugin by name, even if a distribution that it needs is missing."""
     return find_commands(_GROUP)
 
 
 def installed_plugins() -> Iterator[Plugin]:
-    """Yield every plugin that can be used here."""
+    """Yield every plugin whose distributions are installed."""
     for command in find_plugins().values():
         plugin = command.load()
         if isinstance(plugin, Plugin):

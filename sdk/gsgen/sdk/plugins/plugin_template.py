@@ -1,4 +1,4 @@
-"""Write the package of a new plugin, with an example method and its tests."""
+"""Writes the package of a new plugin, with an example method and its tests."""
 
 __all__ = ["PluginPackage", "write_plugin_package"]
 
@@ -38,25 +38,15 @@ _FILES = {
 
 @dataclass(frozen=True, slots=True)
 class PluginPackage:
-    """The package of a plugin, as it was written.
+    """Paths and names of a new plugin's package, which was written from the template."""
 
-    Attributes:
-        folder: The folder of the package.
-        package: Its import name.
-        files: All files, relative to the folder, sorted.
-    """
-
-    folder: Path
-    package: str
-    files: tuple[Path, ...]
+    folder: Path  # the folder of the package
+    package: str  # its import name
+    files: tuple[Path, ...]  # all files, relative to the folder, sorted
 
 
 def write_plugin_package(name: str, into: Path) -> PluginPackage:
-    """Write the package ``name`` into a folder of that name in ``into``.
-
-    Raises:
-        ConfigInvalid: The name cannot be used, or the folder is not empty or cannot be written.
-    """
+    """Write the package ``name`` into a folder of that name in ``into``."""
     _check_name(name)
     folder, package = into / name, name.replace("-", "_")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -109,12 +99,12 @@ def _template(source: str, replacements: dict[str, str]) -> str:
 
 
 def _filled(text: str, replacements: dict[str, str]) -> str:
-    """Return ``text`` with every @word@ replaced; an unknown word raises KeyError."""
+    """Return template ``text`` with every @word@ replaced; an unknown word raises KeyError."""
     return re.sub("@([a-z]+)@", lambda match: replacements[match[1]], text)
 
 
 def _write(folder: Path, texts: dict[str, str]) -> None:
-    """Write all files into a temporary folder, and rename it when it is complete."""
+    """Write all files of a package into a temporary folder, and rename it when complete."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:
@@ -130,7 +120,7 @@ def _write(folder: Path, texts: dict[str, str]) -> None:
 
 
 def _umask() -> int:
-    """Return the process's file mode mask, which can only be read by setting it."""
+    """Return the process's file mode mask, by setting and restoring it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

@@ -35,17 +35,11 @@ def _is_weight(value: ir.Value) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class PartitionedModel:
-    """A model in two parts: its constant subgraph, and the nodes of every frame.
+    """A model in two parts: its constant subgraph, and the nodes of every frame."""
 
-    Attributes:
-        constant: The constant subgraph, without inputs; None if it is empty.
-        per_frame: The other nodes; the outputs of ``constant`` are further inputs.
-        boundary: Names of these inputs.
-    """
-
-    constant: ir.Model | None
-    per_frame: ir.Model
-    boundary: tuple[str, ...]
+    constant: ir.Model | None  # the constant subgraph, without inputs; None if it is empty
+    per_frame: ir.Model  # the other nodes; the outputs of ``constant`` are further inputs
+    boundary: tuple[str, ...]  # names of these inputs
 
 
 def partition_constants(model: ir.Model) -> PartitionedModel:

@@ -1,4 +1,4 @@
-"""Save a graph in one file, or with a second file for weights beyond protobuf's limit."""
+"""Saves a graph in one file, or with a second file for weights beyond protobuf's limit."""
 
 __all__ = ["has_external_weights", "refuse_overwriting", "save_model", "weight_bytes"]
 
@@ -17,7 +17,7 @@ _SMALL_BYTES = 256
 
 
 def weight_bytes(model: ir.Model) -> int:
-    """Return the bytes of all weights, including those of subgraphs."""
+    """Return the size in bytes of all weights, including those of subgraphs."""
     return sum(_sizes(model))
 
 
@@ -40,9 +40,6 @@ def refuse_overwriting(source: ModelFile, path: Path) -> None:
     """Raise if saving a copy to ``path`` would overwrite the weights of ``source``.
 
     A renamed model still reads the weight file with its old name.
-
-    Raises:
-        ConfigInvalid: ``path``, or its weight file, is a weight file of ``source``.
     """
     if path.resolve() == source.path.resolve():
         return
@@ -55,7 +52,7 @@ def refuse_overwriting(source: ModelFile, path: Path) -> None:
 
 
 def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -> None:
-    """Write ``model`` to ``path``.
+    """Write ``model`` to ``path``, with an external weight file where protobuf's limit needs it.
 
     Args:
         model: The model to write; it stays unchanged.
@@ -74,7 +71,7 @@ def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -
 
 @contextmanager
 def _weights_in_memory(model: ir.Model) -> Iterator[None]:
-    """Load the weights of other files into memory, and release them at the end."""
+    """Load the weights of external files into memory, and release them at the end."""
     external = [v for v in _weights(model) if isinstance(v.const_value, ir.ExternalTensor)]
     tensors = [value.const_value for value in external]
     ir.external_data.load_to_model(model)

@@ -1,4 +1,4 @@
-"""Compare two model files: run both at the same probes, and measure how far outputs differ."""
+"""Compares two model files: runs both with the same inputs, and measures how far outputs differ."""
 
 __all__ = ["Comparison", "Difference", "compare_files", "probes_of"]
 
@@ -28,40 +28,25 @@ _EPSILON = {"float16": 2.0**-10, "float32": 2.0**-22, "float64": 2.0**-50}
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The largest difference of one output after a rewrite.
+    """The largest difference of one output after a rewrite."""
 
-    Attributes:
-        output: Its name.
-        largest: The largest absolute difference.
-        allowed: The allowed difference.
-        probe: Label of the probe with the largest difference.
-    """
-
-    output: str
-    largest: float
-    allowed: float
-    probe: str
+    output: str  # its name
+    largest: float  # the largest absolute difference
+    allowed: float  # the allowed difference
+    probe: str  # label of the probe with the largest difference
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The differences of all outputs of two models.
+    """The differences of all outputs of two models for the same inputs."""
 
-    Attributes:
-        differences: The largest difference of each output that differs.
-        uncompared: Outputs without a finite number at any probe, so that no change can be seen.
-    """
-
-    differences: tuple[Difference, ...]
+    differences: tuple[Difference, ...]  # the largest difference of each output that differs
+    # outputs without a finite number at any probe, so that no change can be seen
     uncompared: tuple[str, ...]
 
 
 def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe, ...]:
-    """Return the inputs to run a model with: the contract's probes if it has a manifest.
-
-    Raises:
-        RewriteFailed: An input is not a tensor of numbers.
-    """
+    """Return the inputs to test a model with: the contract's probes if it has a manifest."""
     shapes = {tensor.name: _shape(tensor, sizes) for tensor in subject.graph.inputs}
     dtypes = {tensor.name: _dtype(tensor) for tensor in subject.graph.inputs}
     manifest = subject.manifest
@@ -114,7 +99,7 @@ def _dtype(tensor: Tensor) -> str:
 def _sample_probe(
     shapes: Mapping[str, tuple[int, ...]], dtypes: Mapping[str, str], index: int
 ) -> Probe:
-    """Return a probe of zeros for index 0, else of random numbers; integers are small, as indices are."""
+    """Return test inputs of zeros for index 0, else of random numbers; integers are small."""
     rng = np.random.default_rng([7, index])
     arrays: dict[str, np.ndarray] = {}
     for name, shape in shapes.items():
@@ -141,19 +126,9 @@ def compare_files(
     allowed: ErrorBudget,
     passes: str,
 ) -> Comparison:
-    """Run two model files at the same probes, and return how far their outputs differ.
+    """Run two model files with the same inputs, and return how far their outputs differ.
 
-    Args:
-        before: The source.
-        after: The rewritten model.
-        outputs: Names of the outputs to compare.
-        probes: Inputs to run both models with.
-        limits: Time and memory for running one model.
-        allowed: Allowed differences.
-        passes: Names of the passes that ran, for an error.
-
-    Raises:
-        RewriteFailed: A model does not run, or an output differs by more than allowed.
+    ``passes`` are the names of the passes that ran, for an error.
     """
     with (
         execute(before, outputs, probes, _room(before, limits)) as old,
@@ -214,7 +189,7 @@ def _must_run(run: Execution, probes: Sequence[Probe], where: str, version: str)
 def _must_repeat(
     model: Path, outputs: Sequence[str], probes: Sequence[Probe], limits: Limits
 ) -> None:
-    """Raise if the source itself gives other outputs in a second run with the same inputs."""
+    """Raise if a model's outputs change between two runs with the same inputs."""
     twice = [probe for probe in probes for _ in range(2)]
     with execute(model, outputs, twice, _room(model, limits)) as run:
         samples = [run.sample for run in run.runs]
@@ -252,7 +227,7 @@ def _differences(
 
 
 def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Return ``new`` without the rows of zeros after those of ``old``."""
+    """Return the array ``new`` without its rows of zeros after the number of rows of ``old``."""
     if old.ndim != new.ndim or not old.ndim or len(new) <= len(old):
         return new
     return new[: len(old)] if not new[len(old) :].any() else new
@@ -261,7 +236,7 @@ def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
 def _error(
     old: np.ndarray, new: np.ndarray, allowed: ErrorBudget
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return the absolute error of every number, and the allowed error.
+    """Return the absolute error of every number of an output, and the allowed error.
 
     The last axis holds the fields of a Gaussian, so the relative tolerance of each column refers to
     the largest number of that column.

@@ -1,4 +1,4 @@
-"""Rewrite a graph for a consumer: run passes until nothing changes, and compare the outputs.
+"""Rewrites a graph for a runtime: runs passes until nothing changes, and compares the outputs.
 
 Step 1 runs the passes that keep every bit, step 2 all passes. After each step, the model is run at
 the contract's probes and compared with the model before it. If it differs by more than the passes
@@ -67,69 +67,44 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """The changes of one pass.
+    """The nodes that one pass changed in a rewrite."""
 
-    Attributes:
-        rewrite: Name of the pass.
-        exactness: The allowed change of outputs.
-        nodes: Names of the rewritten nodes, in order, over all rounds.
-    """
-
-    rewrite: str
-    exactness: ErrorBudget
-    nodes: tuple[str, ...]
+    rewrite: str  # name of the pass
+    exactness: ErrorBudget  # the allowed change of outputs
+    nodes: tuple[str, ...]  # names of the rewritten nodes, in order, over all rounds
 
 
 @dataclass(frozen=True, slots=True)
 class GraphStats:
-    """Counts of a graph's nodes, and the nodes that a target does not capture.
+    """Counts of a graph's nodes, and the nodes that a target does not capture."""
 
-    Attributes:
-        nodes: Number of nodes of the main graph.
-        opset: The operator set.
-        uncaptured: Nodes that a release of the target is known not to capture, with reasons.
-        unmeasured: Nodes for which no measurement exists.
-    """
-
-    nodes: int
-    opset: int
+    nodes: int  # number of nodes of the main graph
+    opset: int  # the operator set
+    # nodes that a release of the target is known not to capture, with reasons
     uncaptured: tuple[str, ...]
-    unmeasured: tuple[str, ...] = ()
+    unmeasured: tuple[str, ...] = ()  # nodes for which no measurement exists
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rewritten:
-    """A finished rewrite.
+    """The result of a rewrite: changes, graph counts, and the compared outputs."""
 
-    Attributes:
-        path: The file; None if it was not written.
-        changes: The changes of each pass; empty if no pass applied.
-        before: Counts of the source.
-        after: Counts of the result.
-        probes: Number of probes at which the two were compared.
-        differences: The largest difference of each output whose bits changed.
-        refusals: Nodes that passes left unchanged, because they could not prove the change correct.
-        uncompared: Outputs without a finite number at any probe, so that no change can be seen.
-    """
-
-    path: Path | None
-    changes: tuple[Change, ...]
-    before: GraphStats
-    after: GraphStats
-    probes: int
-    differences: tuple[Difference, ...]
+    path: Path | None  # the file; None if it was not written
+    changes: tuple[Change, ...]  # the changes of each pass; empty if no pass applied
+    before: GraphStats  # counts of the source
+    after: GraphStats  # counts of the result
+    probes: int  # number of probes at which the two were compared
+    differences: tuple[Difference, ...]  # the largest difference of each output whose bits changed
+    # nodes that passes left unchanged, because they could not prove the change correct
     refusals: tuple[Refusal, ...] = ()
+    # outputs without a finite number at any probe, so that no change can be seen
     uncompared: tuple[str, ...] = ()
 
 
 def rewrite_graph(
     model: ir.Model, goal: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
 ) -> list[Change]:
-    """Run the passes of a target on ``model``, in place, until nothing changes.
-
-    Raises:
-        UnknownName: ``only`` or ``skip`` has the name of an unknown pass.
-    """
+    """Run the passes of a target on ``model``, in place, until nothing changes."""
     rewrites = find_rewrites(goal, only, skip)
     prepare(model)
     changes = _merged([*_settle(model, _exact(rewrites)), *_settle(model, rewrites)])
@@ -221,40 +196,22 @@ def rewrite_file(
 
 @dataclass(slots=True, kw_only=True)
 class _ComparedRun:
-    """Runs passes in steps, and compares the outputs after each step with those before it.
+    """Runs passes in steps, and compares the model's outputs after each step with those before."""
 
-    Attributes:
-        model: The graph; passes change it.
-        folder: Folder of the drafts.
-        latest: The file of the latest step.
-        outputs: Names of the outputs to compare.
-        probes: Inputs to compare at.
-        limits: Time and memory for running a draft.
-        external_weights: Whether drafts store weights in a second file.
-        progress: Called with a message when a step begins.
-        changes: The changes of all steps.
-        differences: The differences of all steps.
-        uncompared: Outputs without a finite number in the latest step.
-    """
-
-    model: ir.Model
-    folder: Path
-    latest: Path
-    outputs: Sequence[str]
-    probes: Sequence[Probe]
-    limits: Limits
-    external_weights: bool
-    progress: Progress
-    changes: list[Change] = field(default_factory=list)
-    differences: list[Difference] = field(default_factory=list)
-    uncompared: tuple[str, ...] = ()
+    model: ir.Model  # the graph; passes change it
+    folder: Path  # folder of the drafts
+    latest: Path  # the file of the latest step
+    outputs: Sequence[str]  # names of the outputs to compare
+    probes: Sequence[Probe]  # inputs to compare at
+    limits: Limits  # time and memory for running a draft
+    external_weights: bool  # whether drafts store weights in a second file
+    progress: Progress  # called with a message when a step begins
+    changes: list[Change] = field(default_factory=list)  # the changes of all steps
+    differences: list[Difference] = field(default_factory=list)  # the differences of all steps
+    uncompared: tuple[str, ...] = ()  # outputs without a finite number in the latest step
 
     def step(self, name: str, rewrites: Sequence[Rewrite]) -> None:
-        """Run passes until nothing changes, and compare the outputs if they changed the graph.
-
-        Raises:
-            RewriteFailed: The result is ill-formed, or computes something else.
-        """
+        """Run passes until nothing changes, and compare the outputs if the graph changed."""
         self.progress(f"rewriting: {len(rewrites)} passes")
         changes = _settle(self.model, rewrites)
         if not changes:
@@ -274,7 +231,7 @@ class _ComparedRun:
         self.latest = draft
 
     def save(self, path: Path) -> None:
-        """Write the graph to ``path``."""
+        """Write the rewritten graph to ``path``."""
         save_model(self.model, path, external_weights=self.external_weights)
 
 
@@ -317,7 +274,7 @@ def prepare(model: ir.Model) -> None:
 
 
 def tidy(model: ir.Model) -> None:
-    """Remove nodes and weights without readers."""
+    """Remove nodes and weights of a graph that nothing reads."""
     RemoveUnusedNodesPass()(model)
     NameFixPass()(model)
 
@@ -340,7 +297,7 @@ def _exact(rewrites: Sequence[Rewrite]) -> list[Rewrite]:
 
 
 def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
-    """Run passes in rounds until a round changes nothing, and return their changes in order."""
+    """Run passes in rounds until no round changes the graph, and return all changes in order."""
     changes: list[Change] = []
     for _ in range(_MOST_ROUNDS):
         changed = False
@@ -362,7 +319,7 @@ def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
 
 
 def _merged(changes: Sequence[Change]) -> list[Change]:
-    """Join the changes of the same pass in several rounds."""
+    """Join the changes that the same pass made in several rounds."""
     merged: dict[str, Change] = {}
     for change in changes:
         known = merged.get(change.rewrite)
@@ -385,7 +342,7 @@ def _load(source: Path, opset: int | None) -> ir.Model:
 
 
 def _check_form(file: Path, changes: Sequence[Change]) -> None:
-    """Raise if ONNX's own checker rejects the file or its shapes."""
+    """Raise if ONNX's own checker rejects a model file or its shapes."""
     try:
         onnx.checker.check_model(file, full_check=True)
     except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:

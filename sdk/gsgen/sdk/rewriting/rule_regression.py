@@ -1,4 +1,4 @@
-"""Raise if a changed model breaks a rule that its source keeps."""
+"""Raises if a changed model breaks a rule that the source model keeps."""
 
 __all__ = ["refuse_new_violations"]
 
@@ -8,15 +8,9 @@ from gsgen.contract.validation.report import Report
 
 
 def refuse_new_violations(before: Report, after: Report, operation: str) -> None:
-    """Raise if the result breaks a rule that the source keeps.
+    """Raise if a changed model breaks a rule of the contract that its source keeps.
 
-    Args:
-        before: The report on the source.
-        after: The report on the result.
-        operation: The participle for an error, such as ``repaired``.
-
-    Raises:
-        GsgenError: The result breaks such a rule.
+    ``operation`` is the participle for an error, such as ``repaired``.
     """
 
     def errors(report: Report) -> set[str]:

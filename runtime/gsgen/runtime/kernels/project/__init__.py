@@ -1,1 +1,1 @@
-"""Where in the image does each Gaussian lie, and which colour has it?"""
+"""Projection: where in the image is each Gaussian, and which colour does it have?"""

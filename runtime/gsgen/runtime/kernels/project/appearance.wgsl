@@ -1,8 +1,8 @@
-// Read the appearance of a Gaussian: colours or coefficients of harmonics, float16 or float32.
+// Read the appearance of a Gaussian: RGB or SH coefficients, float16 or float32.
 
 @group(1) @binding(2) var<storage, read> appearance: array<vec4u>;
 
-// Four successive numbers of row `own`. STRIDE is 0 where two rows share a word of 16 bytes.
+// Return four successive numbers of row `own`. STRIDE is 0 if two rows share 16 bytes.
 fn channels(own: u32, group: u32) -> vec4f {
     if (HALF_APPEARANCE && STRIDE == 0u) {
         let pair = appearance[own / 2u];
@@ -17,7 +17,7 @@ fn channels(own: u32, group: u32) -> vec4f {
     return bitcast<vec4f>(appearance[own * STRIDE + group]);
 }
 
-// Four successive coefficients of red, green and blue.
+// Return four successive SH coefficients of red, green and blue.
 fn coefficients(own: u32, quad: u32) -> array<vec3f, 4> {
     let a = channels(own, 3u * quad);
     let b = channels(own, 3u * quad + 1u);

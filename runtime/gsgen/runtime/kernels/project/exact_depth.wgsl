@@ -1,13 +1,13 @@
-// Exact depth: how far away a centre is, as the sum of two floats.
+// Exact depth: the depth of a centre as the sum of two floats.
 //
-// Among a million centres many are nearer to each other than the last bit of a float tells. So
-// the rounding errors are kept: it is the dot product of Ogita, Rump and Oishi 2005 ("Accurate sum
-// and dot product"), with Knuth's sum of two numbers and Dekker's product. The remaining error is about
-// 2⁻⁴⁶ of the distance.
+// Of a million centres, many differ by less than the last bit of a float. So rounding errors are
+// kept by the dot product of Ogita, Rump and Oishi 2005 ("Accurate sum and dot product"), with
+// Knuth's sum of two numbers and Dekker's product. The remaining error is about 2⁻⁴⁶ of the
+// distance.
 //
-// WGSL lets compilers take (a + b) − a for b, and round a · b + c once. So numbers that such steps
-// start from are `hidden`: a XOR with page.zero, whose value no compiler knows, leaves them as
-// they are.
+// WGSL lets compilers simplify (a + b) − a to b, and round a · b + c only once. To prevent that,
+// the operands of such steps are `hidden`: a XOR with page.zero, whose value no compiler knows,
+// leaves them unchanged.
 
 //!include page
 
@@ -19,19 +19,19 @@ fn hidden_each(x: vec3f) -> vec3f {
     return bitcast<vec3f>(bitcast<vec3u>(x) ^ vec3u(page.zero));
 }
 
-// The sum of two numbers, rounded, and what the rounding left.
+// Return the rounded sum of two numbers, and the rounding error.
 fn exact_sum(a: f32, b: f32) -> vec2f {
     let sum = hidden(a + b);
     let part = hidden(sum - a);
     return vec2f(sum, (a - hidden(sum - part)) + (b - part));
 }
 
-// The twelve leading bits of each number; those of the rest are twelve more.
+// Return the twelve leading bits of each number; the remainder has twelve bits, too.
 fn leading(x: vec3f) -> vec3f {
     return bitcast<vec3f>(bitcast<vec3u>(x) & vec3u(0xfffff000u));
 }
 
-// What rounding a · b to `product` left: the four products of their halves are exact.
+// Return the error of rounding a · b to `product`: the four products of their halves are exact.
 fn product_rest(a: vec3f, b: vec3f, product: vec3f) -> vec3f {
     let a_high = leading(a);
     let b_high = leading(b);
@@ -40,7 +40,7 @@ fn product_rest(a: vec3f, b: vec3f, product: vec3f) -> vec3f {
     return (((a_high * b_high - product) + a_high * b_low) + a_low * b_high) + a_low * b_low;
 }
 
-// The sum of three numbers and of a small rest.
+// Return the sum of three numbers and of a small remainder, as two floats.
 fn exact_total(large: vec3f, small: f32) -> vec2f {
     let two = exact_sum(large.x, large.y);
     let three = exact_sum(two.x, large.z);
@@ -58,7 +58,7 @@ fn exact_offset(position: vec3f) -> Offset {
     return Offset(high, (position - hidden_each(high - part)) - (page.eye + part));
 }
 
-// One coordinate in camera space.
+// Return one coordinate in camera space as two floats.
 fn exact_coordinate(row: vec3f, row_rest: vec3f, from_eye: Offset, eye_at: vec2f) -> vec2f {
     let products = hidden_each(row * from_eye.high);
     let small = product_rest(row, from_eye.high, products) + row * from_eye.low + row_rest * from_eye.high;
@@ -67,7 +67,7 @@ fn exact_coordinate(row: vec3f, row_rest: vec3f, from_eye: Offset, eye_at: vec2f
     return exact_sum(moved.x, moved.y + (total.y + eye_at.y));
 }
 
-// The length of a vector of three such numbers.
+// Return the length of a vector of three coordinates that are sums of two floats.
 fn exact_length(x: vec2f, y: vec2f, z: vec2f) -> vec2f {
     let largest = max(max(abs(x.x), abs(y.x)), abs(z.x));
     let unit = bitcast<u32>(largest) & 0x7f800000u;  // a power of two, so that no square overflows
@@ -77,7 +77,7 @@ fn exact_length(x: vec2f, y: vec2f, z: vec2f) -> vec2f {
     let squares = hidden_each(high * high);
     let small = product_rest(high, high, squares) + 2.0 * high * low;
     let total = exact_total(squares, (small.x + small.y) + small.z);
-    // One step of Newton's method: the rest of the square, over twice the root.
+    // One step of Newton's method: the remainder of the square, over twice the root.
     let root = hidden(sqrt(total.x));
     let square = hidden(root * root);
     let square_rest = product_rest(vec3f(root), vec3f(root), vec3f(square)).x;
@@ -85,7 +85,7 @@ fn exact_length(x: vec2f, y: vec2f, z: vec2f) -> vec2f {
     return exact_sum(root, left / (2.0 * root)) * bitcast<f32>(unit);
 }
 
-// The depth of a centre. Where numbers overflow on the way, it is `rounded` with a rest of 0.
+// Return the depth of a centre as two floats; after an overflow, `rounded` and 0.
 fn exact_depth(position: vec3f, rounded: f32) -> vec2f {
     let from_eye = exact_offset(position);
     let rows = transpose(page.linear);
@@ -99,7 +99,7 @@ fn exact_depth(position: vec3f, rounded: f32) -> vec2f {
     return select(vec2f(rounded, 0.0), depth, abs(depth.y) <= 1e-6 * abs(depth.x));
 }
 
-// Bits of a depth's rest that sort as it does.
+// Return the bits of a depth remainder, changed so that they sort as the remainder does.
 fn order_of(low: f32) -> u32 {
     let bits = bitcast<u32>(low);
     let ordered = select(bits ^ 0x80000000u, ~bits, low < 0.0);

@@ -8,16 +8,16 @@ struct Flat {
     mean: vec2f,         // pixels, relative to the frame's origin
     bare: vec3f,         // 2D covariance xx xy yy, pixels²
     dilated: vec3f,      // the same with the dilation
-    unit: f32,           // a power of two, pixels², in whose units nothing overflows …
-    scaled: vec3f,       // … `dilated`, in which it is not rounded either …
-    determinant: f32,    // … and its determinant
-    is_valid: bool,      // it is an ellipse of a finite size
+    unit: f32,           // a power of two, pixels², that prevents overflow:
+    scaled: vec3f,       // `dilated` divided by `unit`, without rounding
+    determinant: f32,    // of `scaled`
+    is_valid: bool,      // true for an ellipse of finite size
 }
 
 const LARGEST = 3.4e38;
-const LARGEST_VARIANCE = 1e30;  // pixels²; the reciprocal still has all its digits
+const LARGEST_VARIANCE = 1e30;  // pixels²; its reciprocal is still a normal float
 
-// Along the camera's +z; in a panorama from its centre. at: in camera space.
+// Return the depth of a point in camera space: along +z, in a panorama from the camera.
 fn depth_of(at: vec3f) -> f32 {
     if (PANORAMA) {
         return distance_of(at);
@@ -25,12 +25,12 @@ fn depth_of(at: vec3f) -> f32 {
     return at.z;
 }
 
-// at: the centre in camera space. depth: of it, which is positive.
+// at: the centre in camera space; depth: its depth, which is positive.
 fn flatten(at: vec3f, depth: f32, sigma: mat3x3f) -> Flat {
     let inverse = select(1.0 / at.z, 1.0, is_flat());
     let slope = at.xy * inverse;
     let bent = select(clamp(slope, frame.slope_low, frame.slope_high), vec2f(0.0), is_flat());
-    // Rows of the Jacobian times the rotation: how the pixel moves with the local position.
+    // Rows of the Jacobian times the rotation: derivatives of the pixel by the local position.
     let turned = transpose(page.linear);
     var jx = frame.focal.x * inverse * (turned[0] - bent.x * turned[2]);
     var jy = frame.focal.y * inverse * (turned[1] - bent.y * turned[2]);

@@ -1,4 +1,4 @@
-"""Normals: the direction in which each Gaussian is thinnest, towards the camera."""
+"""Normals of Gaussians: the shortest axis of each, turned towards the camera."""
 
 __all__ = ["NormalsKernel", "normals_reference"]
 
@@ -16,11 +16,11 @@ from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
 @final
 class NormalsKernel:
-    """``normals.wgsl``.
+    """The kernel ``normals.wgsl``, which computes the normal of each Gaussian.
 
     Args:
-        device: Where it runs.
-        packed: Whether rows are, as compact_rows.py does.
+        device: Device of the kernel.
+        packed: Whether rows are packed by compact_rows.py.
     """
 
     def __init__(self, device: Device, *, packed: bool = False) -> None:
@@ -29,7 +29,7 @@ class NormalsKernel:
         )
 
     def step(self, keys: Buffer, normals: Buffer, uniform: Buffer, slot: int, page: Page) -> Step:
-        """Return the step for a page, whose uniform is number ``slot`` of a buffer."""
+        """Return the dispatch for a page, whose uniform is number ``slot`` of a buffer."""
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (
             self.kernel.bind(keys, normals),
@@ -41,11 +41,9 @@ class NormalsKernel:
 def normals_reference(
     covariance: Float[np.ndarray, "n 3 3"], position: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Return normals as ``normals.wgsl`` must, for covariances other than balls.
+    """Return the normals of Gaussians in camera space, for covariances other than balls.
 
-    Args:
-        covariance: In camera space.
-        position: Of the centres, in camera space.
+    This is the reference of ``normals.wgsl``; arguments are in camera space, too.
     """
     _, vectors = np.linalg.eigh(covariance)
     thinnest = vectors[:, :, 0]

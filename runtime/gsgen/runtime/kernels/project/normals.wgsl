@@ -1,30 +1,30 @@
-// Normals: the direction in which each drawn Gaussian of one page is thinnest, towards the camera.
+// Normals: the shortest axis of each drawn Gaussian of one page, turned towards the camera.
 //
-// One invocation per Gaussian. The eigenvalues of the covariance are those of Smith 1961, the
-// eigenvector of one that is far from the others is the longest of the cross products of two rows
-// of Σ − λI. Of a needle that is its axis; which of the short axes is the shorter, its section
-// says, which has no large numbers in it. A ball has no thinnest direction, nor has a needle that
-// is round; they look at the camera.
+// One invocation per Gaussian. The eigenvalues of the covariance are those of Smith 1961; the
+// eigenvector of an eigenvalue far from the others is the longest cross product of two rows of
+// Σ − λI. For a needle that is its long axis; the shorter of its two short axes follows from its
+// 2×2 section, which contains no large numbers. Balls and round needles have no shortest axis:
+// their normals point at the camera.
 
 //!include page
 
 @group(0) @binding(0) var<storage, read> keys: array<u32>;
 @group(0) @binding(1) var<storage, read_write> normals: array<vec4f>;  // in camera space
 
-const ROUND = 1e-5;  // how far from one the ratio of eigenvalues of a ball may be
+const ROUND = 1e-5;  // tolerance of the ratio of equal eigenvalues
 
 fn longest(a: vec3f, b: vec3f) -> vec3f {
     return select(a, b, dot(b, b) > dot(a, a));
 }
 
-// The eigenvector of a matrix for an eigenvalue that is the only one of its kind; not of length 1.
+// Return an eigenvector, not normalised, of a simple eigenvalue.
 fn along(s: mat3x3f, value: f32) -> vec3f {
     let one = mat3x3f(vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), vec3f(0.0, 0.0, 1.0));
     let rest = s - value * one;
     return longest(cross(rest[0], rest[1]), longest(cross(rest[0], rest[2]), cross(rest[1], rest[2])));
 }
 
-// The thinnest direction across the axis of a needle: that of its 2×2 section.
+// Return the shortest axis of a needle from the 2×2 section across its long axis.
 fn across(s: mat3x3f, axis: vec3f, most: f32) -> vec3f {
     let side = normalize(select(vec3f(0.0, axis.z, -axis.y), vec3f(-axis.z, 0.0, axis.x), abs(axis.x) > abs(axis.y)));
     let other = cross(axis, side);
@@ -52,7 +52,7 @@ fn thinnest(covariance: mat3x3f) -> vec3f {
     let unit = (s - mean * one) * (1.0 / spread);
     let bent = determinant(unit) / 2.0;
     let angle = acos(clamp(bent, -1.0, 1.0)) / 3.0;
-    if (bent > 0.0) {  // the longest axis is alone, and the others may be nearly equal
+    if (bent > 0.0) {  // the longest axis stands out, and the others may be nearly equal
         let most = mean + 2.0 * spread * cos(angle);
         return across(s, normalize(along(s, most)), most);
     }

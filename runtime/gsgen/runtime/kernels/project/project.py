@@ -1,4 +1,4 @@
-"""Project: turn Gaussians into splats with depths."""
+"""Projects Gaussians into the image: splats with 2D covariances, colours and depths."""
 
 __all__ = [
     "FRAME",
@@ -37,7 +37,7 @@ from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
 NO_HARMONICS: Final = 0xFF
-"""The harmonics degree that stands for raw colours."""
+"""The SH degree in page uniforms that stands for RGB colours."""
 
 
 def _bytes(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
@@ -71,7 +71,7 @@ FRAME: Final = _bytes(
 """The bytes of ``struct Frame`` in frame.wgsl."""
 
 PAGE: Final = _bytes(
-    512,  # two steps that every device can bind at
+    512,  # a multiple of 256, at which every device can bind
     {
         "linear": ("(3,4)f4", 0),
         "local_to_sh": ("(3,4)f4", 48),
@@ -102,17 +102,12 @@ PAGE: Final = _bytes(
 
 
 def tiles_of(camera: Camera) -> tuple[int, int]:
-    """Return how many tiles an image has across and down."""
+    """Return the number of tiles across and down a camera's image."""
     return -(-camera.width // TILE), -(-camera.height // TILE)
 
 
 def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[np.ndarray, ""]:
-    """Return the uniform that all Gaussians of a frame share.
-
-    Args:
-        camera: Whose image it is.
-        background: Red, green, blue behind it all, multiplied by their alpha.
-    """
+    """Return the ``Frame`` uniform of a camera; the background is multiplied by its alpha."""
     uniform = np.zeros((), FRAME)
     focal = np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
@@ -131,28 +126,20 @@ def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[
 def page_uniform(
     placed: SplatSet, camera: Camera, base: int, capacity: int, count: int
 ) -> Shaped[np.ndarray, ""]:
-    """Return the uniform that all Gaussians of a page share; see :func:`page_uniforms`.
-
-    Args:
-        placed: The set that the page is of.
-        camera: Camera of the frame.
-        base: Index of the page's first Gaussian in the frame.
-        capacity: Gaussians of the page.
-        count: How many of them are live.
-    """
+    """Return the ``Page`` uniform of one page; see :func:`page_uniforms`."""
     return np.asarray(page_uniforms([(placed, base, capacity, count)], camera)[0])
 
 
 def page_uniforms(
     pages: Sequence[tuple[SplatSet, int, int, int]], camera: Camera
 ) -> Shaped[np.ndarray, " n"]:
-    """Return the uniforms of pages, computed in float64.
+    """Return the ``Page`` uniforms of GPU pages, computed in float64.
 
-    All at once, because numpy takes as long for one matrix as for thirty.
+    They are computed together, because numpy takes as long for one matrix as for thirty.
 
     Args:
-        pages: The set of each page, the index of the page's first Gaussian in the frame, how many
-            Gaussians it has, and how many of them are live.
+        pages: For each page its set, the index of its first Gaussian in the frame, its capacity
+            and its number of live Gaussians.
         camera: Camera of the frame.
     """
     uniforms = np.zeros(len(pages), PAGE)
@@ -196,15 +183,15 @@ def _degree(splat_set: SplatSet) -> int:
 
 @final
 class ProjectKernel:
-    """``project.wgsl`` for an appearance of a given type.
+    """The kernel ``project.wgsl``, or ``project_weighted.wgsl`` for weighted sums.
 
     Args:
-        device: Where it runs.
-        stride: Length of an appearance row, in words of 16 bytes; 0 if two rows share one.
+        device: Device of the kernel.
+        stride: Length of an appearance row, in vectors of 16 bytes; 0 if two rows share one.
         half: Whether the appearance is float16.
-        panorama: Whether the image is one.
-        weighted: Whether its Gaussians are blended by weighted sums.
-        packed: Whether rows are, as compact_rows.py does.
+        panorama: Whether the image is a panorama.
+        weighted: Whether Gaussians are blended by weighted sums.
+        packed: Whether rows are packed by compact_rows.py.
     """
 
     def __init__(
@@ -234,14 +221,14 @@ class ProjectKernel:
     def step(
         self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *cells: Buffer
     ) -> Step:
-        """Return the step for a page.
+        """Return the dispatch that projects the Gaussians of a page.
 
         Args:
-            outputs: Resources of group 0 of ``project.wgsl``, in order.
-            uniform: Uniforms of all pages.
-            slot: Which of them is this page's.
-            page: Has ``rows``, ``appearance`` and ``capacity``.
-            cells: Where the kernel is for weighted sums, the cells of the page's set.
+            outputs: Resources of bind group 0 of the shader, in order.
+            uniform: Buffer with the uniforms of all pages.
+            slot: Index of this page's uniform.
+            page: The page.
+            cells: Buffer of the set's cells, for weighted sums only.
         """
         page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (
@@ -254,14 +241,14 @@ class ProjectKernel:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Projected:
-    """Splats in float64.
+    """Projected splats in float64.
 
     Attributes:
-        drawn: Mask of drawn Gaussians; other fields are undefined for the rest.
+        drawn: Mask of drawn Gaussians; the other fields are undefined for the rest.
         mean: Pixels, relative to the frame's origin.
         conic: Inverse 2D covariance: xx, xy, yy.
         strength: Logarithm of the opacity over CULL_OPACITY.
-        depth: Along the camera's +z; in a panorama from its centre.
+        depth: Along the camera's +z; in a panorama from the camera.
         color: Red, green, blue.
     """
 
@@ -276,7 +263,7 @@ class Projected:
 def project_reference(
     data: SplatData, frame: Shaped[np.ndarray, ""], page: Shaped[np.ndarray, ""]
 ) -> Projected:
-    """Project Gaussians in float64 as ``project.wgsl`` must."""
+    """Project Gaussians in float64: the reference of ``project.wgsl``."""
     rows = data.rows.astype(np.float64)
     linear, linear_rest, to_sh = (
         np.asarray(page[name], np.float64)[:, :3].T
@@ -339,7 +326,7 @@ def project_reference(
 def depth_reference(
     depth: Float[np.ndarray, " n"],
 ) -> tuple[UInt32[np.ndarray, " n"], UInt32[np.ndarray, " n"]]:
-    """Split depths into keys and the sortable bits of their remainder, as ``exact_depth.wgsl`` must."""
+    """Split depths into float32 sort keys and sortable remainders, as ``exact_depth.wgsl`` must."""
     high = depth.astype(np.float32)
     low = (depth - high.astype(np.float64)).astype(np.float32)
     bits = low.view(np.uint32)
@@ -350,7 +337,7 @@ def depth_reference(
 def _straight(
     position: np.ndarray, linear: np.ndarray, frame: Shaped[np.ndarray, ""], *, flat: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return depths, slopes and their Jacobians for straight cameras."""
+    """Return depths, slopes and their Jacobians for pinhole and orthographic cameras."""
     divisor = np.ones((len(position), 1)) if flat else position[:, 2:]
     slope = position[:, :2] / divisor
     bent = np.clip(slope, frame["slope_low"], frame["slope_high"]) * (not flat)

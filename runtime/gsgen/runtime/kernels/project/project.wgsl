@@ -1,11 +1,11 @@
-// Project: turn the Gaussians of one page into splats with sort keys.
+// Project: convert the Gaussians of one page to splats with sort keys.
 //
 // One invocation per Gaussian. A Gaussian that is not drawn gets the key ABSENT and no splat.
 
 //!include project_splat
 //!include exact_depth
 
-@group(0) @binding(5) var<storage, read_write> lows: array<u32>;  // the rest of depths, as bits that sort as it does
+@group(0) @binding(5) var<storage, read_write> lows: array<u32>;  // depth remainders, as bits that sort alike
 
 @compute @workgroup_size(THREADS)
 fn project(@builtin(global_invocation_id) invocation: vec3u) {

@@ -1,4 +1,4 @@
-"""Project cells: compute the depth, the circle and the number of tiles of each cell."""
+"""Projects the cells of weighted sums: depth, bounding circle and number of tiles."""
 
 __all__ = ["ProjectCells", "box_reference", "circle_reference"]
 
@@ -17,12 +17,7 @@ from gsgen.runtime.kernels.shared.shader import MIN_EIGENVALUE_GAP, PANORAMA_CON
 
 @final
 class ProjectCells:
-    """``project_cells.wgsl``.
-
-    Args:
-        device: Where it runs.
-        panorama: Whether the image is one.
-    """
+    """The kernel ``project_cells.wgsl``, which projects the cells of weighted sums."""
 
     def __init__(self, device: Device, *, panorama: bool = False) -> None:
         self.kernel = Kernel(
@@ -38,14 +33,14 @@ class ProjectCells:
     def step(
         self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, cells: Buffer, count: int
     ) -> Step:
-        """Return the step for the cells of a set.
+        """Return the dispatch that projects the cells of one set.
 
         Args:
-            outputs: What group 0 of ``project_cells.wgsl`` binds, in its order.
-            uniform: Uniforms of all sets.
-            slot: Which of them is this set's.
-            cells: Their rows.
-            count: How many there are.
+            outputs: Resources of bind group 0 of the shader, in order.
+            uniform: Buffer with the uniforms of all sets.
+            slot: Index of this set's uniform.
+            cells: Buffer of the set's cells.
+            count: Number of cells.
         """
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (self.kernel.bind(*outputs), self.kernel.bind(page_uniform, cells, group=1))
@@ -55,11 +50,11 @@ class ProjectCells:
 def circle_reference(
     covariance: Float[np.ndarray, "n 2 2"], reach: float
 ) -> Float[np.ndarray, " n"]:
-    """Return circle radii in whole pixels as ``circle.wgsl`` must.
+    """Return radii of bounding circles in whole pixels, the reference of ``circle.wgsl``.
 
     Args:
-        covariance: In pixels², with the dilation.
-        reach: Standard deviations.
+        covariance: 2D covariances in pixels², with the dilation.
+        reach: Radius in standard deviations.
     """
     middle = np.trace(covariance, axis1=1, axis2=2) / 2
     apart = np.sqrt(np.maximum(MIN_EIGENVALUE_GAP, middle**2 - np.linalg.det(covariance)))
@@ -69,12 +64,9 @@ def circle_reference(
 def box_reference(
     mean: Float[np.ndarray, "2"], radius: float, size: tuple[int, int]
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Return the mask of tiles that ``cell_box.wgsl`` must find, for images other than panoramas.
+    """Return the mask of tiles that a circle touches, the reference of ``cell_box.wgsl``.
 
-    Args:
-        mean: In pixels of the image.
-        radius: In pixels.
-        size: Width and height of the image.
+    ``mean``, ``radius`` and the image ``size`` are in pixels; panoramas are not covered.
     """
     across, down = (np.arange(-(-side // TILE)) for side in size)
     low = np.floor((mean - 0.5 - radius) / TILE)

@@ -1,7 +1,7 @@
-// Project cells: find the depth and the circle of each cell of one set, and count its tiles.
+// Project cells: compute the depth and the circle of each cell of one set, and count its tiles.
 //
-// One invocation per cell. A cell that is not seen gets the key ABSENT. Comparisons are phrased so
-// that NaN is dropped.
+// One invocation per cell. A cell that is not visible gets the key ABSENT. Comparisons are phrased
+// so that NaN is dropped.
 
 //!include flatten
 //!include circle
@@ -9,13 +9,13 @@
 //!include exact_depth
 
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
-@group(0) @binding(2) var<storage, read_write> circles: array<vec4f>;  // middle, radius, how many tiles
-@group(0) @binding(3) var<storage, read_write> spans: array<vec4u>;    // first Gaussian, how many, 1 / divisor, weight of the background
+@group(0) @binding(2) var<storage, read_write> circles: array<vec4f>;  // centre, radius, number of tiles
+@group(0) @binding(3) var<storage, read_write> spans: array<vec4u>;    // first Gaussian, number, 1 / divisor, weight of the background
 @group(0) @binding(4) var<storage, read> gaussian_keys: array<u32>;
 @group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>;
-@group(0) @binding(6) var<storage, read_write> lows: array<u32>;       // the rest of depths, as bits that sort as it does
+@group(0) @binding(6) var<storage, read_write> lows: array<u32>;       // depth remainders, as bits that sort alike
 
-var<private> low: u32;  // the rest of the cell's depth beyond its key
+var<private> low: u32;  // the cell's depth remainder
 
 fn count_drawn(first: u32) {
     var drawn = 0u;

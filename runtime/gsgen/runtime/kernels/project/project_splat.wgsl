@@ -1,5 +1,5 @@
-// Write the splat of a Gaussian whose depth and opacity are known. Comparisons are phrased so that
-// NaN is dropped.
+// Compute and write the splat of a Gaussian whose depth and opacity are known. Comparisons are
+// phrased so that NaN is dropped.
 
 //!include tile_span
 //!include flatten
@@ -8,10 +8,10 @@
 
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(2) var<storage, read_write> shapes: array<vec4f>;   // mean, conic xx xy
-@group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy; WEIGHTED: its circle's radius² at the end
-@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, and how many tiles
+@group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy (WEIGHTED: radius² of the circle)
+@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, number of tiles
 
-// The offset of a position from the camera centre, in local space.
+// Return the offset of a position from the camera centre, in local space.
 fn offset_from_eye(position: vec3f) -> vec3f {
     return (position - page.eye) - page.eye_rest;
 }
@@ -29,7 +29,7 @@ fn color_of(own: u32, offset: vec3f) -> vec3f {
     return harmonics(own, page.degree, direction / length(direction));
 }
 
-// How many tiles an ellipse touches; those that two copies touch count once.
+// Return the number of tiles that an ellipse touches; tiles of two copies count once.
 fn tiles_touched(ellipse: Outline) -> u32 {
     var tiles = 0u;
     for (var row = ellipse.rows.x; row < ellipse.rows.y; row++) {
@@ -44,7 +44,7 @@ fn tiles_touched(ellipse: Outline) -> u32 {
 }
 
 // Write the splat of row `own` at `index` and return its key, or ABSENT if it is not drawn.
-// at: the centre in camera space; distance: its depth as flatten.wgsl takes it.
+// at: the centre in camera space; distance: the depth that flatten() takes.
 fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, depth: f32, alpha: f32) -> u32 {
     // Step 1: drop transparent Gaussians.
     if (!(alpha >= CULL_OPACITY && alpha <= LARGEST)) {
@@ -52,7 +52,7 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
     }
     var opacity = min(alpha, 1.0);
 
-    // Step 2: the ellipse in the image; antialiasing keeps the light of one thinner than a pixel.
+    // Step 2: compute the ellipse in the image; antialiasing dims splats thinner than a pixel.
     let flat = flatten(at, distance, read_covariance(own));
     if (!flat.is_valid) {
         return ABSENT;
@@ -70,7 +70,7 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
     let strength = log(opacity / CULL_OPACITY);
     var half_extent = sqrt(2.0 * strength * flat.dilated.xz);
     if (PANORAMA) {
-        half_extent.x = LARGEST;  // it may reach over the seam; `span` knows
+        half_extent.x = LARGEST;  // it may cross the seam, which `span` handles
     }
     let first_center = 0.5 - frame.origin;
     let last_center = vec2f(frame.size) - 0.5 - frame.origin;
@@ -78,7 +78,7 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
         return ABSENT;
     }
 
-    // Step 4: count the tiles, and find the colour.
+    // Step 4: count the tiles, and compute the colour.
     let scaled = flat.scaled;
     let conic = vec3f(scaled.z, -scaled.y, scaled.x) / flat.determinant / flat.unit;
     let tiles = tiles_touched(outline(flat.mean, conic, strength, flat.dilated.z));

@@ -1,11 +1,11 @@
-// Project, for weighted sums: turn the Gaussians of one page into splats that are not sorted.
+// Project, for weighted sums: convert the Gaussians of one page to splats that are not sorted.
 //
-// One invocation per Gaussian. A Gaussian that is not drawn gets the key ABSENT, and a splat that
-// covers nothing: no sort leaves it out.
+// One invocation per Gaussian. A Gaussian that is not drawn gets the key ABSENT and an empty splat,
+// because no sort removes it.
 
 //!include project_splat
 
-@group(1) @binding(3) var<storage, read> cells: array<vec2f>;  // five pairs a cell; the second ends in its visibility
+@group(1) @binding(3) var<storage, read> cells: array<vec2f>;  // five pairs per cell; the second ends in its visibility
 
 @compute @workgroup_size(THREADS)
 fn project(@builtin(global_invocation_id) invocation: vec3u) {

@@ -2,7 +2,7 @@
 
 //!include appearance
 
-// The colour is not clamped yet: max() would turn NaN into a colour.
+// Return the colour in a direction, not clamped: max() would turn NaN into a colour.
 fn harmonics(own: u32, degree: u32, direction: vec3f) -> vec3f {
     let x = direction.x;
     let y = direction.y;

@@ -1,1 +1,1 @@
-"""What do render pipelines draw: quads of splats, meshes, the window?"""
+"""Hardware rasterisation: quads of splats, meshes, and the viewer's window."""

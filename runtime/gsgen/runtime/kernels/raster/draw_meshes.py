@@ -1,4 +1,4 @@
-"""Draw meshes: opaque triangles through the hardware's rasteriser, as a layer among the splats."""
+"""Draws opaque meshes with the hardware's rasteriser, as a layer among the splats."""
 
 __all__ = ["DrawMeshes", "MeshesStep", "seen_reference"]
 
@@ -29,10 +29,10 @@ from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import MeshData
 
 AMBIENT: Final = 0.2
-"""The share of a colour that a headlight leaves where the surface is seen edge-on."""
+"""The share of a headlit colour on surfaces seen edge-on."""
 _CORNERS: Final = 3
-_CORNERS_AROUND: Final = 6  # of a box that has a triangle of a panorama
-_ROW: Final = 256 // VEC4  # pixels: what a row of a copied texture has to be a multiple of
+_CORNERS_AROUND: Final = 6  # of the two triangles that bound a triangle in a panorama
+_ROW: Final = 256 // VEC4  # pixels: rows of a copied texture are multiples of this
 _FLOATS: Final = "rgba32float"
 DEPTHS: Final = "depth32float"
 
@@ -40,19 +40,19 @@ DEPTHS: Final = "depth32float"
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MeshesStep:
-    """One drawing of all meshes.
+    """A recorded render pass that draws all meshes of a frame.
 
     Attributes:
-        pipeline: What draws.
-        draws: For each mesh its bind group and how many triangles it has.
-        corners: How many are drawn for a triangle.
-        color: Texture of colours, and 1 where a mesh is; over the background.
+        pipeline: The render pipeline.
+        draws: The bind group and the number of triangles of each mesh.
+        corners: Vertices that are drawn per triangle.
+        color: Texture of colours over the background; alpha is 1 where a mesh is visible.
         surface: Texture of normals and depths.
-        depth: View of the texture of near / z, which the rasteriser compares.
+        depth: View of the depth texture, which holds near / z.
         copies: Buffers that ``color`` and ``surface`` are copied to.
         row: Pixels of a row of the copies.
         size: Width and height, in pixels.
-        layers: What makes layers of the copies.
+        layers: Steps that convert the copies to a layer.
     """
 
     pipeline: RenderPipeline
@@ -72,7 +72,7 @@ class MeshesStep:
         background: Float[np.ndarray, "3"],
         stamps: PassTimestamps | None = None,
     ) -> None:
-        """Draw over ``background``; the copies are made where there are layers."""
+        """Encode the drawing of the meshes over ``background``, and the copies for layers."""
         targets = [
             _cleared(self.color, (*background.tolist(), 0.0)),
             _cleared(self.surface, (0.0, 0.0, 0.0, 0.0)),
@@ -113,7 +113,7 @@ def _cleared(texture: Texture, value: tuple[float, ...]) -> dict[str, object]:
 
 
 def _pipeline(device: Device, **parts: object) -> RenderPipeline:
-    """Create a render pipeline; only trying shows whether the device can draw 32-bit floats."""
+    """Create a render pipeline, or raise if the device cannot render to 32-bit floats."""
     import wgpu
 
     try:
@@ -122,7 +122,7 @@ def _pipeline(device: Device, **parts: object) -> RenderPipeline:
         if "not renderable" not in str(error):
             raise
         raise DeviceUnavailable(
-            f"{device.name} cannot draw meshes: not into textures of 32-bit floats",
+            f"{device.name} cannot render to textures of 32-bit floats, which meshes need",
             hint="Draw on another device, see `gsgen doctor`, or without meshes.",
         ) from error
 
@@ -131,12 +131,8 @@ def _pipeline(device: Device, **parts: object) -> RenderPipeline:
 class DrawMeshes:
     """Draws meshes (``draw_meshes.wgsl``) and copies them to a layer (``lay_meshes.wgsl``).
 
-    Args:
-        device: Where it runs.
-        panorama: Whether the image is one.
-
     Raises:
-        DeviceUnavailable: It cannot draw into textures of 32-bit floats.
+        DeviceUnavailable: The device cannot render to textures of 32-bit floats.
     """
 
     def __init__(self, device: Device, *, panorama: bool = False) -> None:
@@ -183,14 +179,14 @@ class DrawMeshes:
         rays: Buffer,
         layers: Layers | None,
     ) -> MeshesStep:
-        """Return the drawing of meshes.
+        """Record a render pass that draws meshes.
 
         Args:
             size: Width and height of the image, in pixels.
             meshes: The meshes; only their buffers are kept.
-            slots: Uniform buffer with a :data:`MESH_UNIFORM` for each.
+            slots: Uniform buffer with a :data:`MESH_UNIFORM` for each mesh.
             rays: Buffer with the result of :func:`mesh_rays`.
-            layers: Target of the layer, or None without one.
+            layers: Layers whose last receives the meshes, or None.
         """
         usage = "RENDER_ATTACHMENT|COPY_SRC"
         color, surface, depth = (
@@ -245,7 +241,7 @@ class DrawMeshes:
     def _laid(
         self, size: tuple[int, int], row: int, copies: tuple[Buffer, ...], layers: Layers
     ) -> tuple[Step, ...]:
-        """Return the steps that copy the meshes to the last layer."""
+        """Return the steps that copy the drawn meshes to the last layer."""
         shape = self._device.uniform("mesh layer", 16)
         first = (layers.count - 1) * size[0] * size[1]
         self._device.write(shape, np.array([*size, row, first], np.uint32))
@@ -262,12 +258,9 @@ class DrawMeshes:
 def seen_reference(
     data: MeshData, uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 8"]:
-    """Return the image of a mesh as ``draw_meshes.wgsl`` must: colour and 1, normal, depth.
+    """Draw a mesh in float64, the reference of ``draw_meshes.wgsl``: colour, 1, normal, depth.
 
-    Args:
-        data: The triangles.
-        uniform: Result of :func:`mesh_uniform`.
-        rays: Result of :func:`mesh_rays`.
+    ``uniform`` is the result of :func:`mesh_uniform`, ``rays`` that of :func:`mesh_rays`.
     """
     width, height = (int(side) for side in uniform["size"])
     ray = _direction_reference(uniform, rays)
@@ -304,7 +297,7 @@ def seen_reference(
 def _beside_reference(
     point: Float[np.ndarray, "3"], uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """Return how far a point is to the right of each pixel's ray, how far below, and its depth."""
+    """Return the offset of a point to the right of and below each pixel's ray, and its depth."""
     (sine, cosine), (down_sine, down_cosine) = _angles(uniform, rays)
     x, y, z = point
     if uniform["period"]:
@@ -320,7 +313,7 @@ def _beside_reference(
 def _direction_reference(
     uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """Return the direction of each pixel's ray, along which depths are counted."""
+    """Return the direction of each pixel's ray, scaled so that depths are its factors."""
     (x, z), (y, level) = _angles(uniform, rays)
     if uniform["period"]:
         return np.stack(np.broadcast_arrays(x * level, y, z * level), -1)
@@ -331,7 +324,7 @@ def _direction_reference(
 def _angles(
     uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "2 1 w"], Float[np.ndarray, "2 h 1"]]:
-    """Return the two numbers that columns have, and those that rows have."""
+    """Split the ray numbers into those of pixel columns and those of pixel rows."""
     width, angles = int(uniform["size"][0]), rays.T.astype(np.float64)
     return angles[:, None, :width], angles[:, width:, None]
 

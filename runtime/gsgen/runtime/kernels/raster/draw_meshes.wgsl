@@ -1,18 +1,18 @@
 // Draw meshes: the hardware's rasteriser visits the pixels that a triangle may cover, and keeps the
 // nearest surface; a pixel's colour and depth come from its ray and the triangle's corners.
 //
-// Seen along a ray, a triangle is flat: its corners are so far to the right of the ray and so far
-// below it. The areas that they span with the ray are the weights of the corners at the point
-// that the ray meets, wherever they are, behind the camera, too (Woop et al. 2013).
+// Seen along a ray, a corner has an offset to the right of the ray and below it. The areas that
+// two corners span with the ray are the barycentric weights of the third at the intersection, even
+// for corners behind the camera (Woop et al. 2013).
 //
-// The rasteriser gets a little more than the triangle, and the areas decide if a ray meets it:
-// the grid that a rasteriser snaps corners to shows nowhere, and edges may be bent, as panoramas have
-// them. Triangles that share an edge leave no gap: both compare the same two products.
+// The rasteriser gets a slightly larger triangle, and the areas decide whether a ray meets it. So
+// the rasteriser's grid of corners has no effect, and edges may be curved, as in panoramas.
+// Triangles that share an edge leave no gap: both compare the same two products.
 
 //!include mesh_cover
 //!include srgb
 
-@group(0) @binding(1) var<storage, read> rays: array<vec2f>;  // of columns, then of rows: a slope, or sine and cosine of an angle
+@group(0) @binding(1) var<storage, read> rays: array<vec2f>;  // of pixel columns, then of rows: a slope, or sine and cosine of an angle
 @group(0) @binding(2) var<storage, read> vertices: array<f32>;
 @group(0) @binding(3) var<storage, read> faces: array<u32>;
 @group(0) @binding(4) var<storage, read> colors: array<f32>;
@@ -26,11 +26,11 @@ struct Corner {
     @location(2) @interpolate(flat) b: vec3f,
     @location(3) @interpolate(flat) c: vec3f,
     @location(4) @interpolate(flat) upright: vec3f,  // the unit normal; zero without an area
-    @location(5) @interpolate(flat) height: f32,     // of the plane over the camera, along it
+    @location(5) @interpolate(flat) height: f32,     // signed distance of the plane from the camera
 }
 
 struct Seen {
-    @location(0) color: vec4f,    // and 1 where a mesh is
+    @location(0) color: vec4f,    // red, green, blue, and 1 where a mesh is visible
     @location(1) surface: vec4f,  // normal in camera space, depth
     @builtin(frag_depth) nearness: f32,
 }
@@ -43,7 +43,7 @@ fn offset(at: vec3f) -> vec3f {
     return (at - place.eye) - place.eye_rest;
 }
 
-// The place of the least of three numbers.
+// Return the index of the least of three numbers.
 fn least_of(numbers: vec3f) -> u32 {
     let others = select(2u, 1u, numbers.y < numbers.z);
     return select(others, 0u, numbers.x <= min(numbers.y, numbers.z));
@@ -54,8 +54,8 @@ fn triangle(face: u32) -> Corner {
     let a = offset(corners[0]);
     let b = offset(corners[1]);
     let c = offset(corners[2]);
-    // The plane is found in local space, where floors are level and rounding has not been: its
-    // direction by the two shorter edges, its place by the nearest corner.
+    // The plane is computed in local space, before rounding by transforms: its normal from the two
+    // shorter edges, its distance from the nearest corner.
     let ab = corners[1] - corners[0];
     let bc = corners[2] - corners[1];
     let ca = corners[0] - corners[2];
@@ -94,7 +94,7 @@ fn texel(at: vec2i, size: vec2i) -> vec3f {
     return textureLoad(picture, (at + size) % size, 0).xyz;
 }
 
-// Between four texels; outside of 0 to 1 the texture repeats. Samplers round their weights.
+// Interpolate four texels of the repeating texture; hardware samplers would round the weights.
 fn texture_at(uv: vec2f) -> vec3f {
     let size = vec2i(textureDimensions(picture));
     let inside = uv - floor(uv);
@@ -110,7 +110,7 @@ fn color_of(vertex: u32) -> vec3f {
     return vec3f(colors[3u * vertex], colors[3u * vertex + 1u], colors[3u * vertex + 2u]);
 }
 
-// weights: of the triangle's three corners.
+// Return the colour of a point of a triangle. weights: barycentric, of the three corners.
 fn color_at(face: u32, weights: vec3f) -> vec3f {
     let one = vec3u(faces[3u * face], faces[3u * face + 1u], faces[3u * face + 2u]);
     var color = weights.x * color_of(one.x) + weights.y * color_of(one.y) + weights.z * color_of(one.z);
@@ -126,8 +126,8 @@ fn color_at(face: u32, weights: vec3f) -> vec3f {
     return color;
 }
 
-// A point as the ray of a pixel has it: how far to the right, how far below, and its depth.
-// across, down: what `rays` has for the pixel.
+// Return the offset of a point to the right of a pixel's ray and below it, and its depth.
+// across, down: the entries of `rays` for the pixel.
 fn beside(at: vec3f, across: vec2f, down: vec2f) -> vec3f {
     if (PANORAMA) {
         let level = across.x * at.x + across.y * at.z;

@@ -1,4 +1,4 @@
-"""Draw quads: splats through the hardware's rasteriser instead of tiles."""
+"""Draws splats as quads with the hardware's rasteriser instead of tiles."""
 
 __all__ = ["DrawQuads", "QuadsStep"]
 
@@ -22,7 +22,7 @@ from gsgen.runtime.kernels.raster.draw_meshes import DEPTHS, MeshesStep
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, source
 
-_ROW_BYTES: Final = 256  # what a row of a copied texture has to be a multiple of
+_ROW_BYTES: Final = 256  # rows of a copied texture are multiples of this
 _UNDER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
 _TESTED: Final = {"format": DEPTHS, "depth_write_enabled": False, "depth_compare": "greater-equal"}
 _VISIBILITY: Final = "VERTEX|FRAGMENT"
@@ -31,18 +31,18 @@ _VISIBILITY: Final = "VERTEX|FRAGMENT"
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class QuadsStep:
-    """One drawing of all splats.
+    """A recorded render pass that draws all splats of a frame as quads.
 
     Attributes:
-        pipeline: What draws.
-        bind: What it binds.
-        texture: What it draws on.
-        view: Of the texture.
-        counts: Where the arguments of the drawing are.
-        image: The buffer that the picture is copied to.
-        row_bytes: Of the image.
+        pipeline: The render pipeline.
+        bind: The bind group of the pipeline.
+        texture: The render target; that of the meshes if there are any.
+        view: View of the texture.
+        counts: Buffer with the arguments of the indirect draw.
+        image: The buffer that the texture is copied to.
+        row_bytes: Bytes of a row of the image.
         size: Width and height, in pixels.
-        depth: View of the meshes' depths, or None; then ``texture`` is theirs, too.
+        depth: View of the meshes' depths; None without meshes.
     """
 
     pipeline: RenderPipeline
@@ -61,7 +61,7 @@ class QuadsStep:
         background: Float[np.ndarray, "3"],
         stamps: PassTimestamps | None = None,
     ) -> None:
-        """Draw over ``background``, or over the meshes, and copy the picture to the image."""
+        """Encode the drawing over ``background`` or the meshes, and the copy to the image buffer."""
         target = {
             "view": self.view,
             "clear_value": (*background.tolist(), 0.0),
@@ -88,12 +88,12 @@ class QuadsStep:
 
 @final
 class DrawQuads:
-    """``draw_quads.wgsl``.
+    """The render pipeline of ``draw_quads.wgsl``.
 
     Args:
-        device: Where it runs; it has to be able to blend 32-bit floats.
+        device: A device that can blend 32-bit floats.
         tested: Whether meshes may hide splats.
-        panorama: Whether the image is one.
+        panorama: Whether the image is a panorama.
     """
 
     def __init__(self, device: Device, *, tested: bool = False, panorama: bool = False) -> None:
@@ -129,7 +129,7 @@ class DrawQuads:
 
     @staticmethod
     def row_bytes(width: int) -> int:
-        """Return how many bytes a row of the image has."""
+        """Return the bytes of a row of an image buffer, padded as texture copies require."""
         return -(-16 * width // _ROW_BYTES) * _ROW_BYTES
 
     def step(
@@ -140,7 +140,7 @@ class DrawQuads:
         image: Buffer,
         meshes: MeshesStep | None = None,
     ) -> QuadsStep:
-        """Return the drawing of a picture.
+        """Record a render pass that draws all splats.
 
         Args:
             size: Width and height, in pixels.

@@ -1,10 +1,10 @@
-// Draw quads: the hardware's rasteriser blends one quad a splat, the farthest first.
+// Draw quads: the hardware's rasteriser blends one quad per splat, the farthest first.
 //
-// The quad is as long and wide as the ellipse within which the splat is drawn. Blending cannot
-// stop at a pixel that is finished, so light that blend_tiles.wgsl would leave out is drawn here.
+// The quad bounds the ellipse of the splat. Blending cannot stop at a finished pixel, so this
+// shader draws light that blend_tiles.wgsl leaves out.
 //
-// In a panorama a splat has one quad where it is, and one a whole turn to each side: all of them
-// are one strip, whose joints have no area.
+// In a panorama a splat has one quad at its place, and one a full turn to each side: the three are
+// one strip, whose joints have no area.
 
 //!include frame
 
@@ -21,15 +21,15 @@ struct Corner {
     @location(2) @interpolate(flat) color: vec3f,
 }
 
-const SLACK = 1.0001;  // of the axes: rounding must not lose a pixel
-const EDGE = 0.51;     // pixels: a quad has the pixels whose centres it covers
+const SLACK = 1.0001;  // factor of the reach: rounding must not lose a pixel
+const EDGE = 0.51;     // pixels around the ellipse: a quad draws pixels whose centres it covers
 
-// The number of a corner of a quad, and which of the quads it is of.
+// Return the number of a corner within its quad, and the number of the quad.
 fn corner_and_copy(vertex: u32) -> vec2u {
     if (!PANORAMA) {
         return vec2u(vertex, 1u);
     }
-    // Four corners, the last of them again, and the first of the next quad again.
+    // A joint repeats the last corner of a quad and the first corner of the next.
     let place = vertex % 6u;
     if (place == 5u) {
         return vec2u(0u, vertex / 6u + 1u);
@@ -75,7 +75,7 @@ fn color_at(corner: Corner) -> @location(0) vec4f {
     let above = corner.weight.y
         - 0.5 * (corner.shape.z * d.x * d.x + corner.weight.x * d.y * d.y)
         - corner.shape.w * d.x * d.y;
-    // Farther than half a turn there is another quad of it.
+    // Beyond half a turn another quad draws the splat.
     if (!(above >= 0.0) || (PANORAMA && abs(d.x) > 0.5 * frame.period)) {
         discard;
     }

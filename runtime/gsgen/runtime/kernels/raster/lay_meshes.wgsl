@@ -1,11 +1,11 @@
-// Lay meshes: what the rasteriser drew, as a layer for blend_tiles.wgsl.
+// Lay meshes: copy the drawn meshes to a layer for blend_tiles.wgsl.
 //
-// One invocation per pixel. Rows of a texture that was copied are longer than the image is wide.
+// One invocation per pixel. Rows of a copied texture are padded.
 
 struct Shape {
     size: vec2u,   // of the image, pixels
-    row: u32,      // pixels of a row that was copied
-    first: u32,    // where the layer begins, pixels
+    row: u32,      // pixels of a row of the copies
+    first: u32,    // index of the layer's first pixel
 }
 
 @group(0) @binding(0) var<uniform> shape: Shape;

@@ -1,6 +1,6 @@
-// The area of a triangle for the rasteriser, which has to visit all pixels that may be covered: the triangle
-// a little larger or, where that is not plain, one around a box that has all of it. It may be too
-// large: each pixel's ray decides.
+// The cover of a triangle: the area whose pixels the rasteriser visits. It is the triangle, slightly
+// enlarged, or one around its bounding box where the projection is not that simple. A cover may be
+// too large, because each pixel's ray decides.
 
 //!include mesh_place
 //!include panorama
@@ -11,9 +11,9 @@ struct Box {
 }
 
 const MARGIN = 0.125;    // pixels: rasterisers may round corners to sixteenths
-const ROUNDING = 2e-6;   // of angles, and of positions by the triangle's size
+const ROUNDING = 2e-6;   // error of angles, and of positions relative to the triangle's size
 const MOST_GROWTH = 4.0;
-const FARTHEST = 3e4;    // pixels, in which the margin has its digits
+const FARTHEST = 3e4;    // pixels, up to which the margin is not lost to rounding
 const FAR_AWAY = 1e30;
 const HALF_TURN = 3.1415927;
 
@@ -21,7 +21,7 @@ fn joined(a: Box, b: Box) -> Box {
     return Box(min(a.low, b.low), max(a.high, b.high));
 }
 
-// Of a point that is ahead.
+// Return the pixels per world unit at a point in front of the camera.
 fn pixels_per_unit(at: vec3f) -> vec2f {
     return place.focal * select(1.0 / at.z, 1.0, place.is_flat == 1u);
 }
@@ -30,7 +30,7 @@ fn pixel_of(at: vec3f) -> vec2f {
     return pixels_per_unit(at) * at.xy + place.center;
 }
 
-// extent: of the triangle.
+// Return the rounding error of a point in pixels. extent: the size of the triangle.
 fn slack_at(at: vec3f, extent: f32) -> vec2f {
     return pixels_per_unit(at) * (ROUNDING * extent);
 }
@@ -39,7 +39,7 @@ fn box_at(at: vec3f, extent: f32) -> Box {
     return Box(pixel_of(at) - slack_at(at, extent), pixel_of(at) + slack_at(at, extent));
 }
 
-// The box of an edge's part ahead of the near plane.
+// Return the bounding box of the part of an edge beyond the near plane.
 fn box_along(a: vec3f, b: vec3f, extent: f32) -> Box {
     if (!(max(a.z, b.z) > place.near)) {
         return Box(vec2f(FAR_AWAY), vec2f(-FAR_AWAY));
@@ -54,14 +54,15 @@ fn box_ahead(a: vec3f, b: vec3f, c: vec3f, extent: f32) -> Box {
     return joined(box_along(a, b, extent), joined(box_along(b, c, extent), box_along(c, a, extent)));
 }
 
-// Latitude of a point, a little less and a little more.
+// Return the latitude of a point, minus and plus the rounding error.
 fn latitudes_at(at: vec3f, extent: f32) -> vec2f {
     let slack = ROUNDING * (1.0 + extent / max(length(at), SMALLEST));
     return turn_of(at.y, length(at.xz)) + vec2f(-slack, slack);
 }
 
-// Of the point of an edge where the latitude turns round: there y / ρ has no derivative along the
-// edge. Elsewhere it is extreme at corners. Counted from the nearer one, where digits are needed.
+// Return the latitudes of the point of an edge where the latitude is extreme, that is, where the
+// derivative of y / ρ along the edge is zero; otherwise those of a corner. The point is computed
+// from the nearer corner, for precision.
 fn latitudes_along(one: vec3f, other: vec3f, extent: f32) -> vec2f {
     let is_nearer = dot(one, one) < dot(other, other);
     let near = select(other, one, is_nearer);
@@ -73,8 +74,9 @@ fn latitudes_along(one: vec3f, other: vec3f, extent: f32) -> vec2f {
     return latitudes_at(near + share * step, extent);
 }
 
-// In a panorama. Along an edge longitude goes one way, so it is extreme at corners; where they
-// span half a turn, the triangle is above or below the camera, and has the pole.
+// Return the bounding box in a panorama. Along an edge the longitude is monotonic, so it is extreme
+// at corners. If the corners span half a turn, the triangle is above or below the camera and
+// contains a pole.
 fn box_around(corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Box {
     let most = max(max(abs(corner_a), abs(corner_b)), abs(corner_c));
     let unit = max(max(most.x, most.y), max(most.z, SMALLEST));
@@ -107,12 +109,12 @@ fn box_around(corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Box {
 
     var low = place.focal * vec2f(first + left, upper) + place.center;
     var high = place.focal * vec2f(first + right, lower) + place.center;
-    // Of the places a whole turn apart, the one farthest to the right that is in the image.
+    // Of the positions a full turn apart, take the rightmost one in the image.
     let turns = place.period * floor((low.x - MARGIN - place.size.x) / place.period + 1.0);
     low.x -= turns;
     high.x -= turns;
     if (is_around || high.x + MARGIN > place.period) {
-        low.x = 0.0;  // there is another one at the left edge
+        low.x = 0.0;  // another part is at the left edge
         high.x = place.size.x;
     }
     return Box(low, high);
@@ -123,13 +125,13 @@ fn inside_image(box: Box) -> Box {
     return Box(low, clamp(box.high + MARGIN, low, place.size));
 }
 
-// A corner of the cover of a triangle, in pixels, except in panoramas.
+// Return a corner of the cover of a triangle, in pixels, except in panoramas.
 fn cover_ahead(which: u32, a: vec3f, b: vec3f, c: vec3f) -> vec2f {
     let extent = max(distance_of(a), max(distance_of(b), distance_of(c)));
     let p = pixel_of(a);
     let q = pixel_of(b);
     let r = pixel_of(c);
-    // Larger around the centre of its incircle, each side moves as far.
+    // Enlarged around its incentre, every side of a triangle moves by the same distance.
     let sides = vec3f(distance(q, r), distance(r, p), distance(p, q));
     let center = (sides.x * p + sides.y * q + sides.z * r) / (sides.x + sides.y + sides.z);
     let area = abs((q.x - p.x) * (r.y - p.y) - (q.y - p.y) * (r.x - p.x));
@@ -142,11 +144,12 @@ fn cover_ahead(which: u32, a: vec3f, b: vec3f, c: vec3f) -> vec2f {
         let own = select(select(r, q, which == 1u), p, which == 0u);
         return center + growth * (own - center);
     }
-    let box = inside_image(box_ahead(a, b, c, extent));  // and as much again
+    let box = inside_image(box_ahead(a, b, c, extent));  // a triangle around it is twice as long
     return box.low + 2.0 * (box.high - box.low) * vec2f(vec2u(which & 1u, which >> 1u));
 }
 
-// A corner of the cover of a triangle: of three, or in a panorama of the six of two triangles.
+// Return a corner of the cover of a triangle: one of three, or in a panorama one of six of two
+// triangles.
 fn cover(which: u32, a: vec3f, b: vec3f, c: vec3f) -> vec2f {
     if (!PANORAMA) {
         return cover_ahead(which, a, b, c);

@@ -1,4 +1,4 @@
-"""The uniform of a mesh in a frame, and the rays of the image's pixels."""
+"""Computes the uniforms of drawn meshes, and the rays of the image's pixels."""
 
 __all__ = ["MESH_UNIFORM", "TO_LINEAR", "TO_SRGB", "PlacedMesh", "mesh_rays", "mesh_uniform"]
 
@@ -32,10 +32,10 @@ MESH_UNIFORM: Final = np.dtype(
         "names": list(_FIELDS),
         "formats": [form for form, _ in _FIELDS.values()],
         "offsets": [offset for _, offset in _FIELDS.values()],
-        "itemsize": 256,  # a step that every device can bind at
+        "itemsize": 256,  # a multiple of this is an offset that every device can bind at
     }
 )
-"""The bytes of ``struct Place`` in draw_meshes.wgsl."""
+"""The bytes of ``struct Place`` in mesh_place.wgsl."""
 
 TO_LINEAR: Final = 1
 TO_SRGB: Final = 2
@@ -44,13 +44,7 @@ TO_SRGB: Final = 2
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedMesh:
-    """A mesh of a scene with its GPU buffers.
-
-    Attributes:
-        mesh: The mesh.
-        buffers: GPU buffers of its data.
-        color_space: Colour space of the scene.
-    """
+    """A mesh with its GPU buffers, and the colour space of its scene."""
 
     mesh: Mesh
     buffers: MeshBuffers
@@ -58,7 +52,7 @@ class PlacedMesh:
 
 
 def mesh_uniform(placed: PlacedMesh, camera: Camera) -> Shaped[np.ndarray, ""]:
-    """Return the uniform that all triangles of a mesh share, computed in float64."""
+    """Return the ``Place`` uniform of a mesh, computed in float64."""
     uniform = np.zeros((), MESH_UNIFORM)
     mesh, data = placed.mesh, placed.mesh.data
     linear, offset = mesh.transform[:3, :3], mesh.transform[:3, 3]
@@ -72,7 +66,7 @@ def mesh_uniform(placed: PlacedMesh, camera: Camera) -> Shaped[np.ndarray, ""]:
     if data.color_space != placed.color_space:
         uniform["conversion"] = TO_LINEAR if placed.color_space == "linear" else TO_SRGB
     center, period = np.array([camera.cx, camera.cy]), camera.period
-    if period:  # of the places a whole turn apart, the one next to the image
+    if period:  # of the positions a full turn apart, the one nearest to the image
         center[0] -= period * np.round((camera.cx - camera.width / 2) / period)
     uniform["focal"], uniform["center"], uniform["period"] = (
         (camera.fx, camera.fy),
@@ -86,9 +80,9 @@ def mesh_uniform(placed: PlacedMesh, camera: Camera) -> Shaped[np.ndarray, ""]:
 
 
 def mesh_rays(camera: Camera) -> Float32[np.ndarray, "n 2"]:
-    """Return the ray directions of all pixel columns, then of all rows.
+    """Return the ray directions of all pixel columns, then of all pixel rows.
 
-    In a panorama that is the sine and the cosine of an angle; elsewhere a slope, and nothing.
+    In a panorama a direction is the sine and the cosine of an angle; elsewhere a slope and 0.
     """
     across = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     down = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy

@@ -1,6 +1,6 @@
-// Panel: lay a small picture over a surface, pixel upon pixel.
+// Panel: draw a small image over a surface, pixel by pixel.
 //
-// The pass's viewport is where the panel stands; colours are multiplied by their alpha.
+// The viewport of the pass is the panel's rectangle; colours are multiplied by their alpha.
 
 //!include surface
 

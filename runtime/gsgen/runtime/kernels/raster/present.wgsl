@@ -1,8 +1,8 @@
-// Present: show an image that was drawn, on a surface whose bytes are sRGB.
+// Present: show a drawn image on a surface whose bytes are sRGB.
 //
-// One triangle covers the surface. What the image's four words mean depends on the mode; they
-// are as `blend_tiles` leaves them. Depths are grey, near is bright and nothing is black;
-// normals are (n + 1) / 2 in world space.
+// One triangle covers the surface. The meaning of an image's four words depends on the mode; they
+// are as blend_tiles.wgsl writes them. Depths are grey: near is bright, and pixels without a depth
+// are black. Normals are shown as (n + 1) / 2 in world space.
 
 //!include srgb
 //!include surface
@@ -10,7 +10,7 @@
 struct Showing {
     turn: mat3x3f,  // camera → world
     size: vec2f,    // of the image, in pixels
-    scale: vec2f,   // pixels of the image for each of the surface
+    scale: vec2f,   // pixels of the image per pixel of the surface
     row: u32,       // pixels from one row to the next
     mode: u32,
     near: f32,      // the depth shown white
@@ -53,7 +53,7 @@ fn color_at(@builtin(position) place: vec4f) -> @location(0) vec4f {
     }
 }
 
-// A depth of 0 means that nothing is there.
+// Return the grey of a depth; 0 means that the pixel has no depth.
 fn grey(depth: f32) -> vec4f {
     let share = clamp((depth - showing.near) / max(showing.far - showing.near, 1e-12), 0.0, 1.0);
     return vec4f(vec3f(select(0.0, 1.0 - 0.9 * share, depth > 0.0)), 1.0);

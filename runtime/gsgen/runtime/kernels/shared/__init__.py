@@ -1,1 +1,1 @@
-"""What do all kernels share: pipelines, shader assembly, counts, common WGSL?"""
+"""What do all GPU kernels share: pipelines, shader assembly, counts, common WGSL?"""

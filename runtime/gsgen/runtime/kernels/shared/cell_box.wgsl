@@ -1,11 +1,10 @@
-// Tiles that a cell touches: one function for the kernel that counts and the one that lists them.
+// The tiles that a cell touches, for the kernel that counts them and the kernel that lists them.
 //
-// The bounds are those of Liu et al. 2025: whole tiles around a circle. Pixel centres have whole
-// numbers.
+// The bounds are those of Liu et al. 2025: whole tiles around a circle; pixel centres are integers.
 
 //!include frame
 
-// Return the first column and row, and one past the last of both.
+// Return the first column and row of the box, and one past the last of both.
 // mean: the circle's centre in pixels, relative to the frame's origin.
 
 fn box_of(mean: vec2f, radius: f32, copy: u32) -> vec4u {

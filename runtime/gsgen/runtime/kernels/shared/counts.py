@@ -1,6 +1,6 @@
-"""The counts of a frame, which stay on the GPU: their indices, and arguments of indirect dispatches.
+"""The counters of a frame in GPU memory, including the arguments of indirect dispatches.
 
-Kernels get the indices as constants of the same names.
+Kernels get their indices as constants of the same names.
 """
 
 __all__ = ["BYTES", "COUNT_CONSTANTS", "Counts"]
@@ -13,7 +13,7 @@ from jaxtyping import UInt32
 
 
 class Counts(IntEnum):
-    """Index of each count, in words of four bytes.
+    """Index of each counter of a frame, in words of four bytes.
 
     A name that ends in ``_GROUPS`` begins three words: the arguments of an indirect dispatch.
     """
@@ -21,35 +21,35 @@ class Counts(IntEnum):
     GAUSSIANS = 0
     """Gaussians of the scene, drawn or not."""
     VISIBLE = 1
-    """Splats that are drawn."""
+    """Drawn splats."""
     PAIRS = 2
     """Pairs of a splat and a tile that it touches, limited to PAIR_CAPACITY."""
     WANTED_PAIRS = 3
-    """The same without that limit."""
+    """Pairs of a splat and a tile that it touches, without the limit."""
     PAIR_CAPACITY = 4
     DRAWN = 5
     """Gaussians of the drawn cells, for weighted sums."""
     TIED = 6
-    """1 if more splats share one depth than the tie pass puts in the order of their sets."""
+    """1 if more splats share one depth than the tie pass can sort by their sets."""
     UNSORTED = 7
-    """1 if more splats share one key than the tie pass orders by the rest of their depths."""
+    """1 if more splats share one key than the tie pass can sort by their depth remainders."""
     SORT_VISIBLE_GROUPS = 8
     WALK_VISIBLE_GROUPS = 12
     SORT_PAIRS_GROUPS = 16
     WALK_PAIRS_GROUPS = 20
     DRAW_ARGUMENTS = 24
-    """Four words: vertices, instances, and the first of each."""
+    """The arguments of an indirect draw: vertices, instances, and the first of each."""
 
 
 BYTES: Final = 4 * 28
 COUNT_CONSTANTS: Final = {member.name: int(member) for member in Counts}
-"""The indices as constants for a shader."""
+"""The indices of the counters as constants for a shader."""
 
 
 def initial(
     gaussians: int, pair_capacity: int, *, panorama: bool = False
 ) -> UInt32[np.ndarray, " 28"]:
-    """Return the counts before the first frame."""
+    """Return the counters of a frame plan before its first frame."""
     counts = np.zeros(BYTES // 4, np.uint32)
     counts[Counts.GAUSSIANS] = gaussians
     counts[Counts.PAIR_CAPACITY] = pair_capacity

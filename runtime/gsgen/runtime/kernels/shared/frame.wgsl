@@ -1,13 +1,13 @@
-// The uniform that all Gaussians of a frame share. `frame_uniform` of project.py writes it.
+// The uniform that all Gaussians of a frame share; `frame_uniform` of project.py writes it.
 
 struct Frame {
     focal: vec2f,        // pixels
     center: vec2f,       // principal point minus `origin`, pixels
-    slope_low: vec2f,    // x/z and y/z beyond which the Jacobian stays as it is
+    slope_low: vec2f,    // x/z and y/z beyond which the Jacobian stays constant
     slope_high: vec2f,
-    origin: vec2f,       // whole pixels; image coordinates are relative to it, so that they stay exact
+    origin: vec2f,       // whole pixels; image coordinates are relative to it, for precision
     near: f32,
-    period: f32,         // of a panorama: pixels that a whole turn has
+    period: f32,         // of a panorama: pixels of a full turn
     size: vec2u,         // pixels
     tiles: vec2u,
     background: vec4f,   // red, green, blue; alpha stays that of the splats
@@ -15,7 +15,7 @@ struct Frame {
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 
-// The horizontal distance the shorter way around; in a panorama that may cross the image's edges.
+// The shorter horizontal distance: in a panorama it may cross the image's left and right edges.
 fn nearest(across: f32) -> f32 {
     if (PANORAMA) {
         return across - frame.period * round(across / frame.period);

@@ -1,4 +1,4 @@
-"""A kernel: one entry point of a shader, with the layout of what it binds."""
+"""Compute kernels: shader entry points with their bind groups, and their dispatches."""
 
 __all__ = ["THREADS", "VEC4", "Dispatch", "Kernel", "Step", "run"]
 
@@ -19,26 +19,26 @@ from gsgen.runtime.gpu.handles import (
 from gsgen.runtime.kernels.shared.shader import source
 
 Dispatch: TypeAlias = tuple[int, int, int] | tuple[Buffer, int]
-"""Workgroups in x, y and z, or the buffer and the offset that they are read from."""
+"""Workgroup counts in x, y and z, or a buffer with an offset that holds them."""
 
 THREADS: Final = 64
-"""Invocations of a workgroup, in kernels of one invocation per row."""
+"""Workgroup size of kernels with one invocation per row."""
 
 VEC4: Final = 16
-"""Bytes of four 32-bit words, which is a pixel of every image."""
+"""Bytes of four 32-bit words, as in a pixel of every image."""
 
 _TYPES: Final = {"u": "uniform", "r": "read-only-storage", "w": "storage"}
 
 
 @final
 class Kernel:
-    """A compute pipeline.
+    """A compute pipeline of one shader entry point, with its bind group layouts.
 
     Args:
         device: Device of the pipeline.
         name: Name of the shader file.
         entry: Name of its entry point.
-        groups: For each bind group a letter per binding: u uniform, r read-only storage,
+        groups: For each bind group one letter per binding: u uniform, r read-only storage,
             w storage.
         constants: Constants of the shader.
     """
@@ -63,7 +63,7 @@ class Kernel:
         )
 
     def bind(self, *resources: Resource, group: int = 0) -> BindGroup:
-        """Return a bind group; a resource is a buffer, or (buffer, offset, size)."""
+        """Return a bind group of buffers, or of (buffer, offset, size), for the kernel."""
         entries = [
             {"binding": binding, "resource": _resource(resource)}
             for binding, resource in enumerate(resources)
@@ -89,13 +89,7 @@ def _resource(resource: Resource) -> dict[str, object]:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One dispatch of a frame, recorded once and encoded every frame.
-
-    Attributes:
-        kernel: The kernel.
-        binds: Its bind groups.
-        groups: How many workgroups run.
-    """
+    """One kernel dispatch of a frame, recorded once and encoded every frame."""
 
     kernel: Kernel
     binds: tuple[BindGroup, ...]
@@ -105,7 +99,7 @@ class Step:
 def run(
     encoder: Encoder, steps: Iterable[Step], label: str, stamps: PassTimestamps | None = None
 ) -> None:
-    """Encode ``steps`` as one compute pass, which may write timestamps."""
+    """Encode kernel dispatches as one compute pass, which may write timestamps."""
     compute = encoder.begin_compute_pass(label=label, timestamp_writes=stamps)
     last: Kernel | None = None
     for step in steps:

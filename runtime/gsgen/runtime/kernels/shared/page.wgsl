@@ -1,33 +1,33 @@
-// The uniform that all Gaussians of a page share, and functions that read their rows.
+// The uniform that all Gaussians of a page share, and functions that read the page's rows.
 //
-// `page_uniform` of project.py writes the uniform. Rows are float32, or PACKED by compact_rows.py.
+// `page_uniforms` of project.py writes the uniform. Rows are float32, or PACKED by compact_rows.py.
 
 struct Page {
     linear: mat3x3f,      // local → camera, without the translation
-    local_to_sh: mat3x3f, // local offset from the eye → direction that the harmonics were fitted for
+    local_to_sh: mat3x3f, // local offset from the eye → direction of the spherical harmonics
     eye: vec3f,           // the camera centre in local space, rounded …
     opacity_scale: f32,
-    eye_rest: vec3f,      // … and what the rounding left
+    eye_rest: vec3f,      // … and the rounding error
     base: u32,            // index of the page's first Gaussian in the frame
     clip_low: vec3f,      // local box outside of which centres are not drawn
     count: u32,           // live Gaussians of the page
     clip_high: vec3f,
-    degree: u32,          // of the harmonics; RGB where it is NO_HARMONICS
-    mip: u32,
-    capacity: u32,        // Gaussians that there is room for
-    forward: vec3f,       // local: where an orthographic camera looks; zero for a pinhole
-    // Of sets that are blended by weighted sums:
+    degree: u32,          // SH degree; NO_HARMONICS for RGB
+    mip: u32,             // 1: antialiasing of Mip-Splatting
+    capacity: u32,        // rows of the page, live or not
+    forward: vec3f,       // viewing direction of an orthographic camera, local; else zero
+    // Only for sets that are blended by weighted sums:
     per_cell: u32,        // Gaussians of a cell
-    first_row: u32,       // of the page, in its set
+    first_row: u32,       // index in the set of the page's first Gaussian
     first_gaussian: u32,  // index in the frame of the set's first Gaussian
-    inverse_range: f32,   // 1 / the depth where weights end; 0 where they do not
-    inverse_divisor: f32, // 1 / what opacity is divided by
+    inverse_range: f32,   // 1 / the depth at which weights reach 0; 0 without such a depth
+    inverse_divisor: f32, // 1 / the divisor of opacities
     behind: f32,          // weight of the background
     // For exact depths:
-    linear_rest: mat3x3f, // what rounding `linear` left
-    eye_at: vec3f,        // where the rounded `eye` is in camera space …
+    linear_rest: mat3x3f, // the rounding error of `linear`
+    eye_at: vec3f,        // the rounded `eye` in camera space …
     zero: u32,            // 0, which compilers cannot know
-    eye_at_rest: vec3f,   // … and what rounding that left
+    eye_at_rest: vec3f,   // … and its rounding error
 }
 
 @group(1) @binding(0) var<uniform> page: Page;
@@ -43,7 +43,7 @@ fn is_flat() -> bool {
     return any(page.forward != vec3f(0.0));
 }
 
-// Two columns are read at once: for drivers on CPUs every read costs the same, however short.
+// Two columns are read at once: on software drivers every read costs the same, however short.
 fn columns(index: u32, pair: u32) -> vec2f {
     return bitcast<vec2f>(rows[index * select(5u, 4u, PACKED) + pair]);
 }
@@ -54,7 +54,7 @@ fn read_center(index: u32) -> Center {
     return Center(vec3f(xy, z_opacity.x), z_opacity.y);
 }
 
-// L Lᵀ, of the lower triangle of L.
+// Return L Lᵀ from the packed lower triangle of L.
 fn read_packed_covariance(index: u32) -> mat3x3f {
     let a = rows[index * 4u + 2u];
     let b = rows[index * 4u + 3u];

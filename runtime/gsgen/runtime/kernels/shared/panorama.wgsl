@@ -1,20 +1,20 @@
-// Panorama: longitude and latitude of a direction, and their derivatives by the position.
+// Panorama: longitude and latitude of a position, and their derivatives.
 //
 // With r² = x² + y² + z² and ρ² = x² + z², longitude is atan2(x, z) and latitude, downwards, is
-// asin(y / r) = atan2(y, ρ), which has all its digits near the poles, too. Their derivatives are
+// asin(y / r) = atan2(y, ρ), which is precise near the poles, too. Their derivatives are
 //
 //     longitude: (z, 0, −x) / ρ²        latitude: (−x y / ρ, ρ, −y z / ρ) / r²
 //
-// The first has no bound at the poles: ρ counts there as r · POLE at least.
+// The first is unbounded at the poles: there ρ is clamped to at least r · POLE.
 
 struct Sight {
     angles: vec2f,  // longitude and latitude, radians
-    jx: vec3f,      // how the longitude moves with the position in camera space
-    jy: vec3f,      // and the latitude
+    jx: vec3f,      // derivative of the longitude by the position in camera space
+    jy: vec3f,      // derivative of the latitude
 }
 
-// The angle of (x, y) from the x axis, to 2e-7: a driver's atan2 may be off by 4096 units in the
-// last place. The polynomial is the best of its degree for atan(t) / t on 0 ≤ t² ≤ 1.
+// Return the angle of (x, y) from the x axis, to 2e-7: a driver's atan2 may be off by 4096 units in
+// the last place. The minimax polynomial approximates atan(t) / t on 0 ≤ t² ≤ 1.
 fn turn_of(y: f32, x: f32) -> f32 {
     let long = max(abs(x), abs(y));
     let t = min(abs(x), abs(y)) / max(long, SMALLEST);
@@ -34,13 +34,13 @@ fn turn_of(y: f32, x: f32) -> f32 {
 
 const SMALLEST = 1e-37;
 
-// The length of a vector that is not zero, however large or small: its square may overflow.
+// Return the length of a nonzero vector without overflow of squares.
 fn distance_of(at: vec3f) -> f32 {
     let most = max(max(abs(at.x), abs(at.y)), max(abs(at.z), SMALLEST));
     return most * length(at / most);
 }
 
-// distance: r, which is positive.
+// Return longitude and latitude with derivatives. distance: r, which is positive.
 fn sight_around(at: vec3f, distance: f32) -> Sight {
     let unit = at / distance;
     let level = length(unit.xz);

@@ -1,4 +1,4 @@
-"""Assemble WGSL: include whole files, and declare constants of Python in front of them."""
+"""Assembles WGSL shaders: includes files, and declares Python constants before them."""
 
 __all__ = ["source"]
 
@@ -10,50 +10,50 @@ from importlib.resources.abc import Traversable
 from gsgen.contract.spec import layout
 
 _INCLUDE = re.compile(r"^//!include (\w+)\n", re.MULTILINE)
-_REPEAT = re.compile(  # an innermost one
+_REPEAT = re.compile(  # without another inside
     r"^//!repeat (\w+) (\w+)\n((?:(?!^//!repeat ).)*?)^//!end\n", re.MULTILINE | re.DOTALL
 )
 
-# Constants that every kernel may use. Each number has its only home in gsgen.contract or here.
+# Constants that every kernel may use.
 DILATION = 0.3
-"""Variance, in pixels², that is added to every splat (Kerbl et al. 2023)."""
+"""Variance that is added to every splat, in pixels² (Kerbl et al. 2023)."""
 MAX_ALPHA = 0.99
-"""The largest share of a pixel that one splat may cover (Kerbl et al. 2023)."""
+"""The largest opacity of one splat at a pixel (Kerbl et al. 2023)."""
 MIN_TRANSMITTANCE = 1e-4
-"""A pixel through which less light would pass is finished (Kerbl et al. 2023)."""
+"""Transmittance below which a pixel is finished (Kerbl et al. 2023)."""
 FINISHED = 0.01
-"""A pixel through which less light passes takes no further cell (Liu et al. 2025, their code)."""
+"""Transmittance below which a pixel takes no further cell (Liu et al. 2025, their code)."""
 JACOBIAN_MARGIN = 0.3
-"""How far outside the image, in half images, the Jacobian follows a centre (as gsplat does)."""
+"""Margin around the image, in half images, to which Jacobians are clamped (as in gsplat)."""
 TILE = 16
 """Edge of a tile, in pixels."""
 ABSENT = 0xFFFFFFFF
-"""The sort key of a Gaussian that is not drawn, and the id of a pixel without one."""
+"""The sort key of a Gaussian that is not drawn, and the id of a pixel without Gaussians."""
 NOWHERE = 3.4e38
-"""The depth of an image layer where it is empty: farther than any splat."""
+"""The depth of empty pixels of an image layer: farther than any splat."""
 SPLAT_REACH = 3.0
-"""Standard deviations beyond which a splat of a weighted sum ends (Liu et al. 2025, their code)."""
+"""Radius of a splat in a weighted sum, in standard deviations (Liu et al. 2025, their code)."""
 CELL_REACH = 2.0
-"""Standard deviations beyond which a cell ends (Liu et al. 2025, their code)."""
+"""Radius of a cell, in standard deviations (Liu et al. 2025, their code)."""
 MIN_EIGENVALUE_GAP = 0.1
 """Lower bound, in pixels⁴, of the squared half difference of a 2D covariance's eigenvalues."""
 POLE = 1e-3
-"""The least cosine of a latitude in a panorama's Jacobian."""
+"""Lower bound of the cosine of the latitude in a panorama's Jacobian."""
 PANORAMA_CONSTANTS: dict[str, int | bool] = {"PANORAMA": True, "FIRST_COPY": 0, "COPIES": 3}
 """Constants of kernels that place splats in a panorama: each splat is drawn up to three times."""
 
 
 def source(name: str, **constants: int | float | bool) -> str:
-    """Return the WGSL of shader ``name`` with all files that it includes.
+    """Return the WGSL source of shader ``name`` with all files that it includes.
 
-    Directives stand in lines of their own. ``//!include NAME`` puts another file there, once in
-    the whole text. ``//!repeat WORD COUNT`` to ``//!end`` writes the lines between them as often
-    as the constant COUNT says, with WORD replaced by 0, 1, 2, …, where a loop over an array was
-    measured to be slower. One may stand in another.
+    Directives stand in lines of their own. ``//!include NAME`` inserts another file, once per
+    shader. ``//!repeat WORD COUNT`` to ``//!end`` repeats the lines between them COUNT times (a
+    constant), with WORD replaced by 0, 1, 2, …, where a loop over an array was measured to be
+    slower. Repetitions may be nested.
 
     Args:
         name: Name of the shader's file without ``.wgsl``.
-        constants: Declared in front as ``const NAME``; integers are u32, floats f32.
+        constants: Declared before the text as ``const NAME``; integers are u32, floats f32.
     """
     shared: dict[str, int | float | bool] = {
         "ABSENT": ABSENT,
@@ -83,7 +83,7 @@ def source(name: str, **constants: int | float | bool) -> str:
 
 
 def _included(name: str, included_names: set[str]) -> str:
-    """Return the text of a shader; includes are replaced by their files, or by nothing if seen."""
+    """Return the text of a shader with each included file inserted once."""
 
     def replacement(match: re.Match[str]) -> str:
         included = match[1]
@@ -97,7 +97,7 @@ def _included(name: str, included_names: set[str]) -> str:
 
 @cache
 def _shader_files() -> dict[str, str]:
-    """Return the texts of all shaders of the kernels' rooms, by file name without suffix."""
+    """Return the WGSL texts of all kernels, by file name without suffix."""
     rooms = [room for room in files("gsgen.runtime.kernels").iterdir() if room.is_dir()]
     shaders: list[Traversable] = [
         file for room in rooms for file in room.iterdir() if file.name.endswith(".wgsl")

@@ -1,4 +1,4 @@
-"""Measures the subgroup size: how many invocations of a workgroup run in lockstep."""
+"""Measures the subgroup size of a GPU: how many invocations run in lockstep."""
 
 __all__ = ["lanes"]
 
@@ -13,9 +13,9 @@ _THREADS: Final = 8
 
 
 def lanes(device: Device) -> int:
-    """Return the size of the subgroups of a workgroup of eight, or 0 without subgroups.
+    """Return the subgroup size of a workgroup of eight invocations, or 0 without subgroups.
 
-    It is measured: adapters only report a range.
+    The size is measured, because adapters only report a range.
     """
     if not device.subgroups:
         return 0

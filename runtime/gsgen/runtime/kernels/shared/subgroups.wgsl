@@ -1,4 +1,4 @@
-// Subgroups: say how many invocations of a workgroup run as one.
+// Subgroups: measure how many invocations of a workgroup run in lockstep.
 
 @group(0) @binding(0) var<storage, read_write> sizes: array<u32>;
 

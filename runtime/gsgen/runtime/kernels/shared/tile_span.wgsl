@@ -1,13 +1,13 @@
-// Tiles that a splat touches: one function for the kernel that counts and the one that lists them.
+// The tiles that a splat touches, for the kernel that counts them and the kernel that lists them.
 //
-// In each row of tiles it is a span, the exact extent of the ellipse dᵀ conic d ≤ reach within
+// In each row of tiles they are a span: the exact extent of the ellipse dᵀ conic d ≤ reach within
 // the row's band of pixel centres. In terms of the covariance, at height y the ellipse goes from
 // c(y) − h(y) to c(y) + h(y) with c = y·xy/yy and h² = (reach − y²/yy)·det/yy; it is farthest
-// right at y = xy·√(reach/xx). Of the conic: xy/yy is −conic.xy/conic.xx, det/yy is 1/conic.xx.
+// right at y = xy·√(reach/xx). By the conic, xy/yy = −conic.xy/conic.xx and det/yy = 1/conic.xx.
 //
-// In a panorama a splat is drawn again a whole turn to the left and to the right: COPIES are
-// numbered from the left, and 1 is the one nearest to the middle of the image. None reaches
-// farther than half a turn. Kernels that list tiles leave out those that an earlier copy touched.
+// In a panorama a splat is drawn again a full turn to the left and to the right: COPIES are
+// numbered from the left, and copy 1 is nearest to the middle of the image. No copy reaches farther
+// than half a turn. Kernels that list tiles leave out the tiles that an earlier copy touched.
 
 //!include frame
 
@@ -22,7 +22,7 @@ struct Outline {
     rows: vec2u,        // the first row of tiles, and one past the last
 }
 
-const SLACK = 1.0001;   // of the reach: rounding must not lose a pixel
+const SLACK = 1.0001;   // factor of the reach: rounding must not lose a pixel
 const EDGE = 0.001;     // pixels
 
 fn tile_at(pixel: f32, limit: u32) -> u32 {
@@ -49,7 +49,7 @@ fn outline(mean: vec2f, conic: vec3f, strength: f32, variance_yy: f32) -> Outlin
     return result;
 }
 
-// How far left and right of its mean a splat reaches, from one height above it to another.
+// Return the leftmost and rightmost x of an ellipse between two heights, relative to its mean.
 fn extent(ellipse: Outline, heights: vec2f) -> vec2f {
     let band = clamp(heights, vec2f(-ellipse.half_height), vec2f(ellipse.half_height));
     let right_y = clamp(ellipse.rightmost, band.x, band.y);
@@ -61,7 +61,7 @@ fn extent(ellipse: Outline, heights: vec2f) -> vec2f {
     return vec2f(left, right);
 }
 
-// The first tile of a copy's span in a row of tiles, and one past the last.
+// Return the first tile that a copy touches in a row of tiles, and one past the last.
 fn span(ellipse: Outline, row: u32, copy: u32) -> vec2u {
     let top = f32(row * TILE) + 0.5 - ellipse.mean.y;
     let ends = extent(ellipse, vec2f(top, top + f32(TILE) - 1.0));

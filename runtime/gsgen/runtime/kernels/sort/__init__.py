@@ -1,1 +1,1 @@
-"""In which order are splats drawn: scan, radix sort, ties?"""
+"""Sorting splats on the GPU: prefix sums, radix sort, and equal depths."""

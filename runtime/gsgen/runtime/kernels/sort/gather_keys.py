@@ -1,4 +1,4 @@
-"""Gather keys: replace the sort keys by a second key, gathered in sorted order."""
+"""Gathers a second sort key of each splat, in sorted order, for the next sort."""
 
 __all__ = ["GatherKeys", "gather_reference"]
 
@@ -15,12 +15,7 @@ from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
 @final
 class GatherKeys:
-    """``gather_keys.wgsl``.
-
-    Args:
-        device: Where it runs.
-        block: Keys that a workgroup of the sort has.
-    """
+    """The kernel ``gather_keys.wgsl``; ``block`` is the number of keys of a sort workgroup."""
 
     def __init__(self, device: Device, block: int) -> None:
         self.kernel = Kernel(
@@ -34,7 +29,7 @@ class GatherKeys:
         )
 
     def step(self, counts: Buffer, keys: Buffer, order: Buffer, keys_out: Buffer) -> Step:
-        """Return the step: ``keys_out`` gets the key of each visible splat of ``order``."""
+        """Return the dispatch that writes the key of each visible splat of ``order``."""
         bind = self.kernel.bind(counts, keys, order, keys_out)
         return Step(self.kernel, (bind,), (counts, 4 * Counts.SORT_VISIBLE_GROUPS))
 
@@ -42,5 +37,5 @@ class GatherKeys:
 def gather_reference(
     keys: UInt32[np.ndarray, " m"], order: UInt32[np.ndarray, " n"]
 ) -> UInt32[np.ndarray, " n"]:
-    """Return the keys of ``order`` as ``gather_keys.wgsl`` must."""
+    """Return the keys of sorted splats: the reference of ``gather_keys.wgsl``."""
     return np.asarray(keys[order])

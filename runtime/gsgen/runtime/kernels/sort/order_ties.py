@@ -1,4 +1,4 @@
-"""Order ties: sort splats of equal keys by the rest of their depths, then by their sets."""
+"""Sorts splats of equal depth keys by their depth remainders, then by their sets."""
 
 __all__ = ["MOST_TIED", "OrderTies", "order_ties_reference"]
 
@@ -14,17 +14,17 @@ from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 
 MOST_TIED: Final = 64
-"""The longest tie that the kernel puts in order; the sort is repeated for longer ones."""
+"""Most splats of equal keys that the kernel sorts; for longer ties the sort is repeated."""
 
 
 @final
 class OrderTies:
-    """``order_ties.wgsl``.
+    """The kernel ``order_ties.wgsl``, which sorts splats of equal keys.
 
     Args:
-        device: Where it runs.
-        walk: How many splats an invocation walks along.
-        arranged: Whether splats are elsewhere in memory than their sets have them.
+        device: Device of the kernel.
+        walk: Splats per invocation.
+        arranged: Whether the order of splats in memory differs from that of their sets.
     """
 
     def __init__(self, device: Device, walk: int, *, arranged: bool) -> None:
@@ -50,18 +50,18 @@ class OrderTies:
         order: Buffer,
         *origins: Buffer,
     ) -> Step:
-        """Return the ordering.
+        """Return the dispatch that sorts ties.
 
         Args:
-            capacity: Number of splats that there is room for.
+            capacity: Most splats.
             counts: The frame's counts.
-            keys: Of the visible splats, in ascending order.
+            keys: Keys of the visible splats, in ascending order.
             lows: Remainder of each splat's depth beyond its key, as bits that sort alike.
             order: The sorted splats.
-            origins: Where rows are arranged, where each splat is by the order of the sets.
+            origins: If ``arranged``, the index of each splat in the order of the sets.
         """
         if not origins:
-            origins = (lows,)  # something has to be bound, and is not read
+            origins = (lows,)  # a buffer has to be bound, but is not read
         bind = self.kernel.bind(counts, keys, lows, order, *origins)
         # A direct dispatch: the kernel writes the counts, so they cannot be its indirect arguments.
         groups = max(1, -(-capacity // self._block))
@@ -75,5 +75,5 @@ def order_ties_reference(
     origins: UInt32[np.ndarray, " m"],
     order: UInt32[np.ndarray, " n"],
 ) -> UInt32[np.ndarray, " n"]:
-    """Return ``order`` as ``order_ties.wgsl`` must sort it if no tie is longer than MOST_TIED."""
+    """Sort ``order`` as ``order_ties.wgsl`` must if no tie is longer than MOST_TIED."""
     return order[np.lexsort((origins[order], lows[order], keys))]

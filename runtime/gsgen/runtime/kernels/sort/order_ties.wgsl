@@ -1,15 +1,14 @@
-// Order ties: put sorted splats of equal keys in the order of the rest of their depths.
+// Order ties: sort splats of equal keys by their depth remainders.
 //
-// Splats whose depths are equal altogether come in the order of their sets; where rows are ARRANGED
-// in memory, a stable sort has left them in the order of memory. Each invocation looks at RUN sorted
-// splats, and sorts every tie that begins among them by insertion, which is the fastest for a few.
-// A tie of more than MOST_TIED is left as it is, so that no invocation works for long. If it is not
-// in order, that is announced, and the frame is drawn again in another way: as UNSORTED where depths
-// are out of order, as TIED where only sets are.
+// Splats of equal depth are sorted by their sets; where rows are ARRANGED in memory, the stable sort
+// has left them in the order of memory. Each invocation looks at RUN sorted splats, and sorts every
+// tie that begins among them by insertion, which is the fastest for a few. A tie of more than
+// MOST_TIED stays as it is, so that no invocation takes long. If it is not in order, the kernel sets
+// UNSORTED (depths are out of order) or TIED (only sets are), and the frame is drawn again.
 
 @group(0) @binding(0) var<storage, read_write> counts: array<atomic<u32>>;
 @group(0) @binding(1) var<storage, read> keys: array<u32>;
-@group(0) @binding(2) var<storage, read> lows: array<u32>;     // by splat: bits that sort as the rest of its depth does
+@group(0) @binding(2) var<storage, read> lows: array<u32>;     // by splat: depth remainders, as bits that sort alike
 @group(0) @binding(3) var<storage, read_write> order: array<u32>;
 @group(0) @binding(4) var<storage, read> origins: array<u32>;  // by splat: its index in the order of the sets, if ARRANGED
 
@@ -20,7 +19,7 @@ fn origin_of(splat: u32) -> u32 {
     return splat;
 }
 
-// Announce that two neighbours in a tie that is too long are out of order.
+// Set UNSORTED or TIED if two neighbours in a tie that is too long are out of order.
 fn check(rank: u32) {
     let first = order[rank];
     let second = order[rank + 1u];
@@ -32,7 +31,7 @@ fn check(rank: u32) {
 }
 
 fn order_tie(first: u32, key: u32, visible: u32) {
-    // Step 1: find the end of the tie, or that it is too long.
+    // Step 1: find the end of the tie, or stop if it is too long.
     var end = first + 2u;
     while (end < visible && end - first <= MOST_TIED && keys[end] == key) {
         end += 1u;

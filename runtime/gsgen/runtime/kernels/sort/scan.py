@@ -1,4 +1,4 @@
-"""Scan: replace numbers by the sum of all before them, and announce the total."""
+"""Scan: replaces numbers on the GPU by the sums of all before them (prefix sums)."""
 
 __all__ = ["Scan", "scan_reference"]
 
@@ -21,16 +21,16 @@ _EFFECTS: Final = {None: 0, Counts.VISIBLE: 1, Counts.PAIRS: 2}
 
 @final
 class Scan:
-    """``scan.wgsl``, between the two kernels of ``scan_blocks.wgsl`` where there is much to do.
+    """Exclusive prefix sums: ``scan.wgsl``, and ``scan_blocks.wgsl`` for many numbers.
 
-    A CPU scans as fast in one workgroup as in many. A GPU has one of its hundred processors busy
-    then, so numbers beyond a few thousand are reduced by blocks, whose sums alone are scanned so.
+    A CPU scans as fast in one workgroup as in many. On a GPU one workgroup leaves most processors
+    idle, so more than a few thousand numbers are summed by blocks, and these sums are scanned.
 
     Args:
-        device: Where it runs.
-        sort_block: Keys that a workgroup of the sort has.
-        walk_block: Splats that a workgroup of the binning has.
-        range_block: Pairs that a workgroup of the ranges has.
+        device: Device of the kernels.
+        sort_block: Keys of a workgroup of the sort.
+        walk_block: Splats of a workgroup of the binning.
+        range_block: Pairs of a workgroup of the tile ranges.
     """
 
     def __init__(self, device: Device, sort_block: int, walk_block: int, range_block: int) -> None:
@@ -67,15 +67,10 @@ class Scan:
         rows: int = 1,
         total: Counts | None = None,
     ) -> list[Step]:
-        """Return the scan of rows × ⌈counts[source] / block⌉ numbers.
+        """Return the dispatches that scan rows × ⌈counts[source] / block⌉ numbers in place.
 
-        Args:
-            counts: The frame's counts.
-            numbers: Buffer that is scanned in place; its size is the capacity.
-            source: Count that determines the length.
-            block: See above.
-            rows: See above.
-            total: Count that receives the sum of all: VISIBLE, PAIRS or None.
+        The size of the buffer ``numbers`` is the capacity; ``total`` names the count that
+        receives the sum of all: VISIBLE, PAIRS or None.
         """
         uniform = self._device.uniform("scan", 16)
         words = np.array([source, block, rows, _EFFECTS[total]], np.uint32)
@@ -95,6 +90,6 @@ class Scan:
 
 
 def scan_reference(numbers: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " n"]:
-    """Return exclusive prefix sums as a scan must: they stop at 2³¹ − 1 instead of wrapping."""
+    """Return exclusive prefix sums, which saturate at 2³¹ − 1: the reference of ``scan.wgsl``."""
     before = np.cumsum(numbers, dtype=np.uint64) - numbers
     return np.asarray(np.minimum(before, 0x7FFFFFFF), np.uint32)

@@ -1,7 +1,7 @@
-// Scan: replace numbers by the sum of all before them, and announce the total.
+// Scan: replace numbers by the sum of all before them, and write the total to the counts.
 //
-// One workgroup; each invocation sums a run, the sums are scanned, each writes its run. Where there
-// are many numbers, these are the sums of blocks of SHARE each, which scan_blocks.wgsl makes.
+// One workgroup: each invocation sums a run, the sums are scanned, and each writes its run. If SHARE
+// is above 1, the numbers are sums of blocks of SHARE numbers, which scan_blocks.wgsl computes.
 
 //!include scan_sums
 

@@ -1,7 +1,8 @@
 // Scan of many numbers: the kernels before and after the scan (scan.wgsl) of the sums of blocks.
 //
-// `reduce` sums each block of THREADS × RUN numbers; `spread` replaces the numbers of each by the
-// sum of all before them, once the blocks' own sums have been. No workgroup waits for another.
+// `reduce` sums each block of THREADS × RUN numbers; `spread` replaces the numbers of each block by
+// the sums of all before them, after the sums of the blocks were scanned. No workgroup waits for
+// another.
 
 //!include scan_sums
 

@@ -1,10 +1,10 @@
-// Scan, the part that its kernels share: the length of the numbers and sums within a workgroup.
+// The shared part of the scan kernels: the number of values, and prefix sums in a workgroup.
 
 struct Scan {
     source: u32,      // index of the count that the length follows from
     block: u32,       // length = rows × ⌈counts[source] / block⌉
     rows: u32,
-    effect: u32,      // what the total is announced as: 0 nothing, 1 visible splats, 2 pairs
+    effect: u32,      // the count that receives the total: 0 none, 1 visible splats, 2 pairs
 }
 
 @group(0) @binding(0) var<uniform> scan_of: Scan;
@@ -21,7 +21,7 @@ fn length_for(amount: u32) -> u32 {
     return scan_of.rows * groups(amount, scan_of.block);
 }
 
-// Return the sum of all `sum` of lower invocations of the workgroup; `sums` has the sums up to each.
+// Return the sum of `sum` over all lower invocations; `sums` gets the sums up to each invocation.
 fn sum_before(thread: u32, sum: u32) -> u32 {
     sums[thread] = sum;
     workgroupBarrier();

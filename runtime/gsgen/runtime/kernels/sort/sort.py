@@ -1,4 +1,4 @@
-"""Sort: a stable radix sort of keys with values."""
+"""A stable radix sort of 32-bit keys with values on the GPU."""
 
 __all__ = ["KEY_BITS", "Columns", "RadixSort", "SortConfig", "cut_for", "sort_reference"]
 
@@ -16,11 +16,11 @@ from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.scan import Scan
 
 KEY_BITS: Final = 32
-"""Of a depth: a positive float sorts as its bits do."""
+"""Bits of a depth key: positive floats sort like their bits."""
 
 
 class Columns(NamedTuple):
-    """Two buffers of words that are sorted together."""
+    """A buffer of sort keys and a buffer of values that are sorted together."""
 
     keys: Buffer
     values: Buffer
@@ -29,13 +29,13 @@ class Columns(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True)
 class SortConfig:
-    """How a sort is divided into workgroups.
+    """How a radix sort and the binning are divided among invocations.
 
     Attributes:
         threads: Invocations of a workgroup of the sort.
-        run: Keys of each.
-        digit_bits: Bits that one pass sorts by, at most.
-        walk: Sorted splats that one invocation bins.
+        run: Keys per invocation of the sort.
+        digit_bits: Most bits that one pass sorts by.
+        walk: Sorted splats per invocation of the binning.
     """
 
     threads: int
@@ -45,22 +45,22 @@ class SortConfig:
 
     @property
     def block(self) -> int:
-        """Keys of a workgroup."""
+        """Keys per workgroup of the sort."""
         return self.threads * self.run
 
 
 def cut_for(device: Device) -> SortConfig:
-    """Return the configuration for a device: a CPU is fast with long runs, a GPU with many invocations."""
+    """Return the sort configuration of a device: long runs on a CPU, many invocations on a GPU."""
     return SortConfig(8, 512, 8, 64) if device.software else SortConfig(256, 16, 4, 4)
 
 
 @final
 class RadixSort:
-    """``sort.wgsl``: sorts keys with values, least significant digit first.
+    """The radix sort ``sort.wgsl``, least significant digit first.
 
     Args:
-        device: Where it runs.
-        cut: How work is cut.
+        device: Device of the kernels.
+        cut: Configuration of the sort.
         scan: The scan between counting and scattering.
     """
 
@@ -71,12 +71,12 @@ class RadixSort:
         self._scatter = Kernel(device, "sort", "scatter", ("urrrwww",), **constants)
 
     def histogram(self, capacity: int) -> Buffer:
-        """Return a histogram buffer for sorting up to ``capacity`` keys."""
+        """Return a new histogram buffer for sorting up to ``capacity`` keys."""
         size = 4 * (1 << self._cut.digit_bits) * self.blocks(capacity)
         return self._device.storage("histogram", size)
 
     def blocks(self, capacity: int) -> int:
-        """Return how many workgroups ``capacity`` keys take."""
+        """Return the number of workgroups that sort ``capacity`` keys."""
         return max(1, -(-capacity // self._cut.block))
 
     def steps(
@@ -91,20 +91,19 @@ class RadixSort:
         compacting: int | None = None,
         first_keys: Buffer | None = None,
     ) -> tuple[list[Step], int]:
-        """Return the steps of a sort, and which of ``columns`` has the result.
+        """Return the dispatches of a radix sort, and the index in ``columns`` of the result.
 
         Args:
             counts: The frame's counts.
             histogram: From :meth:`histogram`.
-            columns: The input, and as much room again; both are overwritten.
-            bits: How many low bits of the keys to sort by.
-            source: Which count says how many keys there are.
-            groups: Where the arguments of a dispatch for as many keys are.
-            compacting: If given, the first pass takes as many keys as this, with their places
-                as values, leaves out those that are ABSENT, and announces the rest as
-                ``source``.
-            first_keys: Keys that a compacting sort reads first, in place of those of ``columns``, and
-                leaves as they are.
+            columns: The input and a scratch pair; both are overwritten.
+            bits: Number of low bits of the keys to sort by.
+            source: The count that holds the number of keys.
+            groups: The count that begins the arguments of a dispatch for as many keys.
+            compacting: If given, the first pass reads this many keys, takes their indices as
+                values, drops ABSENT keys, and writes the number of the others to ``source``.
+            first_keys: Keys that a compacting sort reads in place of those of ``columns``, and
+                does not overwrite.
         """
         passes = -(-bits // self._cut.digit_bits)
         width = -(-bits // passes)
@@ -121,7 +120,7 @@ class RadixSort:
             self._device.write(uniform, words)
             before, after = columns[number % 2], columns[1 - number % 2]
             if first and first_keys is not None:
-                before = Columns(first_keys, first_keys)  # it reads no values
+                before = Columns(first_keys, first_keys)  # a compacting pass reads no values
             resources = (uniform, counts, *before, histogram, *after)
             scan = self._scan.steps(
                 counts,
@@ -140,7 +139,7 @@ class RadixSort:
 
 
 def sort_reference(keys: UInt32[np.ndarray, " n"], bits: int) -> UInt32[np.ndarray, " m"]:
-    """Return indices sorted by key as the sort must: ABSENT keys left out, equal keys in order."""
+    """Return indices sorted by key, without ABSENT keys: the reference of ``sort.wgsl``."""
     present = np.flatnonzero(keys != ABSENT)
     order = np.argsort(keys[present] & ((1 << bits) - 1), kind="stable")
     return present[order].astype(np.uint32)

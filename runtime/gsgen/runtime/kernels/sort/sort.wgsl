@@ -1,22 +1,22 @@
 // Sort: one pass of a stable radix sort of keys with values.
 //
-// `count` and `scatter` cut the keys into blocks of THREADS runs of RUN keys, one run per
-// invocation. Each invocation counts the digits of its own run, in its own column of `counters`,
-// so no two meet and nothing depends on which is first. Between them `scan` (scan.wgsl) turns the
-// histogram of all blocks, digit-major, into first indices. It uses no subgroups, and no workgroup
-// waits for another.
+// `count` and `scatter` divide the keys into blocks of THREADS runs of RUN keys, one run per
+// invocation. Each invocation counts the digits of its own run in its own column of `counters`, so
+// the result does not depend on timing. Between them `scan` (scan.wgsl) converts the histogram of
+// all blocks, digit-major, to first indices. The sort uses no subgroups, and no workgroup waits for
+// another.
 
 struct Digit {
     shift: u32,
     bits: u32,
-    source: u32,   // index of the count that is the number of keys
-    first: u32,    // 1: the values are the keys' own indices, and keys that are ABSENT are left out
+    source: u32,   // index of the count that holds the number of keys
+    first: u32,    // 1: values are the indices of the keys, and ABSENT keys are dropped
 }
 
 @group(0) @binding(0) var<uniform> digit: Digit;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
-@group(0) @binding(2) var<storage, read> keys_in: array<vec4u>;    // four at once: for drivers
-@group(0) @binding(3) var<storage, read> values_in: array<vec4u>;  // on CPUs every read costs the same
+@group(0) @binding(2) var<storage, read> keys_in: array<vec4u>;    // four at once: on software
+@group(0) @binding(3) var<storage, read> values_in: array<vec4u>;  // drivers every read costs the same
 @group(0) @binding(4) var<storage, read_write> histogram: array<u32>;
 @group(0) @binding(5) var<storage, read_write> keys_out: array<u32>;
 @group(0) @binding(6) var<storage, read_write> values_out: array<u32>;
@@ -25,7 +25,7 @@ const BLOCK = THREADS * RUN;
 
 var<workgroup> counters: array<u32, DIGITS * THREADS>;
 
-// The counter of a key's digit in the column of an invocation.
+// Return the index of the counter of a key's digit, in the column of an invocation.
 fn counter_of(key: u32, thread: u32) -> u32 {
     return ((key >> digit.shift) & ((1u << digit.bits) - 1u)) * THREADS + thread;
 }
@@ -86,10 +86,10 @@ fn scatter_key(key: u32, value: u32, i: u32, end: u32, thread: u32) {
 fn scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
     let total = counts[digit.source];
     let blocks = (total + BLOCK - 1u) / BLOCK;
-    // Step 1: count again; that is cheaper than keeping the counters of all runs.
+    // Step 1: count again, which is cheaper than storing the counters of all runs.
     count_run(group.x, local.x, total);
     workgroupBarrier();
-    // Step 2: turn the counters of each digit into the first index of every run.
+    // Step 2: convert the counters of each digit to the first index of every run.
     for (var d = local.x; d < (1u << digit.bits); d += THREADS) {
         var index = 0u;
         if (group.x < blocks) {

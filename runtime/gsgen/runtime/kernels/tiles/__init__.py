@@ -1,1 +1,1 @@
-"""Which splats touch each tile, and what colour do they blend to?"""
+"""Tile rasterisation: which splats touch each tile, and to which colour do they blend?"""

@@ -10,7 +10,7 @@ fn emit(@builtin(global_invocation_id) invocation: vec3u) {
     for (var rank = run.first; rank < run.end; rank++) {
         let cell = order[rank];
         let circle = tile_counts[cell];
-        var listed = 0u;  // columns before this one have been listed by an earlier copy
+        var listed = 0u;  // an earlier copy has listed the columns before this one
         for (var copy = FIRST_COPY; copy < FIRST_COPY + COPIES; copy++) {
             let box = box_of(circle.xy, circle.z, copy);
             for (var row = box.y; row < box.w; row++) {

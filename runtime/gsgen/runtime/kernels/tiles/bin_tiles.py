@@ -1,4 +1,4 @@
-"""Bin: list the tiles that each splat touches, nearest splat first."""
+"""Lists the image tiles that each splat touches, nearest splat first (binning)."""
 
 __all__ = ["WALK_THREADS", "BinTiles", "touched_reference"]
 
@@ -19,13 +19,13 @@ _BINDINGS = {"bin_tiles": "urrrwwwrr", "bin_cells": "urrrwww"}
 
 @final
 class BinTiles:
-    """``bin_tiles.wgsl``, or ``bin_cells.wgsl`` for cells in place of splats.
+    """The kernels of ``bin_tiles.wgsl``, or of ``bin_cells.wgsl`` for cells.
 
     Args:
-        device: Where it runs.
-        walk: How many splats an invocation walks along.
-        panorama: Whether the image is one.
-        cells: Whether it is cells whose tiles are listed.
+        device: Device of the kernels.
+        walk: Splats per invocation.
+        panorama: Whether the image is a panorama.
+        cells: Whether to list the tiles of cells instead of splats.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class BinTiles:
         )
 
     def steps(self, counts: Buffer, resources: tuple[Buffer, ...]) -> tuple[Step, Step]:
-        """Return measuring and emitting; between them the measures are to be scanned.
+        """Return the dispatches that count and list tiles; the counts are scanned between them.
 
         Args:
             counts: The frame's counts, or those of its cells.
@@ -63,11 +63,11 @@ def touched_reference(
     """Return the mask of tiles with a pixel that a splat reaches.
 
     Args:
-        mean: In pixels of the image.
+        mean: Centre of the splat, in pixels.
         conic: Inverse 2D covariance: xx, xy, yy.
         strength: Logarithm of the opacity over CULL_OPACITY.
-        size: Width and height of the image.
-        period: Pixels of a whole turn, where the image is a panorama.
+        size: Width and height of the image, in pixels.
+        period: Pixels of a full turn of a panorama; 0 for other images.
     """
     across, down = (-(-side // TILE) for side in size)
     dx = np.arange(size[0]) + 0.5 - mean[0]

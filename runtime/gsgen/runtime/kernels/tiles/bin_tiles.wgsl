@@ -16,7 +16,7 @@ fn emit(@builtin(global_invocation_id) invocation: vec3u) {
         let weight = weights[id];
         let ellipse = outline(shape.xy, vec3f(shape.zw, weight.x), weight.y, weight.w);
         for (var row = ellipse.rows.x; row < ellipse.rows.y; row++) {
-            var listed = 0u;  // columns before this one have been listed by an earlier copy
+            var listed = 0u;  // an earlier copy has listed the columns before this one
             for (var copy = FIRST_COPY; copy < FIRST_COPY + COPIES; copy++) {
                 let tiles = span(ellipse, row, copy);
                 pair = list_tiles(id, row, max(tiles.x, listed), tiles.y, pair);

@@ -1,8 +1,8 @@
-// The opacity of a splat where it is `above` the least that is drawn: CULL_OPACITY · e^above.
+// The opacity of a splat at pixels where its logarithm is `above` that of CULL_OPACITY.
 //
-// Drivers on CPUs work out a longer exponential, whose argument may be anything. This is 2^p(x)
-// by a polynomial of degree 5 for 2^x in [0, 1), off by 1.6e-7 of itself, with CULL_OPACITY in
-// its coefficients; the whole part is added to the exponent.
+// It is CULL_OPACITY · e^above. Software drivers compute a slower exponential for any argument. So
+// POLYNOMIAL takes a polynomial of degree 5 for 2^x with x in [0, 1), with a relative error of
+// 1.6e-7 and CULL_OPACITY in its coefficients, and adds the integer part to the exponent.
 
 const TO_BINARY = 1.4426950408889634;
 
@@ -19,7 +19,7 @@ fn opacity(above: vec4f) -> vec4f {
     p = p * x + 0.24015361733005428 * CULL_OPACITY;
     p = p * x + 0.6931530731374415 * CULL_OPACITY;
     p = p * x + 0.9999999250670458 * CULL_OPACITY;
-    // A float of 1.5 · 2²³ more has the whole number in its low bits.
+    // Adding 1.5 · 2²³ puts the integer into the low bits of a float.
     let made = bitcast<vec4f>(bitcast<vec4u>(p) + (bitcast<vec4u>(whole + 12582912.0) << vec4u(23u)));
     return select(made, vec4f(MAX_ALPHA), made > vec4f(MAX_ALPHA));
 }

@@ -1,13 +1,13 @@
-// Blend, as blend_tiles.wgsl does, where a tile's invocations are one subgroup of LANES.
+// Blend like blend_tiles.wgsl, where a tile's invocations are one subgroup of LANES.
 //
-// Each invocation reads another splat, and all get it from there: a driver on a CPU makes LANES
-// reads of what its lanes read together, even where all of them read the same.
+// Each invocation reads another splat and shares it with the others: software drivers make LANES
+// reads even if all lanes read the same address.
 
 //!include blend_tile
 //!include tile_span
 
-// Bits of the cells of a tile that a splat touches; all of them in a panorama, whose splats may
-// be drawn twice.
+// Return a bit for each cell of a tile that a splat touches; all bits in a panorama, whose splats
+// may be drawn twice.
 fn cells_touched(tile: vec2u, shape: vec4f, weight: vec4f) -> u32 {
     if (PANORAMA) {
         return ~0u;

@@ -2,7 +2,7 @@
 // `begin_tile`, `blend_splat` for every splat, nearest first, and `end_tile`.
 //
 // An invocation has CELLS = COLUMNS × QUADS cells, each of four pixels above each other; its
-// columns are TILE / COLUMNS apart. `repeat` writes a variable for each cell: on Mesa's
+// columns are TILE / COLUMNS apart. `repeat` declares a variable for each cell: on Mesa's
 // llvmpipe, blending with an array of cells took 2.1 times as long with subgroups, 2.6 without. An
 // array of layers took 1.0 and 1.2 times as long.
 
@@ -16,8 +16,8 @@
 @group(0) @binding(5) var<storage, read> colors: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> image: array<vec4u>;
 
-// LAYERS images among the splats, the front one first: see `Layers` in blend_tiles.py. Without
-// layers no entry point uses the second group.
+// LAYERS images among the splats, front to back: see `Layers` in blend_tiles.py. Without layers no
+// entry point uses the second bind group.
 @group(1) @binding(0) var<storage, read> layers: array<vec4f>;
 @group(1) @binding(1) var<storage, read> layer_depths: array<f32>;
 
@@ -26,22 +26,22 @@ const ZERO = vec4f(0.0);
 struct Cell {
     transmittance: vec4f,  // light that still passes; negative once the pixel is finished
     red: vec4f,            // with PICK: Σ w z
-    green: vec4f,          // with PICK: the depth where half of the light is gone
+    green: vec4f,          // with PICK: the median depth, where half of the light is gone
     blue: vec4f,
-    taker: vec4u,          // with PICK: the Gaussian that took it
+    taker: vec4u,          // with PICK: the Gaussian at the median depth
 }
 
 // The four pixels of a cell in one layer.
 struct LayerCell {
     depth: vec4f,
     transmittance: vec4f,
-    light: vec4f,          // light that reaches the layer; negative until a splat behind it comes
+    light: vec4f,          // light that reaches the layer; negative until a splat behind it is met
 }
 
 var<private> corner: vec2u;  // the first pixel of the first cell …
 var<private> x: f32;         // … and its centre, relative to the frame's origin,
 var<private> y: vec4f;       // with those of the three pixels below it
-var<private> lights: array<vec4f, max(LAYERS * CELLS, 1u)>;  // per layer and cell, at the end
+var<private> lights: array<vec4f, max(LAYERS * CELLS, 1u)>;  // final light per layer and cell
 //!repeat CELL CELLS
 var<private> cell_CELL: Cell;
 //!repeat LAYER LAYERS
@@ -49,7 +49,7 @@ var<private> layer_LAYER_CELL: LayerCell;
 //!end
 //!end
 
-// The first pixel of a cell, relative to `corner`.
+// Return the first pixel of a cell, relative to `corner`.
 fn offset_of(cell: u32) -> vec2u {
     return vec2u(cell / QUADS * (TILE / COLUMNS), cell % QUADS * 4u);
 }
@@ -66,7 +66,7 @@ fn layer_cell(layer: u32, cell: u32) -> LayerCell {
     return LayerCell(min(vec4f(upper, lower), vec4f(NOWHERE)), 1.0 - alpha, vec4f(-1.0));
 }
 
-// Step 1: no light has been taken yet. Returns the range of the tile's pairs.
+// Step 1: initialise the state, and return the range of the tile's pairs.
 fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
     corner = vec2u(tile.x * TILE + local.x, tile.y * TILE + local.y * 4u * QUADS);
     x = f32(corner.x) + 0.5 - frame.origin.x;
@@ -80,7 +80,7 @@ fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
     return ranges[tile.y * frame.tiles.x + tile.x];
 }
 
-// The logarithm of a splat's opacity over CULL_OPACITY at the pixels of a cell.
+// Return the logarithm of a splat's opacity over CULL_OPACITY at the pixels of a cell.
 fn strength_at(cell: u32, shape: vec4f, weight: vec3f) -> vec4f {
     let offset = offset_of(cell);
     let dx = nearest(x + f32(offset.x) - shape.x);
@@ -89,18 +89,18 @@ fn strength_at(cell: u32, shape: vec4f, weight: vec3f) -> vec4f {
     return weight.y - 0.5 * shape.z * dx * dx - (bend * dy + shape.w * dx) * dy;
 }
 
-// The light that reaches a layer, now that a splat at `depth` may be behind it.
+// Return the light that reaches a layer, updated before a splat at `depth` is blended.
 fn light_before(layer: LayerCell, cell: Cell, depth: f32) -> vec4f {
     let is_met = (vec4f(depth) > layer.depth) & (layer.light < ZERO);
     return select(layer.light, abs(cell.transmittance), is_met);
 }
 
-// What a layer passes where its light has just been set.
+// Return the transmittance of a layer at pixels where its light has just been set.
 fn passed_by(layer: LayerCell, light: vec4f) -> vec4f {
     return select(vec4f(1.0), layer.transmittance, (layer.light < ZERO) & (light >= ZERO));
 }
 
-// One splat over one cell. Light that would be less than MIN_TRANSMITTANCE finishes a pixel.
+// Blend one splat over one cell. A transmittance below MIN_TRANSMITTANCE finishes the pixel.
 fn blended(cell: Cell, above: vec4f, id: u32, depth: f32, color: vec3f) -> Cell {
     var result = cell;
     let before = select(ZERO, cell.transmittance, cell.transmittance > ZERO);
@@ -123,7 +123,7 @@ fn blended(cell: Cell, above: vec4f, id: u32, depth: f32, color: vec3f) -> Cell 
     return result;
 }
 
-// Step 2: one splat over all cells. Where splats are MASKED, `touched` has a bit for each cell.
+// Step 2: blend one splat over all cells. If MASKED, `touched` has a bit for each touched cell.
 fn blend_splat(id: u32, shape: vec4f, weight: vec3f, color: vec3f, touched: u32) {
 //!repeat CELL CELLS
     if (!MASKED || (touched & (1u << CELLu)) != 0u) {
@@ -140,7 +140,7 @@ fn blend_splat(id: u32, shape: vec4f, weight: vec3f, color: vec3f, touched: u32)
 //!end
 }
 
-// Bits of the cells with a pixel that is not finished.
+// Return a bit for each cell with an unfinished pixel.
 fn open_cells() -> u32 {
     var open = 0u;
 //!repeat CELL CELLS
@@ -149,7 +149,7 @@ fn open_cells() -> u32 {
     return open;
 }
 
-// True while a pixel is not finished.
+// Return true while a pixel is not finished.
 fn is_open() -> bool {
     var most = ZERO;
 //!repeat CELL CELLS
@@ -158,8 +158,8 @@ fn is_open() -> bool {
     return any(most > ZERO);
 }
 
-// A layer behind all splats of some pixels gets the remaining light. So does one behind a finished
-// pixel: its small rest passes on to the layer, as it does to the background.
+// Blend a layer at pixels where it is behind all splats: it gets the remaining light, which at a
+// finished pixel is a small remainder, as the background does.
 fn ended(cell: Cell, layer: LayerCell, light: vec4f, is_last: vec4<bool>) -> Cell {
     var result = cell;
     result.transmittance *= select(vec4f(1.0), layer.transmittance, is_last);
@@ -190,8 +190,8 @@ fn write_cell(number: u32, cell: Cell) {
     }
 }
 
-// Add a layer's colours to the image. Compilers take long over reading them, so this is a loop
-// that none can unroll: its length depends on the frame.
+// Add a layer's colours to the image. Compilers take long to unroll these reads, so the length of
+// the loop depends on the frame.
 fn add_layer(layer: u32) {
     let pixels = select(0u, 4u * CELLS, frame.size.x > 0u);
     for (var pixel = 0u; pixel < pixels; pixel++) {

@@ -1,4 +1,4 @@
-"""Blend: composite each tile's splats, front to back."""
+"""Blends the splats of each image tile, front to back."""
 
 __all__ = ["BlendTiles", "Layers", "blend_reference", "workgroup_shape"]
 
@@ -27,18 +27,18 @@ from gsgen.runtime.kernels.shared.subgroups import lanes
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Layers:
-    """Images among the splats, the front one first; each is blended before the splats behind it.
+    """Images with depths among the splats, front to back; splats behind a layer follow it.
 
-    A pixel of a layer is its colour multiplied by its alpha, and its alpha; its depth is along +z,
+    A pixel of a layer is a colour multiplied by its alpha, and the alpha; its depth is along +z,
     or NOWHERE or infinite where the layer is empty. A later layer is nowhere in front of an
-    earlier one; of several, only the last may be opaque.
+    earlier one, and only the last may be opaque.
 
     Attributes:
-        count: How many there are.
-        colors: Buffer of four float32 a pixel, layer by layer.
-        depths: Buffer of one float32 a pixel, layer by layer.
-        normals: Like ``colors``, with normals in camera space in place of colours, or None where
-            no normals are asked for.
+        count: Number of layers.
+        colors: Buffer of four float32 per pixel, layer by layer.
+        depths: Buffer of one float32 per pixel, layer by layer.
+        normals: Like ``colors``, with normals in camera space in place of colours; None if
+            normals are not requested.
     """
 
     count: int
@@ -50,14 +50,14 @@ class Layers:
 def workgroup_shape(
     device: Device, layers: int, *, panorama: bool
 ) -> tuple[bool, dict[str, int | float | bool]]:
-    """Return how a tile's pixels are divided among invocations.
+    """Choose how the pixels of a tile are divided among invocations of a workgroup.
 
     Returns:
-        Whether its invocations are one subgroup that reads splats together, and the constants of
-        the shader.
+        Whether a tile's invocations are one subgroup that reads splats together, and the
+        constants of the shader.
     """
-    # A CPU's vector is as wide as half a tile: one invocation takes two columns, top to
-    # bottom. A GPU wants many invocations.
+    # A CPU's vector is as wide as half a tile, so an invocation takes two columns, top to bottom.
+    # A GPU is fast with many invocations.
     columns, quads = (2, 4) if device.software else (1, 1)
     constants: dict[str, int | float | bool] = {
         "COLUMNS": columns,
@@ -73,13 +73,13 @@ def workgroup_shape(
 
 @final
 class BlendTiles:
-    """``blend_tiles.wgsl``, or ``blend_subgroups.wgsl`` where that is faster.
+    """The kernel ``blend_tiles.wgsl``, or ``blend_subgroups.wgsl`` where that is faster.
 
     Args:
-        device: Where it runs.
-        pick: Whether to make depths and ids instead of colours.
-        panorama: Whether the image is one.
-        layers: How many layers stand among the splats.
+        device: Device of the kernel.
+        pick: Whether to compute depths and ids instead of colours.
+        panorama: Whether the image is a panorama.
+        layers: Number of image layers among the splats.
     """
 
     def __init__(
@@ -102,12 +102,12 @@ class BlendTiles:
         resources: tuple[Buffer, ...],
         layers: tuple[Buffer, Buffer] | None = None,
     ) -> Step:
-        """Return the blending of an image.
+        """Return the dispatch that blends an image.
 
         Args:
-            tiles: How many there are across and down.
-            resources: Resources of ``blend_tiles.wgsl``, in order.
-            layers: Colours, or normals, and depths of the layers, where there are any.
+            tiles: Number of tiles across and down.
+            resources: Resources of the shader, in order.
+            layers: Colours or normals, and depths, of the layers; None without layers.
         """
         binds = [self.kernel.bind(*resources)]
         if layers is not None:
@@ -121,13 +121,13 @@ def blend_reference(
     size: tuple[int, int],
     layers: Sequence[tuple[Float[np.ndarray, "h w 4"], Float[np.ndarray, "h w"]]] = (),
 ) -> Float[np.ndarray, "h w 4"]:
-    """Blend sorted splats in float64 as ``blend_tiles.wgsl`` must.
+    """Blend sorted splats in float64: the reference of ``blend_tiles.wgsl``.
 
     Args:
-        splats: All of them drawn.
-        origin: Of their means, in pixels of the image.
-        size: Width and height of the image.
-        layers: Colours and depths of each, as :class:`Layers` has them.
+        splats: Drawn splats, nearest first.
+        origin: Origin of the means, in pixels of the image.
+        size: Width and height of the image, in pixels.
+        layers: Colours and depths of each layer, see :class:`Layers`.
     """
     width, height = size
     x = np.arange(width) + 0.5 - origin[0]

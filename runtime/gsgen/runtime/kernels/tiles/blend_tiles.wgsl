@@ -1,13 +1,13 @@
 // Blend: composite each tile's splats, front to back.
 //
-// One workgroup per tile. A splat is read once for all cells of an invocation, and cells that it
-// does not touch are left out.
+// One workgroup per tile. A splat is read once for all cells of an invocation, and skips cells that
+// it does not touch.
 //
-// A splat that would let less light pass than MIN_TRANSMITTANCE is left out, and the pixel is
-// finished: the sign of its transmittance says so.
+// A splat that would leave less light than MIN_TRANSMITTANCE is skipped, and the pixel is finished,
+// which the sign of its transmittance stores.
 //
-// With PICK the image has no colours: it has Σ w z, the depth where half of the light is gone,
-// the index of the Gaussian that took it, and alpha.
+// With PICK a pixel has no colour, but Σ w z, the median depth (where half of the light is gone),
+// the index of the Gaussian at that depth, and alpha.
 
 //!include blend_tile
 

@@ -1,4 +1,4 @@
-"""Blend by weighted sums: composite each tile's cells, front to back, whose Gaussians are summed."""
+"""Blends the cells of each tile front to back by weighted sums of their Gaussians."""
 
 __all__ = ["BlendWsr", "blend_wsr_reference"]
 
@@ -19,14 +19,14 @@ from gsgen.runtime.kernels.tiles.blend_tiles import workgroup_shape
 
 @final
 class BlendWsr:
-    """``blend_wsr.wgsl``, or ``blend_wsr_subgroups.wgsl`` where that is faster.
+    """The kernel ``blend_wsr.wgsl``, or ``blend_wsr_subgroups.wgsl`` where that is faster.
 
     Args:
-        device: Where it runs.
-        pick: Whether to make depths and ids instead of colours.
-        panorama: Whether the image is one.
+        device: Device of the kernel.
+        pick: Whether to compute depths and ids instead of colours.
+        panorama: Whether the image is a panorama.
         published: Whether backgrounds count as in the method's own renderer.
-        layers: How many layers there are, if the image is the first of them.
+        layers: Number of layers if the result is the first of them, else 0.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class BlendWsr:
             "blend_wsr_subgroups" if together else "blend_wsr",
             "blend",
             ("urrrrrrw", "w"),
-            PARTS=constants["CELLS"],  # cells are something else here
+            PARTS=constants["CELLS"],  # this shader means cells of Gaussians by cells
             PICK=pick,
             PUBLISHED=published,
             LAYERED=layers > 0,
@@ -55,12 +55,12 @@ class BlendWsr:
     def step(
         self, tiles: tuple[int, int], resources: tuple[Buffer, ...], depths: Buffer | None = None
     ) -> Step:
-        """Return the blending of an image.
+        """Return the dispatch that blends an image.
 
         Args:
-            tiles: How many there are across and down.
-            resources: Resources of ``blend_wsr.wgsl``, in order.
-            depths: Of the layers, where there are any.
+            tiles: Number of tiles across and down.
+            resources: Resources of the shader, in order.
+            depths: Buffer of the layers' depths; None without layers.
         """
         if depths is None:
             depths = self._no_depths
@@ -76,15 +76,15 @@ def blend_wsr_reference(
     origin: Float[np.ndarray, "2"],
     size: tuple[int, int],
 ) -> Float[np.ndarray, "h w 4"]:
-    """Blend one set without a background in float64 as ``blend_wsr.wgsl`` must.
+    """Blend one set without background in float64: the reference of ``blend_wsr.wgsl``.
 
     Args:
-        splats: Its Gaussians, drawn or not.
-        radius: Of the circle that each ends at, in pixels.
+        splats: The Gaussians of the set, drawn or not.
+        radius: Radius of the circle that bounds each Gaussian, in pixels.
         cells: The Gaussians and the tiles of each cell, nearest first.
         factors: Divisor of the opacity, and the weight of the background.
-        origin: Of the means, in pixels of the image.
-        size: Width and height of the image.
+        origin: Origin of the means, in pixels of the image.
+        size: Width and height of the image, in pixels.
     """
     (divisor, behind), (width, height) = factors, size
     x = np.arange(width) + 0.5 - origin[0]

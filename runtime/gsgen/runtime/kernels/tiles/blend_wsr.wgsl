@@ -1,9 +1,9 @@
-// Blend by weighted sums: composite each tile's cells, front to back; sum the Gaussians of a cell.
+// Blend by weighted sums: sum the Gaussians of each cell, and blend a tile's cells front to back.
 //
-// One workgroup per tile, invocations as in blend_tiles.wgsl.
+// One workgroup per tile, divided as in blend_tiles.wgsl.
 //
-// With PICK the image has no colours: it has Σ w z, the depth where half of the light is gone,
-// the index of the Gaussian that covered most in that cell, and alpha.
+// With PICK a pixel has no colour, but Σ w z, the median depth (where half of the light is gone),
+// the index of the Gaussian that covers most in the cell at that depth, and alpha.
 
 //!include sum_tile
 

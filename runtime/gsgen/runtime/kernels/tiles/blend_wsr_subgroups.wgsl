@@ -1,5 +1,5 @@
-// Blend by weighted sums, as blend_wsr.wgsl does, where a tile's invocations are one subgroup of
-// LANES: each invocation reads another cell, and another Gaussian of it, and all get them from there.
+// Blend by weighted sums like blend_wsr.wgsl, where a tile's invocations are one subgroup of LANES:
+// each invocation reads another cell and another Gaussian, and shares them with the others.
 
 //!include sum_tile
 

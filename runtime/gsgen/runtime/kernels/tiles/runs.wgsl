@@ -1,11 +1,11 @@
-// Runs of the sorted splats or cells, one per invocation: `measure` adds up the tiles of each run,
-// and `emit` of the including file starts each run where the scan of these sums put it.
+// Runs of the sorted splats or cells, one per invocation: `measure` sums the tiles of each run, and
+// `emit` of the including file writes the pairs of each run at the index that the scan computed.
 
 //!include frame
 
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;
-@group(0) @binding(3) var<storage, read> tile_counts: array<vec4f>;  // by splat or cell: the last is how many tiles it has
+@group(0) @binding(3) var<storage, read> tile_counts: array<vec4f>;  // by splat or cell: w is the number of tiles
 @group(0) @binding(4) var<storage, read_write> run_pairs: array<u32>;
 @group(0) @binding(5) var<storage, read_write> pair_tiles: array<u32>;
 @group(0) @binding(6) var<storage, read_write> pair_members: array<u32>;
@@ -39,8 +39,8 @@ fn run_of(invocation: u32) -> Run {
     return Run(first, min(first + RUN, visible), pair);
 }
 
-// List the tiles of a row from column `first` to before `end`; returns the index of the next pair.
-// Beyond the PAIR_CAPACITY nothing is written: the frame is drawn again with more.
+// List the tiles of a row from column `first` to before `end`, and return the next pair's index.
+// Pairs beyond PAIR_CAPACITY are not written: the frame is drawn again with a larger capacity.
 fn list_tiles(member: u32, row: u32, first: u32, end: u32, pair: u32) -> u32 {
     let capacity = counts[PAIR_CAPACITY];
     var next = pair;

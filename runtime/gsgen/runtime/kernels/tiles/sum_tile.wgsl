@@ -2,12 +2,12 @@
 // `begin_tile`; for every cell, nearest first, `enter_cell`, `add_splat` for each Gaussian and
 // `leave_cell`; and `end_tile`.
 //
-// Within a cell every Gaussian is weighed by the light that passed before the cell, `open`, so the
-// order of a cell's Gaussians does not count. Once less than FINISHED is left, further cells are
-// left out, and so is the background.
+// Within a cell every Gaussian is weighted by `open`, the light before the cell, so the order of a
+// cell's Gaussians does not matter. Once less than FINISHED is left, further cells and the
+// background are skipped.
 //
 // An invocation has PARTS = COLUMNS × QUADS parts, each of four pixels above each other. `repeat`
-// writes a variable for each part: on Mesa's llvmpipe, sums in an array of parts took 4.4 times as
+// declares a variable for each part: on Mesa's llvmpipe, sums in an array of parts took 4.4 times as
 // long with subgroups, 4.3 without.
 
 //!include frame
@@ -15,32 +15,32 @@
 
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
 @group(0) @binding(2) var<storage, read> pair_cells: array<u32>;
-@group(0) @binding(3) var<storage, read> spans: array<vec4u>;    // first Gaussian, how many, 1 / divisor, weight of the background
+@group(0) @binding(3) var<storage, read> spans: array<vec4u>;    // first Gaussian, number, 1 / divisor, weight of the background
 @group(0) @binding(4) var<storage, read> shapes: array<vec4f>;   // mean, conic xx xy
-@group(0) @binding(5) var<storage, read> weights: array<vec4f>;  // conic yy, strength, depth, the circle's radius²
+@group(0) @binding(5) var<storage, read> weights: array<vec4f>;  // conic yy, strength, depth, radius² of the circle
 @group(0) @binding(6) var<storage, read> colors: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> image: array<vec4u>;
 
-// Where the image is LAYERED, it is the first of LAYERS layers. Meshes, if there are any, are the
-// last, whose depths are here already: splats behind them do not count.
+// If LAYERED, the image is the first of LAYERS layers. Meshes, if any, are the last layer, whose
+// depths are here already: splats behind them are skipped.
 @group(1) @binding(0) var<storage, read_write> layer_depths: array<f32>;
 
 const ZERO = vec4f(0.0);
-const CIRCLE_SLACK = 1.01;  // of squares: rounding must not lose a pixel
-const FLATTEST = 1e-5;      // below this share of its product, a determinant is mostly rounding
+const CIRCLE_SLACK = 1.01;  // factor of squares: rounding must not lose a pixel
+const FLATTEST = 1e-5;      // least determinant, relative to its product, that is not mostly rounding
 
 struct Part {
     transmittance: vec4f,   // light that still passes
-    open: vec4f,            // the same before the present cell; 0 once the pixel is finished
+    open: vec4f,            // light before the present cell; 0 once the pixel is finished
     total: vec4f,           // Σ w
-    behind: vec4f,          // Σ w b, with b the weight that the Gaussian's set gives to the background
+    behind: vec4f,          // Σ w b, where b is the set's weight of the background
     red: vec4f,             // with PICK: Σ w z
-    green: vec4f,           // with PICK: the depth where half of the light is gone
+    green: vec4f,           // with PICK: the median depth, where half of the light is gone
     blue: vec4f,
-    taker: vec4u,           // with PICK: the Gaussian that covered most in that cell
-    largest_alpha: vec4f,   // of the present cell …
-    largest_depth: vec4f,   // … with its depth …
-    largest_id: vec4u,      // … and its Gaussian
+    taker: vec4u,           // with PICK: the Gaussian that covers most in the cell at that depth
+    largest_alpha: vec4f,   // largest opacity of a Gaussian of the present cell …
+    largest_depth: vec4f,   // … the depth of that Gaussian …
+    largest_id: vec4u,      // … and its index
     limit: vec4f,           // LAYERED: the depth of meshes
     depths: vec4f,          // LAYERED: Σ w z
 }
@@ -53,12 +53,12 @@ var<private> middle: vec2f;  // of the tile
 var<private> part_PART: Part;
 //!end
 
-// The first pixel of a part, relative to `corner`.
+// Return the first pixel of a part, relative to `corner`.
 fn offset_of(part: u32) -> vec2u {
     return vec2u(part / QUADS * (TILE / COLUMNS), part % QUADS * 4u);
 }
 
-// The depths of meshes at the pixels of a part.
+// Return the depths of meshes at the pixels of a part.
 fn limits(part: u32) -> vec4f {
     var result = vec4f(NOWHERE);
     if (LAYERED && LAYERS > 1u) {
@@ -83,7 +83,7 @@ fn empty_part(part: u32) -> Part {
     return result;
 }
 
-// Step 1: no light has been taken yet. Returns the range of the tile's pairs.
+// Step 1: initialise the state, and return the range of the tile's pairs.
 fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
     corner = vec2u(tile.x * TILE + local.x, tile.y * TILE + local.y * 4u * QUADS);
     middle = vec2f(tile * TILE) + 0.5 * f32(TILE) - frame.origin;
@@ -95,7 +95,7 @@ fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
     return ranges[tile.y * frame.tiles.x + tile.x];
 }
 
-// Step 2: the light before a cell weighs all Gaussians in it. Returns the most light of any part.
+// Step 2: store the light before a cell, and return the most light of any part.
 fn enter_cell() -> vec4f {
     var most = ZERO;
 //!repeat PART PARTS
@@ -106,8 +106,8 @@ fn enter_cell() -> vec4f {
     return most;
 }
 
-// True where a Gaussian may reach a pixel of the tile: false if all pixels are beyond its circle,
-// or beyond the box around its ellipse. Every tile of its cell asks.
+// Return whether a Gaussian may reach a pixel of the tile: not if all pixels are outside its circle
+// or outside the bounding box of its ellipse. Every tile of the cell calls it for every Gaussian.
 fn reaches_tile(shape: vec4f, weight: vec4f) -> bool {
     let away = vec2f(nearest(shape.x - middle.x), shape.y - middle.y);
     let outside = max(abs(away) - 0.5 * f32(TILE - 1u), vec2f(0.0));
@@ -119,7 +119,7 @@ fn reaches_tile(shape: vec4f, weight: vec4f) -> bool {
     return weight.y >= 0.0 && squares.x + squares.y <= CIRCLE_SLACK * weight.w && !is_beyond;
 }
 
-// factors: 1 / divisor of the opacity, and the weight of the background.
+// Add one Gaussian to one part. factors: 1 / divisor of opacities, weight of the background.
 fn added(part: Part, number: u32, id: u32, shape: vec4f, weight: vec4f, color: vec3f, factors: vec2f) -> Part {
     let offset = offset_of(number);
     let dx = nearest(x + f32(offset.x) - shape.x);
@@ -162,7 +162,7 @@ fn add_splat(id: u32, shape: vec4f, weight: vec4f, color: vec3f, factors: vec2f)
 //!end
 }
 
-// Step 4: with PICK, note the pixels where the cell took what was left of half of the light.
+// Step 4: with PICK, store depth and id at pixels where half of the light ends in the cell.
 fn leave_cell() {
     if (PICK) {
 //!repeat PART PARTS
@@ -180,7 +180,7 @@ fn write_part(number: u32, part: Part) {
             let index = (first.y + i) * frame.size.x + first.x;
             let total = part.total[i];
             var alpha = 0.0;
-            var share = 0.0;      // of Σ w c in the picture
+            var share = 0.0;      // factor of Σ w c
             var backdrop = 1.0;
             if (total > 0.0) {
                 let left = part.transmittance[i];

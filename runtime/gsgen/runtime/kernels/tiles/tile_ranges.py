@@ -1,4 +1,4 @@
-"""Ranges: find where each tile's pairs begin and end."""
+"""Finds the range of each tile in the sorted list of splat-tile pairs."""
 
 __all__ = ["RANGE_BLOCK", "TileRanges", "ranges_reference"]
 
@@ -15,12 +15,12 @@ from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 _THREADS: Final = 128
 _RUN: Final = 16
 RANGE_BLOCK: Final = _THREADS * _RUN
-"""Pairs of a workgroup: as many as a device may dispatch look at more than a binding holds."""
+"""Pairs per workgroup, so large that the dispatch limit covers all pairs of a binding."""
 
 
 @final
 class TileRanges:
-    """``tile_ranges.wgsl``."""
+    """The kernel ``tile_ranges.wgsl``, which finds the pairs of each tile."""
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(
@@ -28,19 +28,19 @@ class TileRanges:
         )
 
     def step(self, counts: Buffer, tiles: Buffer, ranges: Buffer) -> Step:
-        """Return the marking of where each tile's pairs begin and end.
+        """Return the dispatch that writes the first and last pair of each tile.
 
         Args:
             counts: The frame's counts.
             tiles: The tile of each pair, in ascending order.
-            ranges: Two words a tile; zero before.
+            ranges: Two words per tile, zero before.
         """
         bind = self.kernel.bind(counts, tiles, ranges)
         return Step(self.kernel, (bind,), (counts, 4 * Counts.WALK_PAIRS_GROUPS))
 
 
 def ranges_reference(tiles: UInt32[np.ndarray, " n"], count: int) -> UInt32[np.ndarray, "t 2"]:
-    """Return the ranges of ``count`` tiles as ``tile_ranges.wgsl`` must."""
+    """Return the pair ranges of ``count`` tiles: the reference of ``tile_ranges.wgsl``."""
     tile_ids = np.arange(count)
     ends = [np.searchsorted(tiles, tile_ids, side) for side in ("left", "right")]
     bounds = np.stack(ends, axis=1)

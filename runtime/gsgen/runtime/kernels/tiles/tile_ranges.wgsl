@@ -1,7 +1,6 @@
-// Ranges: find where each tile's pairs begin and end.
+// Ranges: find the first and last pair of each tile.
 //
-// Each invocation looks at RUN pairs, which are sorted by tile. Tiles without pairs keep the zeros
-// that they start with.
+// Each invocation looks at RUN pairs, which are sorted by tile. Tiles without pairs keep zeros.
 
 @group(0) @binding(0) var<storage, read> counts: array<u32>;
 @group(0) @binding(1) var<storage, read> pair_tiles: array<u32>;

@@ -20,7 +20,7 @@ class Stop:
         self._terminate = False
 
     def options(self) -> Any:
-        """Return new run options that this object can cancel."""
+        """Return new ONNX Runtime run options whose run can be cancelled from another thread."""
         import onnxruntime
 
         options = onnxruntime.RunOptions()
@@ -30,11 +30,11 @@ class Stop:
         return options
 
     def now(self) -> None:
-        """Cancel current runs; later runs fail at once until :meth:`reset`."""
+        """Cancel current runs of the session; later runs fail at once until :meth:`reset`."""
         self._set(terminate=True)
 
     def reset(self) -> None:
-        """Allow runs again."""
+        """Allow runs of the session again after a cancellation."""
         self._set(terminate=False)
 
     def _set(self, *, terminate: bool) -> None:

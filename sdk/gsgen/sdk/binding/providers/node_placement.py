@@ -14,21 +14,15 @@ _LONGEST = 500
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """The execution provider of one node.
+    """Name and operator of a graph node, and the execution provider that runs it."""
 
-    Attributes:
-        provider: The execution provider that runs the node.
-        operator: The node's operator.
-        name: The node's name; empty if the model gives none.
-    """
-
-    provider: str
-    operator: str
-    name: str
+    provider: str  # the execution provider that runs the node
+    operator: str  # the node's operator
+    name: str  # the node's name; empty if the model gives none
 
 
 def node_placement(session: Any) -> tuple[Node, ...]:
-    """Return the placement of every node of a session.
+    """Return the execution provider of every node of an ONNX Runtime session.
 
     The session needs ``session.record_ep_graph_assignment_info``. Before ONNX Runtime 1.24, the
     result is empty.

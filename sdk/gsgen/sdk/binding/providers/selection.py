@@ -42,23 +42,16 @@ MEMORY: dict[Provider, str] = {"cpu": "cpu", "webgpu": "gpu", "cuda": "cuda"}
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The chosen provider and the reason for the choice.
+    """The chosen execution provider and the reason for the choice."""
 
-    Attributes:
-        provider: The provider's name.
-        reason: The reason, one sentence.
-        adapter: The device, if the provider is WebGPU.
-        is_requested: The caller requested this provider, so no other may replace it.
-    """
-
-    provider: Provider
-    reason: str
-    adapter: Adapter | None = None
-    is_requested: bool = False
+    provider: Provider  # the provider's name
+    reason: str  # the reason, one sentence
+    adapter: Adapter | None = None  # the device, if the provider is WebGPU
+    is_requested: bool = False  # the caller requested this provider, so no other may replace it
 
     @property
     def device(self) -> str:
-        """The device that computes, as text."""
+        """The name of the device that computes, as text."""
         if self.adapter is None:
             return {"cpu": "CPU", "cuda": "CUDA device 0"}[self.provider]
         if not self.adapter.hardware:
@@ -68,29 +61,21 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionOptions:
-    """Options for opening a session.
+    """Options for opening an ONNX Runtime session."""
 
-    Attributes:
-        choice: The provider.
-        capture: Record commands once and replay them.
-        sizes: Symbol → size of a dimension.
-        threads: Threads of the CPU provider; 0 lets ONNX Runtime decide.
-        stop: Cancels the session's runs; optional.
-    """
-
-    choice: Choice
-    capture: bool = False
-    sizes: Mapping[str, int] = field(default_factory=dict)
-    threads: int = 0
-    stop: Stop | None = None
+    choice: Choice  # the provider
+    capture: bool = False  # record commands once and replay them
+    sizes: Mapping[str, int] = field(default_factory=dict)  # symbol → size of a dimension
+    threads: int = 0  # threads of the CPU provider; 0 lets ONNX Runtime decide
+    stop: Stop | None = None  # cancels the session's runs; optional
 
     def without_capture(self) -> "SessionOptions":
-        """Return these options for a session without capture and replay."""
+        """Copy the session options, with graph capture and replay turned off."""
         return replace(self, capture=False)
 
     @property
     def provider_options(self) -> dict[str, str]:
-        """The options of the provider, by the names of its documentation."""
+        """The options of the execution provider, named as in ONNX Runtime's documentation."""
         if self.choice.provider == "webgpu":
             # With capture, int64 is computed on the GPU anyway; without, it must be enabled.
             return {"enableGraphCapture": "1"} if self.capture else {"enableInt64": "1"}
@@ -100,7 +85,7 @@ class SessionOptions:
 
 
 def installed_providers() -> list[Provider]:
-    """Return the providers that are installed, even if no device is available for them."""
+    """Return the installed execution providers, even if no device is available for them."""
     providers: list[Provider] = ["cpu"]
     if find_spec(PACKAGE) is not None:
         providers.append("webgpu")
@@ -108,7 +93,7 @@ def installed_providers() -> list[Provider]:
 
 
 def choose_provider(name: str = "auto") -> Choice:
-    """Return the provider called ``name``, or with ``auto`` the fastest available one.
+    """Return the execution provider called ``name``, or with ``auto`` the fastest available one.
 
     Raises:
         UnknownName: No provider has this name.
@@ -161,9 +146,7 @@ def _has_cuda() -> bool:
 def open_session(model: Path | bytes, opening: SessionOptions) -> Any:
     """Return an ``onnxruntime.InferenceSession`` on the chosen provider, without fallback.
 
-    Raises:
-        ProviderUnavailable: WebGPU finds no adapter.
-        FellBack: ONNX Runtime silently opened the session on the CPU instead.
+    Raises :class:`FellBack` if ONNX Runtime silently opened the session on the CPU instead.
     """
     import onnxruntime
 

@@ -37,29 +37,19 @@ class AdapterMissing(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Adapter:
-    """A device that the provider can open.
+    """A GPU that ONNX Runtime's WebGPU provider can open."""
 
-    Attributes:
-        device: ONNX Runtime's handle.
-        name: The driver's name for the device; may be empty.
-        version: Version of the provider.
-        hardware: Whether it is a GPU, not a software driver.
-    """
-
-    device: Any
-    name: str
-    version: str
-    hardware: bool
+    device: Any  # ONNX Runtime's handle
+    name: str  # the driver's name for the device; may be empty
+    version: str  # version of the provider
+    hardware: bool  # whether it is a GPU, not a software driver
 
 
 def find_adapter() -> Adapter:
-    """Return the best device of the provider, registering the provider at the first call.
+    """Return the best GPU for ONNX Runtime's WebGPU provider; register the provider first.
 
     Software drivers are allowed unless the environment variable
     ``ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER`` is 0 before the first call.
-
-    Raises:
-        AdapterMissing: The package or a driver is missing, or ONNX Runtime is too old.
     """
     import onnxruntime
 

@@ -41,19 +41,12 @@ SAFE_WIDTH = 7
 
 @dataclass(frozen=True, slots=True)
 class ErrorBudget:
-    """The largest allowed difference of outputs after a rewrite; by default no bit may differ.
+    """The largest allowed difference of outputs after a rewrite; by default no bit may differ."""
 
-    Attributes:
-        relative: Allowed error, relative to the largest number in the output's tensor.
-        absolute: Allowed error in addition.
-        repairs_nonfinite: A value that was NaN or infinite may become any number.
-        pads: Rows of zeros may follow the rows of an output.
-    """
-
-    relative: float = 0.0
-    absolute: float = 0.0
-    repairs_nonfinite: bool = False
-    pads: bool = False
+    relative: float = 0.0  # allowed error, relative to the largest number in the output's tensor
+    absolute: float = 0.0  # allowed error in addition
+    repairs_nonfinite: bool = False  # A value that was NaN or infinite may become any number
+    pads: bool = False  # rows of zeros may follow the rows of an output
 
     @property
     def bits(self) -> bool:
@@ -83,24 +76,17 @@ BITS = ErrorBudget()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewriteTarget:
-    """The consumer that a model is rewritten for, and its known limits.
+    """The runtime that a model is rewritten for, and its known limits."""
 
-    Attributes:
-        target: The consumer.
-        tables: Operators that its releases have kernels for. For a target that names no
-            releases, all known tables.
-        limits: Its limits, such as ``concat_inputs``; without named releases, the lowest known.
-        manifest: The model's manifest, if it has one.
-        opset: Requested operator set; None if the kernels decide.
-        sizes: Symbolic dimension → its fixed size.
-    """
-
-    target: Target
+    target: Target  # the consumer
+    # Operators that its releases have kernels for. For a target that names no releases, all known
+    # tables.
     tables: tuple[OperatorTable, ...] = ()
+    # its limits, such as ``concat_inputs``; without named releases, the lowest known
     limits: Mapping[str, int] = field(default_factory=dict)
-    manifest: Manifest | None = None
-    opset: int | None = None
-    sizes: Mapping[str, int] = field(default_factory=dict)
+    manifest: Manifest | None = None  # the model's manifest, if it has one
+    opset: int | None = None  # requested operator set; None if the kernels decide
+    sizes: Mapping[str, int] = field(default_factory=dict)  # symbolic dimension → its fixed size
 
     @classmethod
     def of(
@@ -110,7 +96,7 @@ class RewriteTarget:
         opset: int | None = None,
         sizes: Mapping[str, int] | None = None,
     ) -> "RewriteTarget":
-        """Return the rewrite target for ``target``, or for all known targets if it names no kernels."""
+        """Return the rewrite target of a runtime; without kernel tables, of all known runtimes."""
         consumers = [target] if target.operators else [*known_targets().values(), target]
         names = sorted({name for consumer in consumers for name in consumer.operators})
         limits: dict[str, int] = {}
@@ -127,7 +113,7 @@ class RewriteTarget:
         )
 
     def lacks_kernel(self, node: ir.Node, opset: int, variant: str = "") -> bool:
-        """Return whether a release of the target is known not to capture ``node``."""
+        """Return whether a release of the target runtime is known not to capture ``node``."""
         dtype = kernel_dtype(node)
         outcomes = (t.outcome(node.op_type, variant, dtype, opset) for t in self.tables)
         return any(outcome not in ("", CAPTURE) for outcome in outcomes)
@@ -159,11 +145,11 @@ class Rewrite(passes.InPlacePass):
 
     @classmethod
     def summary(cls) -> str:
-        """Return the first line of the docstring, without the full stop."""
+        """Return the first line of the rewrite's docstring, without the full stop."""
         return (cls.__doc__ or "").strip().split("\n", 1)[0].rstrip(".")
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rewrite ``model`` in place; :attr:`changed` then names the changed nodes."""
+        """Rewrite ``model`` in place, and record the changed nodes in :attr:`changed`."""
         self.changed, self.opset = [], opset_of(model)
         self.rewrite(model)
         return passes.PassResult(model, modified=bool(self.changed))
@@ -184,7 +170,7 @@ class NodeRewrite(Rewrite):
     """
 
     def rewrite(self, model: ir.Model) -> None:
-        """Replace every matching node, subgraphs included."""
+        """Replace every matching node of the model, those of subgraphs included."""
         for node in [node for node in every_node(model) if self.matches(node)]:
             self.note(node)
             self.replace(node)
@@ -199,7 +185,7 @@ class NodeRewrite(Rewrite):
 
 
 class ByTables(Rewrite):
-    """A rewrite that depends on the target's operator tables.
+    """A rewrite that depends on the operator tables of the target runtime.
 
     Without a target, it rewrites every node that it can.
     """
@@ -210,12 +196,12 @@ class ByTables(Rewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the rewrite if ``target`` has operator tables."""
+        """Return the rewrite if the operator tables of ``target`` are known."""
         return cls(target) if target.tables else None
 
 
 class WithinLimit(Rewrite):
-    """A rewrite of operators with more tensors than the target can bind.
+    """A rewrite of operators with more tensors than the target GPU can bind.
 
     Attributes:
         limited_by: Name of the target's limit.
@@ -232,13 +218,13 @@ class WithinLimit(Rewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the rewrite for the target's limit; None if the target has no such limit."""
+        """Return the rewrite for the target's binding limit; None for a target without a limit."""
         limit = target.limits.get(cls.limited_by)
         return None if limit is None else cls(limit)
 
 
 class Substitute(ByTables, NodeRewrite):
-    """A rewrite of operators that a release of the target does not capture.
+    """A rewrite of operators that the graph capture of a target's release does not support.
 
     Without a target, it replaces every operator of ``kinds``.
     """
@@ -261,7 +247,7 @@ class Substitute(ByTables, NodeRewrite):
         return True
 
     def variant(self, node: ir.Node) -> str:
-        """Return the variant of the operator in the tables; empty for the usual one."""
+        """Return the variant of an operator in the operator tables; empty for the usual variant."""
         return ""
 
 

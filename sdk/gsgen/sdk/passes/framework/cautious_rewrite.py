@@ -12,17 +12,11 @@ from gsgen.sdk.passes.framework.base import Rewrite, describe_item
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A node, weight or output that a rewrite left unchanged, and the missing precondition.
+    """A node, weight or output that a rewrite left unchanged, and the missing precondition."""
 
-    Attributes:
-        rewrite: Name of the rewrite.
-        where: Name of the node, weight or output; a node with its operator.
-        reason: The precondition that could not be proven.
-    """
-
-    rewrite: str
-    where: str
-    reason: str
+    rewrite: str  # name of the rewrite
+    where: str  # name of the node, weight or output; a node with its operator
+    reason: str  # the precondition that could not be proven
 
 
 class CautiousRewrite(Rewrite):
@@ -37,10 +31,10 @@ class CautiousRewrite(Rewrite):
         self.refusals: list[Refusal] = []
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rewrite ``model`` in place; :attr:`refusals` then lists the unchanged nodes."""
+        """Rewrite ``model`` in place, and record the unchanged nodes in :attr:`refusals`."""
         self.refusals = []
         return super().call(model)
 
     def refuse(self, item: ir.Node | ir.Value, reason: str) -> None:
-        """Record that a node, an output or a weight stays unchanged."""
+        """Record that a node, an output or a weight stays unchanged, with the reason."""
         self.refusals.append(Refusal(self.name, describe_item(item), reason))

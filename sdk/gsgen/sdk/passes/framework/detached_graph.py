@@ -1,4 +1,4 @@
-"""Drafts of nodes that are added to a graph all together, or discarded."""
+"""Drafts of graph nodes that are added to a graph all together, or discarded."""
 
 __all__ = ["DetachedGraph"]
 
@@ -11,7 +11,7 @@ from gsgen.sdk.passes.framework.graph_builder import Dims, new_node, weight
 
 
 class DetachedGraph:
-    """Drafts nodes and weights, which :meth:`join` adds to the graph.
+    """Drafts nodes and weights, and adds them to the graph all at once by :meth:`join`.
 
     Each node is inserted before the node that was :attr:`anchor` when it was drafted, or at the
     end of the graph if that was None.
@@ -41,7 +41,7 @@ class DetachedGraph:
         return node.outputs[0]
 
     def like(self, node: ir.Node, inputs: Sequence[ir.Value | None]) -> list[ir.Value]:
-        """Draft a copy of ``node`` that reads ``inputs``; outputs have its dtypes and no shapes."""
+        """Draft a copy of ``node`` that reads ``inputs``; outputs keep dtypes, without shapes."""
         name = f"{self._stem}_{len(self._nodes)}_{node.op_type}"
         copy = ir.Node(
             node.domain,
@@ -84,7 +84,7 @@ class DetachedGraph:
                 graph.insert_before(anchor, node)
 
     def discard(self) -> None:
-        """Discard the draft, and remove its nodes from the consumers of the graph's values."""
+        """Discard all drafted nodes, and remove them from the consumers of the graph's values."""
         for _, node in self._nodes:
             for index in range(len(node.inputs)):
                 node.replace_input_with(index, None)

@@ -20,12 +20,7 @@ _INT32 = (-(2**31), 2**31 - 1)
 
 
 def spans_of(model: ir.Model, manifest: Manifest | None) -> dict[str, Interval]:
-    """Return each value's smallest and largest possible number; unknown values are absent.
-
-    Args:
-        model: The model; its main graph is analysed.
-        manifest: Declares the range of each input.
-    """
+    """Return each value's smallest and largest possible number; unknown values are absent."""
     graph = model.graph
     values = [*graph.inputs, *graph.initializers.values()]
     values += [value for node in graph for value in node.outputs]

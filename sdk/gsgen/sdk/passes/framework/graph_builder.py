@@ -63,7 +63,7 @@ def new_node(
 
 
 def append_output(graph: ir.Graph, old: ir.Value, nodes: Sequence[ir.Node]) -> None:
-    """Append ``nodes``; the last one produces the graph output ``old`` under the same name."""
+    """Append ``nodes``; the last node computes the graph output ``old`` under the same name."""
     name = old.name
     old.name = free_name(graph, f"{name}_before_{nodes[-1].name}")
     graph.extend(nodes)
@@ -75,7 +75,7 @@ def append_output(graph: ir.Graph, old: ir.Value, nodes: Sequence[ir.Node]) -> N
 
 
 class InsertionPoint:
-    """Inserts nodes before a node, and names them after it.
+    """Inserts nodes before a given node, and derives their names from the name of that node.
 
     Outputs get the dtype of their first input unless one is given; the pipeline infers shapes
     afterwards.

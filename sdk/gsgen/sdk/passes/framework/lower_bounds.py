@@ -30,7 +30,7 @@ def smallest_normal(dtype: ir.DataType | None) -> float:
 
 
 def is_never_zero(value: ir.Value | None) -> bool:
-    """Return whether no element of ``value`` can be zero, or so small that a GPU flushes it to zero.
+    """Return whether no element of ``value`` can be zero, or so small that a GPU flushes it.
 
     NaN counts as not zero: other rules report it.
     """

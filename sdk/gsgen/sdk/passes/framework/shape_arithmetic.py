@@ -1,4 +1,4 @@
-"""NumPy evaluation of the operators that compute shapes; inexact results are refused."""
+"""NumPy evaluation of the ONNX operators that compute shapes; inexact results are refused."""
 
 __all__ = ["evaluate"]
 
@@ -77,7 +77,7 @@ def _modulo(node: ir.Node, inputs: Arrays) -> np.ndarray:
 
 
 def _axes(node: ir.Node, inputs: Arrays, position: int = 1) -> tuple[int, ...] | None:
-    """Return the axes from the input at ``position``, or from the attribute of older operator sets."""
+    """Return a node's axes: from an input, or from the attribute of older operator sets."""
     if "axes" in node.attributes:
         return tuple(int(axis) for axis in node.attributes["axes"].as_ints())
     array = inputs[position] if position < len(inputs) else None

@@ -44,13 +44,13 @@ class ArithmeticMasks(Substitute):
         return super().matches(node) or _undoes_mask_cast(node)
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether its operands are boolean."""
+        """Return whether the operands of the node are boolean."""
         # The condition of a Where is always boolean, and stays boolean.
         value = node.inputs[_computed_inputs(node)[0]]
         return value is not None and value.dtype == _BOOL
 
     def replace(self, node: ir.Node) -> None:
-        """Replace booleans by zeros and ones."""
+        """Replace a boolean operator by arithmetic on zeros and ones."""
         write = InsertionPoint(node)
         if _undoes_mask_cast(node):  # Case 3
             write.replace(_recast(write, node))
@@ -75,7 +75,7 @@ class ArithmeticMasks(Substitute):
 
 
 def _computed_inputs(node: ir.Node) -> range:
-    """Return the indices of the operands of ``node``; other inputs are indices, shapes, conditions."""
+    """Return the indices of a node's operands; shapes, indices and conditions do not count."""
     if is_op(node, *_LOGIC, *_JOINING):
         return range(len(node.inputs))
     return range(1, 3) if is_op(node, "Where") else range(1)
@@ -111,7 +111,7 @@ def _logic(write: InsertionPoint, kind: str, *numbers: ir.Value) -> ir.Value:
 
 
 def _undoes_mask_cast(node: ir.Node) -> bool:
-    """Return whether ``node`` casts a mask back to numbers after this pass cast it to booleans."""
+    """Return whether ``node`` casts a mask to numbers after ArithmeticMasks cast it to booleans."""
     value = node.inputs[0] if is_op(node, "Cast") else None
     maker = value.producer() if value is not None else None
     if value is None or maker is None or not is_op(maker, "Cast") or value.dtype != _BOOL:

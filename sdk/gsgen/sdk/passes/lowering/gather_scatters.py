@@ -43,7 +43,7 @@ class GatherScatters(CautiousRewrite):
 
 
 def _obstacle(node: ir.Node) -> str:
-    """Return the reason why ``node`` cannot be rewritten; empty if it can."""
+    """Return the reason why a scatter cannot be rewritten as a Gather; empty if it can."""
     reduction = node.attributes.get("reduction")
     if reduction is not None and reduction.as_string() != "none":
         return f"it does not replace elements: its reduction is {reduction.as_string()!r}"
@@ -82,7 +82,7 @@ def _replace(node: ir.Node) -> None:
 
 
 def _flat_indices(indices: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
-    """Return the flat index for each multi-index into axes of ``sizes``; negatives count from the end."""
+    """Return the flat index for each multi-index; negative indices count from an axis' end."""
     flat = np.zeros(indices.shape[:-1], np.int64)
     for axis, size in enumerate(sizes):
         index = indices[..., axis]

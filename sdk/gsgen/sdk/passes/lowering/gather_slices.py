@@ -43,7 +43,7 @@ class GatherSlices(Substitute):
         return "backwards" if steps is not None and (steps < 0).any() else ""
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether sizes, bounds or indices are known before the frame."""
+        """Return whether a node's sizes, bounds or indices are known before the frame."""
         if is_op(node, "Split"):
             return split_sizes(node) is not None and self.opset >= 10
         if is_op(node, "Slice"):
@@ -57,7 +57,7 @@ class GatherSlices(Substitute):
         )
 
     def replace(self, node: ir.Node) -> None:
-        """Replace the node according to its case."""
+        """Replace a Split, Slice or GatherND by Slice or Gather."""
         write, x = InsertionPoint(node), node.inputs[0]
         assert x is not None
         if is_op(node, "Split"):  # Case 1
@@ -87,7 +87,7 @@ def _split_slices(write: InsertionPoint, node: ir.Node, x: ir.Value) -> list[ir.
 
 
 def _axis_indices(node: ir.Node) -> list[tuple[int, np.ndarray]] | None:
-    """Return each sliced axis with its indices; None if they are unknown."""
+    """Return each sliced axis of a Slice with its indices; None if they are unknown."""
     shape = fixed_shape(node.inputs[0])
     arguments = [constant_of(value) for value in node.inputs[1:]]
     present = [value for value in node.inputs[1:] if value is not None]

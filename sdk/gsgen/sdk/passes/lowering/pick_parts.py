@@ -45,7 +45,7 @@ class PickParts(NodeRewrite):
         return is_op(producer, "Transpose") and fixed_shape(producer.inputs[0]) is not None
 
     def replace(self, node: ir.Node) -> None:
-        """Gather before the Concat or Transpose."""
+        """Gather from the inputs of a Concat or Transpose instead of from its output."""
         producer = node.inputs[0].producer() if node.inputs[0] is not None else None
         assert producer is not None
         write, axis = InsertionPoint(node), _axis(node)
@@ -76,7 +76,7 @@ def _gather(write: InsertionPoint, value: ir.Value, indices: list[int], axis: in
 
 
 def _indices_per_piece(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, list[int]]] | None:
-    """Return the joined pieces with the indices to gather from each; None if it takes more pieces."""
+    """Return the joined pieces with the indices to gather from each; None for too many pieces."""
     indices = constant_of(node.inputs[1], _MAX_INDICES)
     shapes = [fixed_shape(piece) for piece in join.inputs]
     axis = _axis(node)
@@ -104,7 +104,7 @@ def _indices_per_piece(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, lis
 def _gather_then_transpose(
     write: InsertionPoint, node: ir.Node, transpose: ir.Node, axis: int
 ) -> ir.Value:
-    """Gather from the input of the Transpose, and transpose the result."""
+    """Gather from the input of a Transpose, and transpose the result."""
     source = transpose.inputs[0]
     assert source is not None
     rank = len(source.shape) if source.shape is not None else 0

@@ -26,7 +26,7 @@ class RoundByFloor(NodeRewrite):
         return _is_typed_round(node)
 
     def replace(self, node: ir.Node) -> None:
-        """Replace ``node`` by Floor and comparisons."""
+        """Replace a Round by Floor and comparisons."""
         _rewrite(node)
 
 

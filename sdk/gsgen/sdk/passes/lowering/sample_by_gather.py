@@ -51,7 +51,7 @@ class SampleByGather(ByTables, CautiousRewrite):
 
 
 def _obstacle(node: ir.Node) -> str:
-    """Return the reason why ``node`` cannot be rewritten; empty if it can."""
+    """Return the reason why a GridSample cannot be rewritten as Gathers; empty if it can."""
     image, grid = (fixed_shape(value) for value in node.inputs)
     if image is None or grid is None:
         return "the sizes of its inputs are not known"
@@ -124,7 +124,7 @@ class _Sampler:
         return self.before.constant(np.asarray(value, self.dtype.numpy()), "number")
 
     def neighbours(self, grid: ir.Value, axis: int, size: int) -> list[tuple[ir.Value, ir.Value]]:
-        """Return (index int32 [P, 1], weight [P, 1]) of the lower and the upper neighbour."""
+        """Return index int32 [P, 1] and weight [P, 1] of the lower and the upper pixel."""
         op, unit = self.before.op, self.number(1)
         column = op("Gather", grid, self.before.int64(axis), dtype=self.dtype, axis=1)
         coordinate = self._pixel_coordinate(op("Add", column, unit), size)
@@ -151,7 +151,7 @@ class _Sampler:
         return op("Div", scaled, half)
 
     def _clamp(self, value: ir.Value, last: ir.Value) -> ir.Value:
-        """Clamp ``value`` to 0 … ``last``; NaN becomes 0 because comparisons with it are false."""
+        """Clamp pixel coordinates to 0 … ``last``; NaN becomes 0, as comparisons are false."""
         op, zero = self.before.op, self.number(0)
         positive = op("Greater", value, zero, dtype=ir.DataType.BOOL)
         raised = op("Where", positive, value, zero, dtype=self.dtype)
@@ -180,7 +180,7 @@ def _pixel_table(before: InsertionPoint, image: ir.Value) -> ir.Value:
 def _convert(
     before: InsertionPoint, value: ir.Value, kind: ir.DataType, shape: list[int] | None = None
 ) -> ir.Value:
-    """Return ``value`` cast and reshaped."""
+    """Return a graph value, cast and reshaped."""
     if value.dtype != kind:
         value = before.op("Cast", value, dtype=kind, to=kind.value)
     return value if shape is None else before.op("Reshape", value, before.int64(*shape))

@@ -35,7 +35,7 @@ class SampleByProduct(CautiousRewrite):
     exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-5)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Rewrite every GridSample along a line of fixed points."""
+        """Rewrite every GridSample along a line of fixed points as two matrix products."""
         varying = _varying(model.graph)
         for node in list(model.graph.all_nodes()):
             if not is_op(node, "GridSample"):
@@ -51,17 +51,11 @@ class SampleByProduct(CautiousRewrite):
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A line of points with one coordinate in common.
+    """A line of sampled points with one coordinate in common."""
 
-    Attributes:
-        fixed: The constant coordinate of each point, [n, 1].
-        common: The common coordinate, one number.
-        common_is_x: Whether the common coordinate is x.
-    """
-
-    fixed: ir.Value
-    common: ir.Value
-    common_is_x: bool
+    fixed: ir.Value  # the constant coordinate of each point, [n, 1]
+    common: ir.Value  # the common coordinate, one number
+    common_is_x: bool  # whether the common coordinate is x
 
 
 def _varying(graph: ir.Graph) -> set[ir.Value]:
@@ -74,7 +68,7 @@ def _varying(graph: ir.Graph) -> set[ir.Value]:
 
 
 def _line(node: ir.Node, varying: set[ir.Value]) -> _Line | str:
-    """Return the line that ``node`` samples, or the reason against a rewrite.
+    """Return the line that a GridSample node samples, or the reason against a rewrite.
 
     The reason is empty if the points do not lie on such a line at all.
     """

@@ -32,14 +32,14 @@ class SelectExtremes(Substitute):
     kinds: ClassVar[frozenset[str]] = frozenset({"Clip", "Max", "Min"})
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether the dtype is known and, for Clip, a bound exists."""
+        """Return whether a node's dtype is known and, for Clip, a bound exists."""
         value = node.inputs[0] if node.inputs else None
         if value is None or value.dtype is None:
             return False
         return not is_op(node, "Clip") or (self.opset >= 11 and len(node.inputs) > 1)
 
     def replace(self, node: ir.Node) -> None:
-        """Compare the arguments pairwise."""
+        """Replace Max, Min or Clip by pairwise comparisons of its arguments."""
         write, first = InsertionPoint(node), node.inputs[0]
         assert first is not None
         if is_op(node, "Clip"):  # Case 3

@@ -44,7 +44,7 @@ class UnrollControlFlow(CautiousRewrite):
         self.used_names: set[str | None] = set()
 
     def rewrite(self, model: ir.Model) -> None:
-        """Unroll outer nodes first: the iterations of inner ones may then be known."""
+        """Unroll control flow from outer to inner nodes, whose iterations may then be known."""
         refused: set[ir.Node] = set()
         self.used_names = _used_names(model)
         while True:
@@ -63,7 +63,7 @@ class UnrollControlFlow(CautiousRewrite):
             plan()
 
     def size_obstacle(self, turns: int, body: ir.Graph) -> str:
-        """Return the reason why ``turns`` copies of ``body`` are too large; empty if they are not."""
+        """Return the reason why ``turns`` copies of a loop ``body`` are too large; empty if not."""
         written = turns * sum(1 for _ in body.all_nodes())
         if turns > self.turns:
             return f"{turns} iterations, expected {self.turns} at most"
@@ -76,7 +76,7 @@ Plan = str | Callable[[], None]
 
 
 def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
-    """Case 1: return a function that inserts the branch, or the reason against it."""
+    """Return a function that inserts the branch of an If, or the reason against it (case 1)."""
     known = _known_array(node.inputs[0])
     if known is None:
         return "its condition varies"
@@ -91,7 +91,7 @@ def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
 
 
 def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
-    """Case 2: return a function that unrolls the Loop, or the reason against it."""
+    """Return a function that unrolls a Loop, or the reason against it (case 2)."""
     body = node.attributes["body"].as_graph()
     turns = _trip_count(node, body)
     if isinstance(turns, str):
@@ -143,7 +143,7 @@ def _known_array(value: ir.Value | None) -> np.ndarray | None:
 
 
 def _before_identities(value: ir.Value) -> ir.Value:
-    """Return the value before any chain of Identity nodes."""
+    """Return the graph value before any chain of Identity nodes."""
     maker = value.producer()
     while maker is not None and is_op(maker, "Identity") and maker.inputs[0] is not None:
         value = maker.inputs[0]
@@ -152,7 +152,7 @@ def _before_identities(value: ir.Value) -> ir.Value:
 
 
 def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
-    """Case 3: return a function that unrolls the Scan, or the reason against it."""
+    """Return a function that unrolls a Scan, or the reason against it (case 3)."""
     body = node.attributes["body"].as_graph()
     scanned = node.attributes["num_scan_inputs"].as_int()
     carried = len(node.inputs) - scanned
@@ -227,7 +227,7 @@ _WRITERS: dict[str, Callable[[ir.Node, UnrollControlFlow], Plan]] = {
 
 
 class _BodyCopier:
-    """Copies a body into the surrounding graph, once per iteration."""
+    """Copies a loop body into the surrounding graph, once per iteration."""
 
     def __init__(self, before: InsertionPoint, body: ir.Graph, used_names: set[str | None]) -> None:
         self.before, self.body, self.used_names = before, body, used_names
@@ -237,7 +237,7 @@ class _BodyCopier:
             self._lift(value)
 
     def _lift(self, value: ir.Value) -> None:
-        """Move a weight of the body to the surrounding graph, so that all copies share it."""
+        """Move a weight of a loop body to the surrounding graph, so that all copies share it."""
         outer = ir.Value(
             name=self._fresh(f"{self.stem}_{value.name}"),
             const_value=value.const_value,
@@ -249,7 +249,7 @@ class _BodyCopier:
         del self.body.initializers[value.name or ""]
 
     def __call__(self, inputs: Sequence[ir.Value]) -> list[ir.Value]:
-        """Insert one copy of the body that reads ``inputs``; return its outputs."""
+        """Insert one copy of a loop body that reads ``inputs``; return the copy's outputs."""
         copy = self.body.clone(allow_outer_scope_values=True)
         replacements = dict(zip(copy.inputs, inputs, strict=True))
         results = [replacements.get(value, value) for value in copy.outputs]
@@ -276,7 +276,7 @@ class _BodyCopier:
 
 
 def _stack(before: InsertionPoint, values: Sequence[ir.Value], axis: int) -> ir.Value:
-    """Stack the results of all iterations along a new axis."""
+    """Stack the results of all loop iterations along a new axis."""
     rank = rank_of(values[0])
     if axis < 0 and rank is not None:
         axis += rank + 1

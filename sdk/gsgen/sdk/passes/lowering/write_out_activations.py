@@ -35,20 +35,20 @@ class WriteOutActivations(Substitute):
     })  # fmt: skip
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether its dtype is a float; LogSoftmax needs operator set 13."""
+        """Return whether an activation's dtype is a float; LogSoftmax needs operator set 13."""
         value = node.inputs[0]
         if value is None or value.dtype not in FLOAT_TYPES:
             return False
         return node.op_type != "LogSoftmax" or self.opset >= 13  # before, it flattens
 
     def replace(self, node: ir.Node) -> None:
-        """Replace the activation by its formula."""
+        """Replace an activation by exponentials and comparisons."""
         write = InsertionPoint(node)
         write.replace(_FORMULAS[node.op_type](_Formula(write, node, self.opset)))
 
 
 class _Formula:
-    """Helpers that write the operators of one activation's formula."""
+    """Writes the operators of an activation's formula into the graph."""
 
     def __init__(self, write: InsertionPoint, node: ir.Node, opset: int) -> None:
         self.write, self.node, self.opset = write, node, opset
@@ -71,17 +71,17 @@ class _Formula:
         return self.write.op(kind, *values)
 
     def where(self, test: str, bound: float, then: ir.Value, otherwise: ir.Value) -> ir.Value:
-        """Return ``then`` where x exceeds ``bound`` in the direction of ``test``, else ``otherwise``."""
+        """Select ``then`` where x exceeds ``bound`` in the direction ``test``."""
         limit = self.number(bound)
         beyond = self.write.op(test, self.x, limit, dtype=ir.DataType.BOOL)
         return self.write.op("Where", beyond, then, otherwise, dtype=self.x.dtype)
 
     def negative_part(self) -> ir.Value:
-        """Return min(x, 0)."""
+        """Write min(x, 0) into the graph, and return the result."""
         return self.op("Neg", self.op("Relu", self.op("Neg", self.x)))
 
     def negative_exponential(self, scale: float = 1.0) -> ir.Value:
-        """Return e^(x / scale) − 1 where x is negative, else zero."""
+        """Write e^(x / scale) − 1 where x is negative, else zero, into the graph."""
         below = self.negative_part() if scale == 1 else self.op("Div", self.negative_part(), scale)
         return self.op("Sub", self.op("Exp", below), 1.0)
 

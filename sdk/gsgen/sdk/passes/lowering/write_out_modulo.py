@@ -33,13 +33,13 @@ class WriteOutModulo(Substitute):
     kinds: ClassVar[frozenset[str]] = frozenset({"Mod"})
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether it computes signed integers, or floats with the sign of the dividend."""
+        """Return whether Mod computes signed integers, or floats with the dividend's sign."""
         value = node.inputs[0]
         kind = None if value is None else value.dtype
         return kind in _INTEGERS or (kind in FLOAT_TYPES and bool(int_attribute(node, "fmod", 0)))
 
     def replace(self, node: ir.Node) -> None:
-        """Divide, and subtract the multiple of the divisor."""
+        """Replace Mod by a division and a subtraction of the divisor's multiple."""
         write = InsertionPoint(node)
         x, y = node.inputs
         assert x is not None
@@ -55,7 +55,7 @@ class WriteOutModulo(Substitute):
 def _integer_remainder(
     write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.Value, of_dividend: int
 ) -> ir.Value:
-    """Return the remainder with the sign of ``y``, or with the sign of ``x`` if ``of_dividend``."""
+    """Return the remainder of integers, with the sign of the divisor or of the dividend."""
     remainder = write.op("Sub", x, write.op("Mul", write.op("Div", x, y), y))
     if of_dividend:
         return remainder
@@ -73,7 +73,7 @@ def _integer_remainder(
 
 
 def _float_remainder(write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.Value) -> ir.Value:
-    """Return the remainder of the absolute values, with the sign of ``x``."""
+    """Return the remainder of absolute float values, with the sign of ``x``."""
     size, step = write.op("Abs", x), write.op("Abs", y)
     count = write.op("Floor", write.op("Div", size, step))
     remainder = write.op("Sub", size, write.op("Mul", count, step))

@@ -46,12 +46,12 @@ class WriteOutNorms(Substitute):
     )
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether dtype and rank are known."""
+        """Return whether dtype and rank of a normalisation are known."""
         value = node.inputs[0]
         return value is not None and value.dtype in FLOAT_TYPES and rank_of(value) is not None
 
     def replace(self, node: ir.Node) -> None:
-        """Replace the normalisation by its formula."""
+        """Replace a normalisation operator by means, products and roots."""
         write = InsertionPoint(node)
         x = node.inputs[0]
         assert x is not None
@@ -59,7 +59,7 @@ class WriteOutNorms(Substitute):
 
 
 class _Norm:
-    """Helpers that write the operators of one normalisation."""
+    """Writes the operators of a normalisation's formula into the graph."""
 
     def __init__(self, write: InsertionPoint, node: ir.Node, x: ir.Value, opset: int) -> None:
         self.write, self.node, self.opset = write, node, opset
@@ -69,7 +69,7 @@ class _Norm:
         self.x = self.computed(x)
 
     def computed(self, value: ir.Value) -> ir.Value:
-        """Return ``value`` in the dtype of the computation: float16 becomes float32."""
+        """Cast float16 to float32, in which a normalisation is computed."""
         if not self.is_float16:
             return value
         kind = ir.DataType.FLOAT
@@ -91,7 +91,7 @@ class _Norm:
         return float(np.float32(default)) if attribute_value is None else attribute_value.as_float()
 
     def reduced(self, kind: str, value: ir.Value, axes: list[int]) -> ir.Value:
-        """Reduce along ``axes``, which keep size one."""
+        """Reduce a value along ``axes``, which keep size one."""
         if self.opset >= _AXES_ARE_INPUT or (kind == "ReduceSum" and self.opset >= 13):
             return self.write.op(kind, value, self.write.int64(*axes), keepdims=1)
         return self.write.op(kind, value, axes=axes, keepdims=1)
@@ -106,7 +106,7 @@ class _Norm:
         return value if bias is None else self.op("Add", value, bias)
 
     def finish(self, *results: ir.Value) -> None:
-        """Cast the first result back, and replace the node by the results."""
+        """Cast the first result of a normalisation to the node's dtype, and replace the node."""
         first, *statistics = results
         if self.is_float16:
             assert self.kind is not None
@@ -173,7 +173,7 @@ def _group(norm: _Norm) -> None:
 
 
 def _lp(norm: _Norm) -> None:
-    """Write LpNormalization; for vectors of length zero, ONNX Runtime returns zero."""
+    """Write out LpNormalization; for vectors of length zero, ONNX Runtime returns zero."""
     axis = int_attribute(norm.node, "axis", -1)
     if int_attribute(norm.node, "p", 2) == 1:
         length = norm.reduced("ReduceSum", norm.op("Abs", norm.x), [axis])

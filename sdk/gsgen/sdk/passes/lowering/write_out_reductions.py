@@ -33,7 +33,7 @@ class WriteOutReductions(Substitute):
     )
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether it reduces floats over at least one axis."""
+        """Return whether a node reduces floats over at least one axis."""
         value = node.inputs[0]
         idle = int_attribute(node, "noop_with_empty_axes", 0)
         axes = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
@@ -41,7 +41,7 @@ class WriteOutReductions(Substitute):
         return floats and (not idle or (axes is not None and axes.size > 0))
 
     def replace(self, node: ir.Node) -> None:
-        """Replace the reduction by its formula over the same axes."""
+        """Replace a composite reduction by its formula with ReduceSum or ReduceMax."""
         write, x = InsertionPoint(node), node.inputs[0]
         assert x is not None
         reduced = partial(_reduced, write, node, self.opset)
@@ -60,7 +60,7 @@ class WriteOutReductions(Substitute):
 
 
 def _log_sum_exp(write: InsertionPoint, x: ir.Value, reduced: Callable[..., ir.Value]) -> ir.Value:
-    """Subtract the maximum first, unless it is infinite: the exponential of large numbers overflows."""
+    """Write out ReduceLogSumExp; the finite maximum is subtracted first, against overflow."""
     assert x.dtype is not None
     kind = x.dtype.numpy()
     zero = write.constant(np.zeros((), kind))

@@ -29,7 +29,7 @@ class WriteOutSigns(Substitute):
     kinds: ClassVar[frozenset[str]] = frozenset({"Abs", "IsInf", "IsNaN", "Neg", "Relu", "Sign"})
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether the dtype is known; Abs, Neg and Relu are rewritten for integers only."""
+        """Return whether the node's dtype is known; Abs, Neg and Relu must be of integers."""
         value = node.inputs[0]
         if value is None or value.dtype is None:
             return False
@@ -38,7 +38,7 @@ class WriteOutSigns(Substitute):
         return True
 
     def replace(self, node: ir.Node) -> None:
-        """Replace the node by comparisons."""
+        """Replace Sign, IsNaN, IsInf, Abs, Neg or Relu by comparisons."""
         write, x = InsertionPoint(node), node.inputs[0]
         assert x is not None
         assert x.dtype is not None
@@ -73,7 +73,7 @@ class WriteOutSigns(Substitute):
 
 
 def _minus_one(write: InsertionPoint, kind: np.dtype, zero: ir.Value) -> ir.Value:
-    """Return −1; for unsigned integers, which are never negative, return zero instead."""
+    """Return −1 in the dtype of ``x``; zero for unsigned integers, which are never negative."""
     return zero if kind.kind == "u" else write.constant(np.asarray(-1, kind), "number")
 
 

@@ -31,7 +31,7 @@ class ChunkConcat(WithinLimit, NodeRewrite):
         return is_op(node, "Concat") and len(node.inputs) > self.limit
 
     def replace(self, node: ir.Node) -> None:
-        """Join groups of neighbours until one tensor is left."""
+        """Join groups of a Concat's inputs until one tensor is left."""
         axis, write = node.attributes["axis"].as_int(), InsertionPoint(node)
         parts: list[ir.Value | None] = list(node.inputs)
         while len(parts) > 1:
@@ -45,7 +45,7 @@ class ChunkConcat(WithinLimit, NodeRewrite):
 
 
 def _groups(parts: Sequence[ir.Value | None], limit: int) -> list[Sequence[ir.Value | None]]:
-    """Divide ``parts`` into as few groups as possible, of about equal size."""
+    """Divide neighbouring tensors into as few groups as possible, of about equal size."""
     count = -(-len(parts) // limit)
     ends = [len(parts) * k // count for k in range(count + 1)]
     return [parts[a:b] for a, b in pairwise(ends)]

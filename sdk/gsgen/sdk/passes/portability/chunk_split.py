@@ -30,7 +30,7 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
     limited_by: ClassVar[str] = "split_outputs"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Divide every wide Split with known sizes."""
+        """Divide every Split that has too many outputs and known sizes."""
         for node in list(model.graph.all_nodes()):
             if not is_op(node, "Split") or len(node.outputs) <= self.limit:
                 continue
@@ -56,7 +56,7 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
         write.replace(*(value for value, _ in parts if value is not None))
 
     def _groups(self, sizes: list[int]) -> list[list[int]]:
-        """Divide ``sizes`` into as many groups as one Split may return, of about equal length."""
+        """Divide the sizes of a Split into as many groups as one Split may return."""
         count = min(self.limit, len(sizes))
         ends = [len(sizes) * k // count for k in range(count + 1)]
         return [sizes[a:b] for a, b in pairwise(ends)]

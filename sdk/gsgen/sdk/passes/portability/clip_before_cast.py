@@ -45,7 +45,7 @@ class ClipBeforeCast(NodeRewrite):
         )
 
     def replace(self, node: ir.Node) -> None:
-        """Clip the input of the Cast, and cast the result."""
+        """Clip the float input of a Cast to integers, and cast the result."""
         inner = node.inputs[0].producer() if node.inputs[0] is not None else None
         assert inner is not None
         x, kind, bounds = inner.inputs[0], node.outputs[0].dtype, _bounds(node)
@@ -65,7 +65,7 @@ class ClipBeforeCast(NodeRewrite):
 
 
 def _bounds(node: ir.Node) -> tuple[int | None, int | None] | None:
-    """Return the lower and the upper bound; None if they are not single constants."""
+    """Return the lower and the upper bound of a Clip; None if they are not single constants."""
     arguments = (*node.inputs[1:], None, None)[:2]
     numbers: list[int | None] = []
     for value in arguments:

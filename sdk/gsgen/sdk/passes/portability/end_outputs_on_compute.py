@@ -27,7 +27,7 @@ class EndOutputsOnCompute(Rewrite):
     name = "end-on-compute"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Append Mul or And to every output that needs it."""
+        """Append Mul or And to every output that is a buffer copy or a weight."""
         visited: set[ir.Value] = set()
         for index, value in enumerate(model.graph.outputs):
             if value.is_graph_input():

@@ -84,7 +84,7 @@ class LowerOpset(CautiousRewrite):
         return cls(target.opset or SAFEST_OPSET, target.target.ir)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Lower the set if every node has an equivalent in the lower one."""
+        """Lower the operator set if every node has an equivalent in the lower set."""
         if self.opset > self.target_opset and self._can_be_lowered(model):
             for node in list(model.graph.all_nodes()):
                 if node.domain in MAIN_DOMAIN:

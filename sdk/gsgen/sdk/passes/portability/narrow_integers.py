@@ -51,7 +51,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
     wanted_by: ClassVar[str] = "targets whose tables lack operators of int64"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Narrow all operators of the main graph that provably fit."""
+        """Narrow int64 operators of the main graph whose values provably fit int32."""
         spans = spans_of(model, self.target.manifest if self.target else None)
         for node in _frame_nodes(model.graph):
             if self._can_narrow(node):  # Case 1
@@ -157,7 +157,7 @@ def _computed(node: ir.Node) -> list[ir.Value | None]:
 
 
 def _is_integer_cast(node: ir.Node) -> bool:
-    """Return whether ``node`` is a Cast between int32 and int64, as this pass inserts them."""
+    """Return whether ``node`` is a Cast between int32 and int64, as NarrowIntegers inserts them."""
     value = node.inputs[0]
     kinds = {None if value is None else value.dtype, node.outputs[0].dtype}
     return is_op(node, "Cast") and kinds == {_INT64, _INT32}

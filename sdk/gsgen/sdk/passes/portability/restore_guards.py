@@ -41,7 +41,7 @@ class RestoreGuards(CautiousRewrite):
     exactness: ClassVar[ErrorBudget] = ErrorBudget(repairs_nonfinite=True)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Guard every length that is divided by and may be zero, subgraphs included."""
+        """Guard every length that is a divisor and may be zero, subgraphs included."""
         for node in list(every_node(model)):
             divisor_index = _divisor_index(node)
             if divisor_index is None:
@@ -112,7 +112,7 @@ def _is_one_square(node: ir.Node) -> bool:
 
 
 def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
-    """Return the node that computes ``value``, ignoring moves and guards too small to count."""
+    """Return the node that computes ``value`` before moves and guards too small to count."""
     while value is not None:
         maker = value.producer()
         if maker is None:
@@ -125,7 +125,7 @@ def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
 
 
 def _guarded_input(node: ir.Node) -> int | None:
-    """Return the guarded input of a guard whose constant counts as zero; None for other nodes."""
+    """Return the input of a zero guard with a negligible constant; None for other nodes."""
     if not is_op(node, "Add", "Clip", "Max") or len(node.inputs) < 2:
         return None
     for input_index in (0, 1):

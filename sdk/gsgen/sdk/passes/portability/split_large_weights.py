@@ -44,7 +44,7 @@ class SplitLargeWeights(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "SplitLargeWeights":
-        """Return the rewrite with the target's limit."""
+        """Return the rewrite with the target's largest bindable size."""
         return cls(target.limits.get("binding_bytes", _BINDING))
 
     def rewrite(self, model: ir.Model) -> None:
@@ -76,7 +76,7 @@ class SplitLargeWeights(CautiousRewrite):
         graph.initializers.pop(value.name or "")
 
     def _plan(self, value: ir.Value, node: ir.Node, input_index: int) -> "str | Callable[[], None]":
-        """Return a function that splits ``value`` for ``node``, or the reason against it."""
+        """Return a function that splits a weight for ``node``, or the reason against it."""
         splitting = _splitting_axis(value, node, input_index)
         if isinstance(splitting, str):
             return splitting

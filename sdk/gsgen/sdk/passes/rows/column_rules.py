@@ -67,14 +67,9 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
 def columns_of(
     node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
 ) -> list[Columns]:
-    """Return the columns of each output of ``node``.
+    """Return the columns of each output of ``node``, computed from the columns of its inputs.
 
-    Args:
-        node: A node for which :func:`works_on_columns` is true.
-        inputs: Its inputs before the rewrite.
-        rows: Number of rows.
-        look: Returns the columns of a tensor with ``rows`` rows.
-        emit: Writes an operator.
+    ``look`` returns the columns of a tensor with ``rows`` rows; ``emit`` writes an operator.
     """
     if is_op(node, *_ELEMENTWISE):
         return [_elementwise(node, inputs, rows, look, emit)]
@@ -128,7 +123,7 @@ def _may_be_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
 def _elementwise(
     node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
 ) -> Columns:
-    """Write an elementwise operator once for each column."""
+    """Evaluate an elementwise operator once for each column."""
     shape = fixed_shape(node.outputs[0])
     assert shape is not None
     trailing = shape[1:]
@@ -181,7 +176,7 @@ def _reduce(node: ir.Node, columns: Columns, emit: Emit) -> Columns:
 
 
 def _axes(node: ir.Node, rank: int) -> list[int]:
-    """Return the reduced axes; an empty list if they are unknown."""
+    """Return the axes that a reduction reduces; an empty list if they are unknown."""
     attribute = node.attributes.get("axes")
     if attribute is not None:
         return [axis % rank for axis in attribute.as_ints()]
@@ -194,7 +189,7 @@ def _are_constant(values: Sequence[ir.Value | None]) -> bool:
 
 
 def _slices(node: ir.Node, rank: int) -> tuple[slice, ...] | None:
-    """Return the slices of the axes after the first; None if the first axis is sliced, too."""
+    """Return a Slice's ranges on axes after the first; None if the first axis is sliced."""
     arguments = [constant_of(value) for value in node.inputs[1:] if value is not None]
     if len(arguments) != len(node.inputs) - 1 or any(array is None for array in arguments):
         return None

@@ -89,7 +89,7 @@ class MaskRows(CautiousRewrite):
         return cls(known.name if known is not None else None)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Rewrite all masks; each attempt that fails excludes one more mask."""
+        """Rewrite all boolean masks; each attempt that fails excludes one more mask."""
         excluded: frozenset[Mask] = frozenset()
         while True:
             attempt = _Attempt(model.graph, excluded, self.count)
@@ -111,7 +111,7 @@ class MaskRows(CautiousRewrite):
 
 
 class _Attempt:
-    """One attempt to rewrite a graph, without the masks in ``excluded``."""
+    """One attempt to rewrite the boolean masks of a graph, without those in ``excluded``."""
 
     def __init__(self, graph: ir.Graph, excluded: frozenset[Mask], count: str | None) -> None:
         self.graph, self.excluded, self.count = graph, excluded, count
@@ -120,10 +120,9 @@ class _Attempt:
         self.sources: list[ir.Node] = []
 
     def run(self) -> list[ir.Value | None]:
-        """Draft all nodes; return the replacement of each output, None for unchanged outputs.
+        """Draft all nodes with static shapes, and return the replacement of each graph output.
 
-        Raises:
-            Blocked: A node mixes rows, or its shape would still vary.
+        Raises :class:`Blocked` if a node mixes rows, or its shape would still vary.
         """
         for node in self.graph:
             self._refuse_subgraphs(node)
@@ -133,7 +132,7 @@ class _Attempt:
         return self._new_outputs()
 
     def finish(self, outputs: Sequence[ir.Value | None]) -> None:
-        """Add the draft to the graph, and replace values and outputs."""
+        """Add the drafted nodes to the graph, and replace values and outputs."""
         for node, input_index, value in self.draft.input_replacements:
             node.replace_input_with(input_index, value)
         self.draft.join(self.graph)
@@ -176,7 +175,7 @@ class _Attempt:
             raise Blocked(node, "it may mix rows, or its shape depends on the count", _masks(facts))
 
     def _fixed_size_value(self, node: ir.Node, facts: Sequence[Fact | None]) -> ir.Value | None:
-        """Draft the output of a node whose size no longer depends on the mask (cases 2 to 4)."""
+        """Draft the output of a node whose size no longer depends on a mask (cases 2 to 4)."""
         if len(_masks(facts)) != 1:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
@@ -225,7 +224,7 @@ class _Attempt:
         return linear_numbers(node, facts)
 
     def _nested_fact(self, node: ir.Node, facts: Sequence[Fact | None]) -> Fact | None:
-        """Return the rows that a second mask selects among those of a first mask."""
+        """Return the rows that a second mask selects among those that a first mask keeps."""
         rows, selector = facts[0], facts[-1]
         if not isinstance(rows, Rows):
             return None
@@ -246,7 +245,7 @@ class _Attempt:
         return gather_nested_rows(node, rows, selector) if isinstance(selector, Index) else None
 
     def _replace_counts(self, node: ir.Node, facts: Sequence[Fact | None]) -> bool:
-        """Replace counts that ``node`` reads as numbers; return whether that was possible.
+        """Replace row counts that ``node`` reads as numbers; return whether that was possible.
 
         Any node may read numbers from a shape if they do not depend on the count.
         """
@@ -263,7 +262,7 @@ class _Attempt:
         return True
 
     def _new_outputs(self) -> list[ir.Value | None]:
-        """Case 1: draft outputs of K rows with N rows, if another output is provably K."""
+        """Draft outputs of N rows in place of K, if another output is provably K (case 1)."""
         facts = [self.facts.get(value) for value in self.graph.outputs]
         counted = {
             fact.mask.unrepeated
@@ -301,7 +300,7 @@ class _Attempt:
 
 
 def _fills_capacity(facts: Sequence[Fact | None]) -> bool:
-    """Return whether rows are followed by filler rows up to a fixed capacity."""
+    """Return whether kept rows are followed by filler rows up to a fixed capacity."""
     return isinstance(facts[0], Rows) and any(
         isinstance(fact, Filler | Linear) for fact in facts[1:]
     )

@@ -1,4 +1,4 @@
-"""Drafted nodes of masked rows; they join the graph once every node can be rewritten."""
+"""Drafted graph nodes for masked rows; they join the graph once every node can be rewritten."""
 
 __all__ = ["RowDraft"]
 
@@ -14,7 +14,7 @@ from gsgen.sdk.passes.rows.row_order import RowOrder, draft_order
 
 
 class RowDraft(DetachedGraph):
-    """Drafts masks, row orders and compacted rows.
+    """Drafts graph nodes that compute masks, row orders and compacted rows.
 
     Attributes:
         results: Value of the graph → its drafted replacement of the same shape.
@@ -28,14 +28,14 @@ class RowDraft(DetachedGraph):
         self._orders: dict[Mask, RowOrder] = {}
 
     def order(self, mask: Mask) -> RowOrder:
-        """Return the order of the rows that ``mask`` keeps; it is drafted once."""
+        """Return the order of the rows that ``mask`` keeps; the order's nodes are drafted once."""
         mask = mask.unrepeated
         if mask not in self._orders:
             self._orders[mask] = draft_order(self, self.boolean_mask(mask), mask.size)
         return self._orders[mask]
 
     def boolean_mask(self, mask: Mask) -> ir.Value:
-        """Return the mask as a boolean vector [N]."""
+        """Draft the mask as a boolean vector [N]."""
         root = mask.root
         if root.dtype != ir.DataType.BOOL:
             kind = ir.DataType.BOOL
@@ -43,7 +43,7 @@ class RowDraft(DetachedGraph):
         return self.reshaped(root, [mask.size])
 
     def reshaped(self, value: ir.Value, dims: Sequence[int]) -> ir.Value:
-        """Return ``value`` reshaped to ``dims``, or itself if it has this shape."""
+        """Draft a Reshape of ``value`` to ``dims``; without a change, return ``value``."""
         if fixed_shape(value) == tuple(dims):
             return value
         return self.op("Reshape", value, self.constant(dims, np.int64), shape=dims)
@@ -61,7 +61,7 @@ class RowDraft(DetachedGraph):
         return self.op("Where", live, moved, filler, dtype=value.dtype, shape=shape)
 
     def number(self, fact: Linear, like: ir.Value) -> ir.Value:
-        """Draft the numbers that ``fact`` describes, in the dtype of ``like``."""
+        """Draft the integers a + b · K that ``fact`` describes, in the dtype of ``like``."""
         if not fact.varies:
             return like
         kind, shape = like.dtype, list(fact.constant.shape)

@@ -13,7 +13,7 @@ from gsgen.sdk.passes.framework.value_facts import fixed_shape
 
 
 class Blocked(Exception):
-    """A node prevents a static shape."""
+    """Raised where a node prevents a static shape of masked rows."""
 
     def __init__(self, node: ir.Node, reason: str, masks: frozenset["Mask"]) -> None:
         super().__init__(reason)
@@ -22,103 +22,72 @@ class Blocked(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Mask:
-    """A mask tensor; K of its elements are true.
+    """A boolean mask tensor of a graph; K of its elements are true."""
 
-    Attributes:
-        root: The tensor, of any numeric dtype; nonzero elements are true.
-        dims: Its shape.
-        repeats: Sizes of the axes along which it is repeated: Expand(Unsqueeze(root), …).
-        parent: The mask among whose rows this one selects.
-    """
-
-    root: ir.Value
-    dims: tuple[int, ...]
+    root: ir.Value  # the tensor, of any numeric dtype; nonzero elements are true
+    dims: tuple[int, ...]  # its shape
+    # sizes of the axes along which it is repeated: Expand(Unsqueeze(root), …)
     repeats: tuple[int, ...] = ()
-    parent: "Mask | None" = None
+    parent: "Mask | None" = None  # the mask among whose rows this one selects
 
     @property
     def unrepeated(self) -> "Mask":
-        """The mask without its repetition, which keeps the same rows."""
+        """The mask before it was repeated for each column, which keeps the same rows."""
         return Mask(self.root, self.dims, parent=self.parent)
 
     @property
     def chain(self) -> "tuple[Mask, ...]":
-        """The mask and all masks among whose rows it selects."""
+        """The mask and its parent masks, where a mask selects among the rows of its parent."""
         return (self.unrepeated, *(self.parent.chain if self.parent is not None else ()))
 
     @property
     def size(self) -> int:
-        """The number of elements."""
+        """The number of elements of the mask."""
         return prod(self.dims)
 
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """The indices of the true elements of a mask, as NonZero returns them.
-
-    Attributes:
-        mask: The mask.
-        form: ``columns`` [axes, K], ``rows`` [K, axes] or ``flat`` [K].
-    """
+    """The indices of the true elements of a mask, as NonZero returns them."""
 
     mask: Mask
-    form: str
+    form: str  # ``columns`` [axes, K], ``rows`` [K, axes] or ``flat`` [K]
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A tensor with K rows, represented by the drafted tensor with all N rows.
+    """A tensor with the K kept rows of a mask, represented by a drafted tensor with all N rows."""
 
-    Attributes:
-        mask: The mask that selects the K rows.
-        value: The tensor of all N rows.
-        axis: The axis of the rows.
-        flat: Whether the K rows are flattened to one axis.
-    """
-
-    mask: Mask
-    value: ir.Value
-    axis: int
-    flat: bool = False
+    mask: Mask  # the mask that selects the K rows
+    value: ir.Value  # the tensor of all N rows
+    axis: int  # the axis of the rows
+    flat: bool = False  # whether the K rows are flattened to one axis
 
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """Integers of the form a + b · K.
+    """Integers of the form a + b · K, where K is the number of rows that a mask keeps."""
 
-    Attributes:
-        mask: The mask with K true elements.
-        constant: The numbers a, of any shape.
-        factor: The numbers b.
-        varies: Whether a varying shape provides them, so that they must be recomputed.
-    """
-
-    mask: Mask
-    constant: np.ndarray
-    factor: np.ndarray
-    varies: bool
+    mask: Mask  # the mask with K true elements
+    constant: np.ndarray  # the numbers a, of any shape
+    factor: np.ndarray  # the numbers b
+    varies: bool  # whether a varying shape provides them, so that they must be recomputed
 
 
 @dataclass(frozen=True, slots=True)
 class Filler:
-    """``capacity`` − K equal filler rows along the first axis.
+    """Equal filler rows along the first axis, ``capacity`` − K of them."""
 
-    Attributes:
-        mask: The mask with K true elements.
-        capacity: Number of rows, filler included.
-        row: The constant content of a row.
-    """
-
-    mask: Mask
-    capacity: int
-    row: np.ndarray
+    mask: Mask  # the mask with K true elements
+    capacity: int  # number of rows, filler included
+    row: np.ndarray  # the constant content of a row
 
 
 Fact = Index | Rows | Linear | Filler
 
 
 def read_mask(value: ir.Value | None) -> Mask | None:
-    """Return the mask that ``value`` holds, ignoring casts, flattening and repetition."""
+    """Return the boolean mask behind casts, flattening and repetition of ``value``."""
     root = _truth_source(value)
     dims = fixed_shape(root)
     if root is None or dims is None:
@@ -143,7 +112,7 @@ def read_mask(value: ir.Value | None) -> Mask | None:
 
 
 def _truth_source(value: ir.Value | None) -> ir.Value | None:
-    """Return the tensor with the same truth values, before casts and reshapes."""
+    """Return the tensor before casts and reshapes that keep each element's truth value."""
     while value is not None:
         producer = value.producer()
         source = producer.inputs[0] if producer is not None and producer.inputs else None

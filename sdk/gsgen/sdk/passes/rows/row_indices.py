@@ -1,4 +1,4 @@
-"""Recognition of the forms in which exporters and authors select the rows of a mask."""
+"""Recognises the forms in which exporters and authors select the rows of a boolean mask."""
 
 __all__ = [
     "compose_masks",
@@ -19,7 +19,7 @@ from gsgen.sdk.passes.rows.row_facts import Index, Mask, Rows, read_mask
 
 
 def nonzero_index(node: ir.Node) -> Index | None:
-    """Return the indices that NonZero computes; None if its input is not a known mask."""
+    """Return the indices of true elements that NonZero computes; None without a known mask."""
     mask = read_mask(node.inputs[0])
     return None if mask is None or not mask.size else Index(mask, "columns")
 
@@ -51,7 +51,7 @@ def compress_rows(node: ir.Node, mask: Mask, draft: RowDraft) -> Rows | None:
 
 
 def transform_index(node: ir.Node, index: Index) -> Index | None:
-    """Return the indices of a mask in the form that ``node`` reshapes them to; None if unknown."""
+    """Return a mask's indices after ``node`` reshaped or cast them; None if unknown."""
     if is_op(node, "Cast", "Identity") or (is_op(node, "Max") and len(node.inputs) == 1):
         return index
     if is_op(node, "Transpose") and index.form != "flat":
@@ -92,7 +92,7 @@ def _axis_of_size_one(index: Index) -> int:
 
 
 def gather_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
-    """Return the rows that Gather or GatherND takes at the indices of a mask."""
+    """Return the rows that Gather or GatherND selects with the indices of a mask."""
     value, shape, mask = node.inputs[0], fixed_shape(node.inputs[0]), index.mask
     if value is None or shape is None or mask.repeats or mask.parent is not None:
         return None
@@ -107,7 +107,7 @@ def gather_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
 
 
 def gather_nested_rows(node: ir.Node, rows: Rows, index: Index) -> Rows | None:
-    """Return the rows that Gather or GatherND takes among the rows of a parent mask."""
+    """Return the rows that Gather or GatherND selects among the kept rows of a parent mask."""
     if rows.flat or index.mask.parent != rows.mask.unrepeated:
         return None
     rank = rank_of(rows.value) or 1

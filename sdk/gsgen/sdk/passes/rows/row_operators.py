@@ -1,4 +1,4 @@
-"""Operators that work row by row and can therefore process all N rows instead of K.
+"""Operators that work row by row and so can process all N rows instead of the K kept ones.
 
 Each function returns the rows that a node computes, or None if it may mix rows.
 """
@@ -58,7 +58,7 @@ def propagate_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 def _draft_for_all_rows(
     node: ir.Node, inputs: Sequence[ir.Value | None], axis: int, rows: Rows, draft: RowDraft
 ) -> Rows | None:
-    """Draft ``node`` on all rows; its output has N instead of K rows along ``axis``."""
+    """Draft ``node`` on all N rows; its output has N instead of K rows along ``axis``."""
     shape = _full_shape(node.outputs[0], axis, rows)
     if shape is None or len(node.outputs) != 1:
         return None
@@ -87,7 +87,7 @@ def _full_inputs(node: ir.Node, facts: Facts) -> list[ir.Value | None]:
 
 
 def _elementwise(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Elementwise operators: rows must align with rows; other operands must not vary by row."""
+    """Draft an elementwise operator on rows; operands that vary by row must align."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     negative_axes = {fact.axis - (rank_of(fact.value) or 0) for fact in row_facts}
     rank = rank_of(node.outputs[0])
@@ -124,7 +124,7 @@ def _concat(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 
 
 def _matrix_product(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """MatMul and Gemm that contract along axes other than that of the rows."""
+    """Draft a MatMul or Gemm that contracts along axes other than that of the rows."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     if len(row_facts) != sum(fact is not None for fact in facts) or not row_facts:
         return None
@@ -146,7 +146,7 @@ def _gemm_row_axis(node: ir.Node, facts: Facts) -> int | None:
 
 
 def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
-    """Return the rows' axis in the product; batches of matrices must have the same rows' axis."""
+    """Return the rows' axis in a matrix product; batched operands must share that axis."""
     values = _full_inputs(node, facts)
     ranks, result_rank = [rank_of(value) for value in values], rank_of(node.outputs[0])
     if None in ranks or result_rank is None or 1 in ranks:
@@ -177,7 +177,7 @@ def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
 
 
 def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Einsum whose rows have a letter of their own, which the output keeps."""
+    """Draft an Einsum whose rows have a letter of their own, which the output keeps."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     input_terms, arrow, output_term = (
         node.attributes["equation"].as_string().replace(" ", "").partition("->")
@@ -206,7 +206,7 @@ def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 
 
 def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Slice along other axes, or over all rows."""
+    """Draft a Slice along axes other than that of the rows, or over all rows."""
     arrays = [constant_of(value) for value in node.inputs[1:]]
     if any(array is None for array in arrays) or len(arrays) < 2:
         return None
@@ -221,7 +221,7 @@ def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | N
 
 
 def _gather(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Gather along an axis other than that of the rows."""
+    """Draft a Gather along an axis other than that of the rows."""
     rank = rank_of(rows.value) or 1
     axis, index = int_attribute(node, "axis", 0) % rank, rank_of(node.inputs[1])
     if axis == rows.axis or index is None or facts[1] is not None:
@@ -292,7 +292,7 @@ def _transpose(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows
 
 
 def _reshape(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Reshape of the axes after the rows, or of all axes to one, which only ScatterND may read."""
+    """Draft a Reshape of the axes after the rows, or of all axes to one, for ScatterND."""
     shape, rank = fixed_shape(rows.value), rank_of(node.outputs[0])
     if shape is None or rank is None or rows.axis != 0:
         return None
@@ -336,7 +336,7 @@ def _target_shape(node: ir.Node, facts: Facts) -> list[int] | None:
 
 
 def _expand(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Expand along axes other than that of the rows."""
+    """Draft an Expand along axes other than that of the rows."""
     target, shape = facts[1], fixed_shape(rows.value)
     if not isinstance(target, Linear) or shape is None or target.factor.sum() != 1:
         known = constant_of(node.inputs[1])

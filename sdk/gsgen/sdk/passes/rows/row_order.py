@@ -1,4 +1,4 @@
-"""The order of the rows that a mask keeps, computed with static shapes."""
+"""The order of the rows that a boolean mask keeps, computed with static shapes."""
 
 __all__ = ["RowOrder", "draft_order"]
 
@@ -14,21 +14,15 @@ _INT, _BOOL = ir.DataType.INT32, ir.DataType.BOOL
 
 @dataclass(frozen=True, slots=True)
 class RowOrder:
-    """The rows that a mask keeps.
+    """The graph values that order the rows of a boolean mask: kept rows first."""
 
-    Attributes:
-        count: Number of kept rows, int32 [1].
-        rows: Indices of the kept rows in ascending order, then zeros; int32 [N].
-        live: True for the first ``count`` elements, bool [N].
-    """
-
-    count: ir.Value
-    rows: ir.Value
-    live: ir.Value
+    count: ir.Value  # number of kept rows, int32 [1]
+    rows: ir.Value  # indices of the kept rows in ascending order, then zeros; int32 [N]
+    live: ir.Value  # true for the first ``count`` elements, bool [N]
 
 
 def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
-    """Draft the order of a mask of ``size`` elements.
+    """Draft the nodes that compute the row order of a boolean mask of ``size`` elements.
 
     Let c be the mask's prefix sum. The j-th kept row is the first i with c[i] > j, so i is the
     number of elements of c that are at most j. A binary search finds it for all j at once, with

@@ -50,7 +50,7 @@ class WorkInColumns(Rewrite):
     exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Rewrite every group of the main graph whose predicted cost drops enough."""
+        """Rewrite groups of nodes column by column wherever the predicted cost drops enough."""
         for group in _groups(model.graph):
             planned = _Plan(group)
             if planned.cost_after() <= _MAX_COST_RATIO * planned.cost_before():
@@ -68,7 +68,7 @@ class _Group:
 
 
 def _groups(graph: ir.Graph) -> Iterator[_Group]:
-    """Yield groups of narrow nodes that depend on an input, each in graph order."""
+    """Yield groups of nodes on narrow tensors that depend on an input, each in graph order."""
     varying = {value for value in graph.inputs if value.name not in graph.initializers}
     owner: dict[ir.Value, _Group] = {}
     groups: list[_Group] = []
@@ -107,7 +107,7 @@ def _rows(node: ir.Node) -> int | None:
 
 
 class _Plan:
-    """The predicted cost of rewriting a group, and the rewrite itself."""
+    """The predicted cost of computing a group of nodes column by column, and the rewrite."""
 
     def __init__(self, group: _Group) -> None:
         self.rows, self.nodes = group.rows, group.nodes
@@ -122,11 +122,11 @@ class _Plan:
         }
 
     def cost_before(self) -> float:
-        """Return the predicted time of the original nodes, in nanoseconds per row."""
+        """Return the predicted time of a group's original nodes, in nanoseconds per row."""
         return sum(_cost(node, self.rows) for node in self.nodes)
 
     def cost_after(self) -> float:
-        """Return the predicted time of the column operators, in nanoseconds per row."""
+        """Return the predicted time of a group's column operators, in nanoseconds per row."""
         numbers: dict[Hashable, int] = {}
         split_values: set[ir.Value] = set()
 
@@ -154,7 +154,7 @@ class _Plan:
         )
 
     def build(self) -> None:
-        """Write the column operators, and join the columns of results that others read."""
+        """Insert the column operators, and join the columns of results that other nodes read."""
         written: dict[Hashable, ir.Value] = {}
 
         def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
@@ -279,7 +279,7 @@ def _join_columns(write: InsertionPoint, columns: Columns, value: ir.Value, rows
 
 
 def _restored_parts(write: InsertionPoint, columns: list[ir.Value], rows: int) -> list[ir.Value]:
-    """Return tensors [rows, …] that hold ``columns`` in order.
+    """Return tensors [rows, …] that hold the given columns in order.
 
     Columns that are all outputs of one Split, in order, are replaced by the input of the Split.
     """
@@ -292,7 +292,7 @@ def _restored_parts(write: InsertionPoint, columns: list[ir.Value], rows: int) -
 
 
 def _split_run(columns: list[ir.Value]) -> tuple[int, ir.Value | None]:
-    """Return the number of leading columns that are all outputs of one Split, and its input."""
+    """Return the number of leading columns that one Split computes, and the Split's input."""
     sources = [_reshape_source(column) for column in columns]
     maker = sources[0].producer() if sources[0] is not None else None
     if maker is None or not is_op(maker, "Split"):

@@ -1,4 +1,4 @@
-"""Merges weights with equal bytes."""
+"""Merges weights of a graph that have equal bytes."""
 
 __all__ = ["DeduplicateWeights"]
 
@@ -39,7 +39,7 @@ class DeduplicateWeights(CautiousRewrite):
         self._share(model.graph, ChainMap())
 
     def _share(self, graph: ir.Graph, known: "ChainMap[Hashable, ir.Value]") -> None:
-        """Merge weights of ``graph`` and its subgraphs; ``known`` holds those of outer graphs."""
+        """Merge equal weights of a graph and its subgraphs; ``known`` has those of outer graphs."""
         for name, value in list(graph.initializers.items()):
             if self._occurrences[_outline(value)] < 2 or not self._can_merge(value):
                 continue
@@ -62,7 +62,7 @@ class DeduplicateWeights(CautiousRewrite):
         return True
 
     def _content(self, value: ir.Value) -> Hashable:
-        """Return a key that is equal for weights with equal dtype, shape and bytes."""
+        """Return a key that is the same for weights with equal dtype, shape and bytes."""
         tensor = value.const_value
         location: Hashable = None
         if isinstance(tensor, ir.ExternalTensor):

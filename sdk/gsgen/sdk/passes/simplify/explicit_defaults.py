@@ -1,4 +1,4 @@
-"""Writes out default attributes and inputs that a runtime handles wrongly."""
+"""Writes out default attributes and inputs that a release of a runtime handles wrongly."""
 
 __all__ = ["MakeDefaultsExplicit"]
 
@@ -42,7 +42,7 @@ class MakeDefaultsExplicit(NodeRewrite):
         return missing and constant_of(node.inputs[1]) is not None
 
     def replace(self, node: ir.Node) -> None:
-        """Add the omitted dilations or axes."""
+        """Add the omitted dilations or axes of a Conv or Slice."""
         if is_op(node, "Conv"):
             spatial = (rank_of(node.inputs[0]) or 2) - 2
             node.attributes["dilations"] = ir.AttrInt64s("dilations", [1] * spatial)

@@ -38,7 +38,7 @@ class FoldShapes(CautiousRewrite):
     name: ClassVar[str] = "fold-shapes"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Fold and infer shapes alternately until nothing changes."""
+        """Fold shape arithmetic and infer shapes alternately until nothing changes."""
         while self._sweep(model):
             ShapeInferencePass(check_type=False, strict_mode=False, data_prop=False)(model)
 

@@ -37,15 +37,11 @@ class FreezeDimensions(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "FreezeDimensions | None":
-        """Return the rewrite if the target has sizes."""
+        """Return the rewrite if the user gave sizes of symbolic dimensions."""
         return cls(target.sizes) if target.sizes else None
 
     def rewrite(self, model: ir.Model) -> None:
-        """Replace each symbolic dimension that has a size.
-
-        Raises:
-            UnknownName: No dimension has this name.
-        """
+        """Replace each symbolic dimension for which the user gave a size."""
         names = {dim for value in _values(model) for dim in _symbols(value)}
         ends = {*model.graph.inputs, *model.graph.outputs}
         for name in self.sizes.keys() - names - self._frozen:

@@ -38,7 +38,7 @@ class MergeCasts(NodeRewrite):
         return holds_all(last, first) or first == ir.DataType.BOOL or _are_integers(between, last)
 
     def replace(self, node: ir.Node) -> None:
-        """Cast the input of the first Cast."""
+        """Cast the input of the first of two Casts directly to the last dtype."""
         inner = node.inputs[0].producer() if node.inputs[0] is not None else None
         assert inner is not None
         write, x, kind = InsertionPoint(node), inner.inputs[0], node.outputs[0].dtype
@@ -61,5 +61,5 @@ def holds_all(container: ir.DataType, contained: ir.DataType) -> bool:
 
 
 def _are_integers(between: ir.DataType, last: ir.DataType) -> bool:
-    """Return whether both are integers, so that both ways of casting truncate the same bits."""
+    """Return whether both dtypes are integers, so that casts in one step or two truncate alike."""
     return between.is_integer() and last.is_integer()

@@ -31,7 +31,7 @@ class MergeReshapes(NodeRewrite):
         return shape is not None and 0 not in shape and is_op(node.inputs[0].producer(), *_SHAPERS)
 
     def replace(self, node: ir.Node) -> None:
-        """Reshape the input of the first operator to the last shape."""
+        """Reshape the input of the first reshaping operator to the last shape."""
         write, shape = InsertionPoint(node), fixed_shape(node.outputs[0])
         assert shape is not None
         x = node.inputs[0]

@@ -45,7 +45,7 @@ class RemoveNoOps(NodeRewrite):
         return _unchanged_argument(node) is not None
 
     def replace(self, node: ir.Node) -> None:
-        """Replace the output by the unchanged input."""
+        """Replace the output of a removed operator by the unchanged input."""
         argument = _unchanged_argument(node)  # not stored: another replacement may have changed it
         assert argument is not None
         write = InsertionPoint(node)
