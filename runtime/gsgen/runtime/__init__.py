@@ -56,31 +56,4 @@ __all__ = [
     "view",
 ]
 
-_HOME = {
-    "NOTHING": "scene.frame",
-    "Box": "scene.scene",
-    "Camera": "scene.camera",
-    "CameraFile": "camera_files",
-    "CapacityExceeded": "errors",
-    "Device": "gpu.device",
-    "DeviceUnavailable": "errors",
-    "Frame": "scene.frame",
-    "GeneratorPlayer": "playback.player",
-    "Mesh": "scene.mesh",
-    "MeshData": "scene.mesh",
-    "Player": "playback.player",
-    "Renderer": "renderer.renderer",
-    "Scene": "scene.scene",
-    "SceneInvalid": "errors",
-    "FrameRequest": "playback.player",
-    "SplatData": "scene.splat_data",
-    "SplatSet": "scene.scene",
-    "open_cameras": "camera_files",
-    "open_scene": "sources.scene_file",
-    "post_process": "playback.image_tiling",
-    "read_mesh": "sources.mesh_files",
-    "bake": "baking.bake_frames",
-    "view": "viewer.window",
-}
-
-__getattr__ = lazy_getattr(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__)

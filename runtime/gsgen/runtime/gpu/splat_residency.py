@@ -109,7 +109,7 @@ def _typed(
 @final
 @dataclass(slots=True, eq=False)
 class _Filled:
-    """How much of an array is uploaded: its version, and the number of its first rows."""
+    """The uploaded part of an array: its version, and the number of its first rows."""
 
     version: int = -1
     rows: int = 0
@@ -180,7 +180,7 @@ class Residency:
         self._held = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
-        """Note that a frame with ``data`` begins; its second frame sorts the rows in space.
+        """Begin a frame that draws a set; from its second frame on, rows are in spatial order.
 
         Neighbours in memory are then read together by a tile, which nearly halves the time of a
         frame of a million Gaussians. Rows that change keep the order of an earlier frame if they

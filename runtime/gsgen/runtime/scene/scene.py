@@ -73,7 +73,7 @@ class SplatSet:
 
     @property
     def depth_range(self) -> float | None:
-        """The depth in world units at which weights reach 0: the model's, times the set's scale."""
+        """The depth at which weights of weighted sums reach 0, in world units; None without one."""
         if self.weighted is None or self.weighted.depth_range is None:
             return None
         volume = abs(float(np.linalg.det(self.transform[:3, :3])))

@@ -29,7 +29,7 @@ class NormalsKernel:
         )
 
     def step(self, keys: Buffer, normals: Buffer, uniform: Buffer, slot: int, page: Page) -> Step:
-        """Return the dispatch for a page, whose uniform is number ``slot`` of a buffer."""
+        """Return the dispatch that computes the normals of a page's Gaussians."""
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (
             self.kernel.bind(keys, normals),

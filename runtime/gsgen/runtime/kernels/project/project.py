@@ -41,7 +41,7 @@ NO_HARMONICS: Final = 0xFF
 
 
 def _bytes(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
-    """Return the dtype of a WGSL struct: for each field its format and its offset."""
+    """Return the NumPy dtype of a WGSL struct, from format and offset of each field."""
     formats, offsets = zip(*fields.values(), strict=True)
     return np.dtype(
         {
