@@ -1,9 +1,7 @@
 """Input roles: the meaning of a frame input, which fixes its shape and dtype."""
 
-<<<<<<< HEAD
-__all__ = ["CAMERA_ROLES", "CONVENTION_SHAPES", "ROLES", "Role", "Shape", "matches_shape", "matching_shape", "role"]
-=======
 __all__ = [
+    "CAMERA_ROLES",
     "CONVENTION_SHAPES",
     "ROLES",
     "STATE_SIZES",
@@ -13,7 +11,6 @@ __all__ = [
     "matching_shape",
     "role",
 ]
->>>>>>> 37402052fd61a68e41c6b80f955b7abfadac8050
 
 from dataclasses import dataclass
 
@@ -27,13 +24,11 @@ POST_PROCESS = "post-process"
 TRAJECTORY = "trajectory-predictor"
 KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
 
-<<<<<<< HEAD
 # Roles of the camera: they cull, fade and light, and from some places change nothing.
 CAMERA_ROLES = ("view", "projection", "camera_position", "viewport")
-=======
+
 STATE_SIZES = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
 """Numbers in a camera state by its representation: the centre, then the rotation."""
->>>>>>> 37402052fd61a68e41c6b80f955b7abfadac8050
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
