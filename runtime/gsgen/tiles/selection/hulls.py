@@ -71,7 +71,7 @@ def upper_hulls(
     """Return the upper concave hull of each row of (cost, value) points, while values grow.
 
     Args:
-        cost: x of the points; infinite where there is none.
+        cost: x of the points; infinite for absent points.
         value: y of the points.
 
     Returns:
