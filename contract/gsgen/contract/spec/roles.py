@@ -28,6 +28,7 @@ KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
 
 # Roles of the camera: they cull, fade and light, and from some places change nothing.
 CAMERA_ROLES = ("view", "projection", "camera_position", "viewport")
+
 STATE_SIZES = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
 """Numbers in a camera state by its representation: the centre, then the rotation."""
 
