@@ -452,7 +452,7 @@ INPUT_EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         _set(depends_on={"view": False}),
         Sentence(
             "manifest.md",
-            "A role that maps to `false` promises that no output changes with that input",
+            "A key that maps to `false` promises that no output changes with that input",
         ),
         r"depends_on|depend",
     ),

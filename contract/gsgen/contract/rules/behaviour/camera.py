@@ -7,7 +7,7 @@ import numpy as np
 from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.probes import as_tensor
 from gsgen.contract.probing.run_comparison import Behaviour, difference
-from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, VARIANCES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
@@ -16,7 +16,6 @@ from gsgen.contract.validation.rule import rule
 # A cone in front of every camera: half the opening of the narrowest lens.
 _CONE = 0.2
 _NEAR = 0.1
-_VARIANCES = (4, 7, 9)
 _CULLED_SHARE = 0.01
 # Of the hidden rows, a sample is compared with the drawn ones: a method that fades rows, or replaces
 # them by others, leaves few of them bare (0 to 0.11 in exports), culling leaves most (0.75 and more).
@@ -141,7 +140,7 @@ def _bare_share(hidden: Float[np.ndarray, "m 10"], drawn: Float[np.ndarray, "n 1
     """Return the share of hidden rows that no drawn row covers, of a sample."""
     if not len(drawn):
         return 1.0
-    size = np.square(_COVERED) * drawn[:, list(_VARIANCES)].max(axis=1)
+    size = np.square(_COVERED) * drawn[:, list(VARIANCES)].max(axis=1)
     sample = hidden[:: max(1, len(hidden) // _SAMPLE), POSITION]
     squares = (np.square(drawn[:, POSITION] - centre).sum(axis=1) for centre in sample)
     return float(np.mean([not (square <= size).any() for square in squares]))
