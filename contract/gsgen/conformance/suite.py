@@ -93,7 +93,7 @@ SUITES: tuple[Suite, ...] = (
         "Cameras have the declared form and the expected effect.",
         _takes("view", "projection", "camera_position", "viewport"),
         _ids(
-            "GI001", "GI002", "GI007", "GI008", "GB007", "GB008", "GB030", "GB031", "GV059", "GV060"
+            "GI001", "GI002", "GI007", "GI008", "GB007", "GB008", "GB030", "GB031", "GV059", "GV054"
         ),
     ),
     Suite(

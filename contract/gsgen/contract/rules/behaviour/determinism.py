@@ -70,7 +70,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="time_times_zero",
-    needs=(*REPRODUCIBLE, "GV060"),
+    needs=(*REPRODUCIBLE, "GV054"),
 )
 def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """Each input changes some output, unless `depends_on` declares that it does not.

@@ -148,7 +148,7 @@ def _undone(seen: _Seen, space: str) -> Float[np.ndarray, "n 3"] | None:
 
 
 @rule(
-    "GV060",
+    "GV054",
     "camera-looks-along-z",
     Severity.ERROR,
     over="execution",

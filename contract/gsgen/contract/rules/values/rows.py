@@ -121,7 +121,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="all_transparent",
-    needs=(*ORDERED_ROWS, "GV060"),
+    needs=(*ORDERED_ROWS, "GV054"),
 )
 def mostly_visible(rows: Rows) -> Iterator[Violation]:
     """Most live rows are opaque enough to change a pixel.
