@@ -301,7 +301,7 @@ class Viewer:
         self._pointer = (event["x"], event["y"])
         x, y = self._surface_position()
         if self.slider is None or not self.slider.contains(x, y):
-            self._focus()
+            self._show_errors(self._look_at_pointer)
 
     def _wheel(self, event: Event) -> None:
         self.controls.wheel(float(event["dy"]))
@@ -326,9 +326,6 @@ class Viewer:
         self.playback.playing = False
         self.playback.seek(self.playback.number + frames)
 
-    def _focus(self) -> None:
-        self._show_errors(self._look_at_pointer)
-
     def _look_at_pointer(self) -> None:
         camera = self.camera()
         request = ViewRequest(camera, "depth", (0, 0, 0, 0))
@@ -344,9 +341,6 @@ class Viewer:
             self.controls.focus(unproject(camera, x + 0.5, y + 0.5, depth))
         else:
             self.controls.frame()
-
-    def _save(self) -> None:
-        self._show_errors(self._save_picture)
 
     def _save_picture(self) -> None:
         """Save the picture at full resolution, and the camera under the same name."""
@@ -383,12 +377,12 @@ class Viewer:
         "ArrowRight": lambda self: self._step(1),
         "ArrowLeft": lambda self: self._step(-1),
         "Home": lambda self: self.playback.seek(0),
-        "f": _focus,
+        "f": lambda self: self._show_errors(self._look_at_pointer),
         "r": lambda self: self.controls.reset(),
         "g": _next_degree,
         "x": _next_antialias,
         "b": _next_background,
-        "p": _save,
+        "p": lambda self: self._show_errors(self._save_picture),
         "i": _toggle_statistics,
         "h": _toggle_help,
     }
