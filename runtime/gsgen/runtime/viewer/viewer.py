@@ -66,9 +66,6 @@ class Viewer:
         mode: The output that is shown.
         message: A message for the user, until the next key or click.
         closed: Whether the user has asked to close the window.
-
-    Raises:
-        DeviceUnavailable: No graphics device can be opened.
     """
 
     def __init__(
@@ -107,11 +104,7 @@ class Viewer:
     # ----- drawing
 
     def draw(self, context: "WgpuContext") -> bool:
-        """Draw the current frame on a surface, and return whether another one will be needed.
-
-        Raises:
-            DeviceUnavailable: The device was lost and cannot be opened again.
-        """
+        """Draw the current frame on a surface, and return whether another one will be needed."""
         try:
             return self._draw(context)
         except DeviceLost:
