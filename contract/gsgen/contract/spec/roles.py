@@ -1,6 +1,16 @@
 """Input roles: the meaning of a frame input, which fixes its shape and dtype."""
 
-__all__ = ["CONVENTION_SHAPES", "ROLES", "Role", "Shape", "matches_shape", "matching_shape", "role"]
+__all__ = [
+    "CAMERA_ROLES",
+    "CONVENTION_SHAPES",
+    "ROLES",
+    "STATE_SIZES",
+    "Role",
+    "Shape",
+    "matches_shape",
+    "matching_shape",
+    "role",
+]
 
 from dataclasses import dataclass
 
@@ -13,6 +23,12 @@ GENERATOR = "gaussian-generator"
 POST_PROCESS = "post-process"
 TRAJECTORY = "trajectory-predictor"
 KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
+
+# Roles of the camera: they cull, fade and light, and from some places change nothing.
+CAMERA_ROLES = ("view", "projection", "camera_position", "viewport")
+
+STATE_SIZES = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
+"""Numbers in a camera state by its representation: the centre, then the rotation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,8 @@
-"""The cut of a tree by screen-space error: which tiles a camera sees, and which it wants drawn."""
+"""The cut of a tile tree by screen-space error: the tiles that a camera sees and needs."""
 
-__all__ = ["Cut", "cut_tree", "request_order"]
+__all__ = ["Cut", "cut_tree", "cut_tree_often", "request_order"]
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -15,7 +16,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Cut:
-    """What a camera needs of a tree.
+    """The tiles that a camera sees, and those that it needs drawn.
 
     Attributes:
         seen: Tiles that meet the frustum and whose parents are all refined; from the root down.
@@ -29,7 +30,7 @@ class Cut:
 
 
 def cut_tree(tree: TileTree, frustum: Frustum, max_error: float) -> Cut:
-    """Return the tiles that ``frustum`` sees, refined where the error is above ``max_error``.
+    """Return the tiles that ``frustum`` sees, refined where the error exceeds ``max_error``.
 
     Args:
         tree: The tiles.
@@ -47,6 +48,46 @@ def cut_tree(tree: TileTree, frustum: Frustum, max_error: float) -> Cut:
 
 
 def request_order(tree: TileTree, cut: Cut) -> Int64[np.ndarray, " m"]:
-    """Return the seen tiles in the order of requests: (level, −screen-space error, index)."""
+    """Return the seen tiles in order of request: (level, −screen-space error, index)."""
     rows = np.flatnonzero(cut.seen)
     return np.asarray(rows[np.lexsort((rows, -cut.error[rows], tree.level[rows]))])
+
+
+def cut_tree_often(
+    tree: TileTree, frusta: Sequence[Frustum], max_error: float
+) -> tuple[Int64[np.ndarray, " m"], Bool[np.ndarray, "f m"]]:
+    """Return which tiles each of several frustums sees; only tiles below seen ones are looked at.
+
+    Args:
+        tree: The tiles.
+        frusta: Of perspective cameras with the same focal length and number of planes.
+        max_error: In pixels.
+
+    Returns:
+        Rows of the tree, ascending within a level, and for each frustum which of them it sees.
+    """
+    planes = np.stack([frustum.planes for frustum in frusta])
+    all_rows: list[Int64[np.ndarray, " m"]] = []
+    all_seen: list[Bool[np.ndarray, "f m"]] = []
+    refined = np.zeros((len(frusta), len(tree)), bool)
+    for rows in tree.rows_of_level:
+        open_below = np.ones((len(frusta), len(rows)), bool)
+        if tree.parent[rows[0]] >= 0:
+            open_below = refined[:, tree.parent[rows]]
+            reached = open_below.any(axis=0)
+            rows, open_below = rows[reached], open_below[:, reached]
+        if not len(rows):
+            break
+        center, half = tree.center[rows], tree.half_axes[rows]
+        vectors = np.concatenate([center[:, None], half], axis=1).reshape(-1, 3)
+        products = vectors @ planes[:, :, :3].reshape(-1, 3).T
+        products = products.reshape(len(rows), 4, *planes.shape[:2])
+        reach = products[:, 0] + planes[:, :, 3] + np.abs(products[:, 1:]).sum(axis=1)
+        seen = (reach >= 0).all(axis=2).T & open_below
+        for index, frustum in enumerate(frusta):
+            distance = frustum.distances(center, half)
+            error = frustum.screen_space_error(tree.error[rows], distance)
+            refined[index, rows] = seen[index] & (error > max_error) & ~tree.is_leaf[rows]
+        all_rows.append(rows)
+        all_seen.append(seen)
+    return np.concatenate(all_rows), np.concatenate(all_seen, axis=1)

@@ -1,9 +1,9 @@
-"""View frustums, and the boxes that meet them: p-vertex culling in one matrix product."""
+"""View frustums and the boxes that intersect them: p-vertex culling in one matrix product."""
 
 __all__ = ["Frustum"]
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -26,7 +26,7 @@ class Frustum:
         planes: A point x is inside where n·x + d ≥ 0 for every row (n, d); unit normals. Four
             sides and z ≥ 0; a panorama has none.
         eye: Centre of the camera.
-        axis: Unit viewing direction.
+        rotation: Root frame → camera; its rows are right, down and forward.
         focal: Pixels for each unit of size over distance; of an orthographic camera, pixels
             for each unit.
         flat: Whether the camera is orthographic, so that size does not depend on distance.
@@ -34,7 +34,7 @@ class Frustum:
 
     planes: Planes
     eye: Float64[np.ndarray, " 3"]
-    axis: Float64[np.ndarray, " 3"]
+    rotation: Float64[np.ndarray, "3 3"]
     focal: float
     flat: bool = False
 
@@ -48,7 +48,7 @@ class Frustum:
         height: int,
         fov_y: float,
     ) -> "Frustum":
-        """Return the frustum of a pinhole camera with its centre in the middle of the image.
+        """Return the frustum of a pinhole camera whose principal point is the image centre.
 
         Args:
             position: Camera centre in the root frame.
@@ -71,7 +71,7 @@ class Frustum:
         return cls(
             planes=_planes(sides, np.zeros(5), turn, -turn @ position),
             eye=np.asarray(position, np.float64),
-            axis=turn[2],
+            rotation=turn,
             focal=focal,
         )
 
@@ -79,7 +79,7 @@ class Frustum:
     def from_camera(
         cls, camera: "Camera", placement: Float64[np.ndarray, "4 4"] | None = None
     ) -> "Frustum":
-        """Return the frustum of a camera of a scene.
+        """Return the frustum of a scene's camera.
 
         Args:
             camera: Of any kind.
@@ -105,13 +105,28 @@ class Frustum:
             planes = _planes(sides, distances, turn, shift)
         flat = camera.kind == "orthographic"
         return cls(
-            planes=planes, eye=eye, axis=turn[2], focal=focal * scale if flat else focal, flat=flat
+            planes=planes, eye=eye, rotation=turn, focal=focal * scale if flat else focal, flat=flat
         )
+
+    def moved(
+        self, position: Float64[np.ndarray, " 3"], quaternion: Float64[np.ndarray, " 4"]
+    ) -> "Frustum":
+        """Return the frustum of the same camera elsewhere.
+
+        Args:
+            position: Camera centre in the root frame.
+            quaternion: Camera → root frame, (w, x, y, z), unit length.
+        """
+        turn = rotation_matrix(quaternion[None])[0].T
+        distances = self.planes[:, 3] + self.planes[:, :3] @ self.eye
+        normals = self.planes[:, :3] @ self.rotation.T @ turn
+        planes = np.column_stack([normals, distances - normals @ position])
+        return replace(self, planes=planes, eye=np.asarray(position, np.float64), rotation=turn)
 
     def meets(
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Return which boxes reach the inner side of every plane.
+        """Return the mask of the boxes that reach the inner side of every frustum plane.
 
         The corner farthest along a plane's normal (the p-vertex) decides, so that no box that
         meets the frustum is left out; near an edge, a few that do not meet it stay in.
@@ -130,7 +145,7 @@ class Frustum:
     def distances(
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return the distances from the camera to boxes with right angles; 0 within."""
+        """Return the distances from the camera to rectangular boxes; 0 if the camera is within."""
         lengths = np.sqrt(np.square(half_axes).sum(axis=2))
         units = half_axes / np.where(lengths > 0, lengths, 1)[:, :, None]
         offset = self.eye - center
@@ -159,7 +174,7 @@ def _planes(
     turn: Float64[np.ndarray, "3 3"],
     shift: Float64[np.ndarray, " 3"],
 ) -> Planes:
-    """Return planes of the camera's frame (normals, distances) in the root frame."""
+    """Convert planes of the camera's frame (normals, distances) to the root frame."""
     lengths = np.linalg.norm(sides, axis=1)
     sides, distances = sides / lengths[:, None], distances / lengths
     return np.column_stack([sides @ turn, sides @ shift + distances])
