@@ -4,15 +4,14 @@ __all__ = ["FolderStore"]
 
 import stat
 from pathlib import Path
-from types import TracebackType
-from typing import Self, final
+from typing import final
 
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, check_range, missing
+from gsgen.tiles.stores.store import MAX_FILE, ClosedOnExit, check_range, missing
 
 
 @final
-class FolderStore:
+class FolderStore(ClosedOnExit):
     """Reads files of a folder; links that lead out of it are refused.
 
     Attributes:
@@ -43,17 +42,6 @@ class FolderStore:
 
     def close(self) -> None:
         """Do nothing, since no file stays open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _open_check(self, path: str) -> tuple[Path, int]:
         """Return the path and size of a regular file in the folder; raise for any other file."""

@@ -2,13 +2,12 @@
 
 __all__ = ["HttpStore"]
 
-from types import TracebackType
-from typing import TYPE_CHECKING, Final, Self, final
+from typing import TYPE_CHECKING, Final, final
 from urllib.parse import quote, urlsplit
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, missing, too_large
+from gsgen.tiles.stores.store import MAX_FILE, ClosedOnExit, missing, too_large
 
 if TYPE_CHECKING:
     from urllib3 import BaseHTTPResponse
@@ -23,7 +22,7 @@ _TRANSIENT = (429, 500, 502, 503, 504)
 
 
 @final
-class HttpStore:
+class HttpStore(ClosedOnExit):
     """Reads files below a web address.
 
     Errors of the server and connections that break are tried three times more, at growing
@@ -128,17 +127,6 @@ class HttpStore:
     def close(self) -> None:
         """Close all connections to the web server."""
         self._pool.clear()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 @final

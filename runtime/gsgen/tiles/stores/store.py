@@ -1,7 +1,8 @@
 """The protocol of file stores: read a tileset's files by path, within size limits."""
 
-__all__ = ["MAX_FILE", "Store", "check_range", "missing", "too_large"]
+__all__ = ["MAX_FILE", "ClosedOnExit", "Store", "check_range", "missing", "too_large"]
 
+from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Final, Protocol, Self
 
@@ -59,6 +60,25 @@ class Store(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
+
+
+class ClosedOnExit(ABC):
+    """Closes a store at the end of a ``with`` block."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close open files and connections of the store."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
 
 
 def missing(store: str, path: str, reason: str = "the file does not exist") -> ContentMissing:

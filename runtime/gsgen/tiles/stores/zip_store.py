@@ -13,11 +13,10 @@ import zipfile
 import zlib
 from pathlib import Path
 from threading import Lock
-from types import TracebackType
-from typing import BinaryIO, Final, Self, final
+from typing import BinaryIO, Final, final
 
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, check_range, missing, too_large
+from gsgen.tiles.stores.store import MAX_FILE, ClosedOnExit, check_range, missing, too_large
 
 INDEX_NAME: Final = "@3dtilesIndex1@"
 _RECORD = struct.Struct("<16sQ")
@@ -40,7 +39,7 @@ def index_record(path: str, offset: int) -> bytes:
 
 
 @final
-class ZipStore:
+class ZipStore(ClosedOnExit):
     """Reads single members of a .3tz archive.
 
     Attributes:
@@ -157,14 +156,3 @@ class ZipStore:
     def close(self) -> None:
         """Close the archive."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
