@@ -61,11 +61,7 @@ class Dumps:
     most: int | None = None
 
     def __post_init__(self) -> None:
-        """Raise if the folder for dumps is unusable, before any work is done.
-
-        Raises:
-            ConfigInvalid: ``folder`` is a file.
-        """
+        """Raise if the folder for dumps is unusable, before any work is done."""
         if self.folder.exists() and not self.folder.is_dir():
             raise ConfigInvalid("is a file, expected a folder", where=str(self.folder))
 

@@ -96,11 +96,6 @@ def _refuse_strange_keys(table: Mapping[str, Any], known: tuple[str, ...], where
 def unmatched_entries(
     entries: Iterable[ExpectedFailure], tested: Mapping[Path, Iterable[str]]
 ) -> list[ExpectedFailure]:
-    """Return the expected failures that match no tested rule of any model.
-
-    Args:
-        entries: The expected failures.
-        tested: Model → ids of its tested rules.
-    """
+    """Return the expected failures that match no tested rule of any model."""
     pairs = [(rule, path) for path, rules in tested.items() for rule in rules]
     return [entry for entry in entries if not any(entry.matches(*pair) for pair in pairs)]

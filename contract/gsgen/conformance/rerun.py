@@ -12,6 +12,7 @@ import numpy as np
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import open_model
+from gsgen.contract.probing.drawn_sample import draw_sample
 from gsgen.contract.probing.outputs import ModelOutputs, chunks, read_outputs
 from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
@@ -25,7 +26,7 @@ from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 
 # Scopes of rules that can be checked with one probe alone.
-ONE_PROBE = ("rows", "emission", "execution")
+ONE_PROBE = ("rows", "sample", "emission", "execution")
 
 Arrays = dict[str, np.ndarray]
 
@@ -77,16 +78,14 @@ class Replay:
             emission = self.emission(probe)
             if rule.scope == "emission":
                 yield emission, 0
+            elif rule.scope == "sample" and (sample := draw_sample(emission)) is not None:
+                yield sample, 0
             elif rule.scope == "rows":
                 yield from ((chunk, chunk.start) for chunk in chunks(emission))
 
 
 def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
-    """Return the inspected model and its planned runs; the manifest must be readable.
-
-    Raises:
-        ModelUnreadable: The file is not an ONNX model at all.
-    """
+    """Return the inspected model and its planned runs; the manifest must be readable."""
     subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
     return subject, make_plan(subject, level, settings.seed)
@@ -122,9 +121,6 @@ def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
 
     The first run's arrays are called ``input.NAME`` and ``output.NAME``, the second's
     ``2.input.NAME`` and so on; ``probe`` and ``2.probe`` are their labels.
-
-    Raises:
-        GsgenError: The file cannot be written.
     """
     arrays: Arrays = {}
     for number, (probe, outputs) in enumerate(runs, start=1):

@@ -59,11 +59,7 @@ class ModelRun:
 
 
 def suites_of(path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
-    """Return the conformance suites that apply to a model with their rules; nothing is run.
-
-    Raises:
-        ModelUnreadable: The file is not an ONNX model at all.
-    """
+    """Return the conformance suites that apply to a model with their rules; nothing is run."""
     subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     rules = installed_rules().rules.values()
     return plan_suites(rules, Declared.by(subject), settings.target)

@@ -205,7 +205,7 @@ class _Loader:
                 TilesetInvalid(
                     "an empty array",
                     location=entry.at("children"),
-                    expected="one child at least, or no member",
+                    expected="at least one child, or no member `children`",
                 )
             )
         return children

@@ -188,11 +188,7 @@ def format_titles() -> str:
 
 
 def codec_named(name: str) -> Codec:
-    """Return the splat format called ``name``.
-
-    Raises:
-        KeyError: No format has this name.
-    """
+    """Return the splat format called ``name``."""
     return {codec.name: codec for codec in CODECS}[name]
 
 
@@ -209,15 +205,7 @@ def codec_of_suffix(path: FilePath) -> Codec | None:
 
 
 def recognised(path: FilePath, data: Data) -> Codec | None:
-    """Return the splat format that a file's content shows, or None.
-
-    Args:
-        path: The file, through which the members of an archive are listed.
-        data: The bytes of the file.
-
-    Raises:
-        ArchiveDamaged: It is a zip archive whose members cannot be listed.
-    """
+    """Return the splat format that a file's content shows, or None."""
     marked = [codec for codec in CODECS if bytes(data[:6]).startswith(codec.marks)]
     if data[: len(ZIP_MAGIC)] == ZIP_MAGIC:
         with unpacking("archive"), zipfile.ZipFile(path) as archive:

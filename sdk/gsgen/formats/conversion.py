@@ -169,7 +169,7 @@ def _bytes_of(path: FilePath) -> int:
 
 def _points_refused(path: FilePath, expected: str) -> NotSupported:
     return NotSupported(
-        "holds coloured points, which have no size, rotation or opacity",
+        "the file holds coloured points, which have no size, rotation or opacity",
         expected=expected,
         hint="write a PLY file; `gsgen export static` makes a generator of them",
         path=str(path),

@@ -40,9 +40,6 @@ def differences(before: Splats, after: Splats) -> tuple[Difference, ...]:
 
     Positions are in scene units, rotations in degrees, scales in percent (flat axes aside),
     opacities and constant colours from 0 to 1, harmonics unscaled up to the lower degree.
-
-    Raises:
-        ValueInvalid: ``before`` and ``after`` have different lengths.
     """
     if len(before) != len(after):
         raise ValueInvalid(

@@ -40,26 +40,4 @@ __all__ = [
     "wrap",
 ]
 
-_HOME = {
-    "Cells": "authoring.cells",
-    "ExportFailed": "errors",
-    "ExportRejected": "errors",
-    "Exported": "exporting.exporter",
-    "GaussianGenerator": "authoring.generator",
-    "Gaussians": "authoring.generator",
-    "GeneratorInvalid": "errors",
-    "ParityFailed": "errors",
-    "Demo": "plugins.plugin",
-    "Plugin": "plugins.plugin",
-    "Publication": "plugins.plugin",
-    "installed_plugins": "plugins.plugin",
-    "PostProcess": "authoring.post_process",
-    "export": "exporting.exporter",
-    "export_post_process": "exporting.post_process_exporter",
-    "inputs": "authoring.inputs",
-    "math": "math",
-    "wrap": "authoring.adapter",
-}
-
-
-__getattr__ = lazy_getattr(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__)

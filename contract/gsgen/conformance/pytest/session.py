@@ -45,11 +45,7 @@ class ConformanceSession:
 
     @classmethod
     def of(cls, config: pytest.Config) -> "ConformanceSession":
-        """Return the conformance session that belongs to a pytest session.
-
-        Raises:
-            UsageError: An option has an invalid value.
-        """
+        """Return the conformance session that belongs to a pytest session."""
         if _BENCH not in config.stash:
             bench = config.stash[_BENCH] = cls(config)
             try:

@@ -79,14 +79,7 @@ def parametrize_with_rules(
 
 
 class Check:
-    """The check of one rule on one model, which a test calls once.
-
-    Attributes:
-        model: The ONNX file.
-        suite: The name of the suite that holds the rule.
-        rule: The rule.
-        called: Whether the test has called it.
-    """
+    """The check of one rule on one model, which a test calls once."""
 
     def __init__(self, model: Path, suite: str, rule: Rule, judge: Callable[[], ModelRun]) -> None:
         self.model = model
@@ -122,13 +115,7 @@ class Check:
 
 
 def checks_for(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
-    """Return a check for each rule of each model that a test requests.
-
-    Args:
-        request: The arguments of the test's decorator.
-        bench: The conformance session.
-        folder: The base of relative paths.
-    """
+    """Return a check for each rule of each model that a test requests."""
     try:
         return _checks(request, bench, folder)
     except GsgenError as error:
@@ -177,5 +164,5 @@ def refuse_strangers(
     }
     for entry in unmatched_entries(expected, tested):
         raise pytest.UsageError(
-            f"gsgen: matches no rule of any tested model: remove or correct the entry\n  {entry}"
+            f"gsgen: an expected failure matches no rule of any tested model: remove or correct it\n  {entry}"
         )

@@ -30,11 +30,7 @@ def show(lines: Iterable[Line]) -> None:
 
 
 def append_text(path: Path, text: str) -> None:
-    """Append text to a file to which other programs may write as well.
-
-    Raises:
-        ConfigInvalid: The file cannot be written.
-    """
+    """Append text to a file to which other programs may write as well."""
     try:
         with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text)
@@ -46,9 +42,6 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file atomically: under a temporary name, then renamed.
 
     A device such as /dev/stdout is written to directly.
-
-    Raises:
-        ConfigInvalid: The file cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

@@ -55,12 +55,7 @@ _PLACEHOLDER_CAPACITY = 1
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """An inferred manifest, with the guesses that its author should confirm.
-
-    Attributes:
-        manifest: The inferred manifest.
-        guesses: One sentence for each fact that was guessed, for its author to confirm.
-    """
+    """An inferred manifest, with the guesses that its author should confirm."""
 
     manifest: GeneratorManifest
     guesses: tuple[str, ...]

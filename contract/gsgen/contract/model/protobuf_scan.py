@@ -61,12 +61,7 @@ class Field:
 
 @dataclass(slots=True)
 class StrippedModel:
-    """A serialised model without the payload of its large tensors.
-
-    Attributes:
-        data: The remaining protobuf bytes.
-        stripped: Number of payload bytes left out.
-    """
+    """A serialised model without the payload of its large tensors."""
 
     data: bytes = b""
     stripped: int = 0
@@ -118,11 +113,7 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
 
 
 def skeleton(data: Buffer) -> StrippedModel:
-    """Return the serialised model in ``data`` without the payload of its large tensors.
-
-    Raises:
-        WireFault: The bytes are not a protobuf message, or the structure is too large.
-    """
+    """Return the serialised model in ``data`` without the payload of its large tensors."""
     builder = _Builder(data)
     stripped = builder.result
     stripped.data = b"".join(builder.message("Model", 0, len(data), 0))

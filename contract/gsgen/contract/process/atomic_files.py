@@ -61,11 +61,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def refuse_folder(path: Path) -> None:
-    """Raise if the output path is a folder; call this before any work is done.
-
-    Raises:
-        ConfigInvalid: ``path`` is a folder.
-    """
+    """Raise if the output path is a folder; call this before any work is done."""
     if path.is_dir():
         name = path.name if path.suffix else "model.onnx"
         hint = f"Name a file in it, such as {path / name}."
@@ -96,22 +92,14 @@ def is_device(path: Path) -> bool:
 
 
 def refuse_device(path: Path) -> None:
-    """Raise if the output path is a device or a pipe, which a rename would replace.
-
-    Raises:
-        ConfigInvalid: ``path`` is a device or a pipe.
-    """
+    """Raise if the output path is a device or a pipe, which a rename would replace."""
     if is_device(path):
         message = "is a device or a pipe, expected a file to write"
         raise ConfigInvalid(message, where=str(path), hint="Name a file.")
 
 
 def refuse_itself(path: Path, sources: Iterable[Path], hint: str = "Name another file.") -> None:
-    """Raise if the output would overwrite one of the input files.
-
-    Raises:
-        ConfigInvalid: ``path`` is one of ``sources``, which would be lost.
-    """
+    """Raise if the output would overwrite one of the input files."""
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
         message = "is also an input file, which would be overwritten"
         raise ConfigInvalid(message, where=str(path), hint=hint)
@@ -121,13 +109,6 @@ def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
     """Raise if a non-model output (e.g. a report) would overwrite a model file.
 
     `-o drift.onnx` for a report usually means that the user expected a copy of the model.
-
-    Args:
-        path: The output path.
-        models: The model files that are read.
-
-    Raises:
-        ConfigInvalid: ``path`` is one of the models, or has the suffix of models.
     """
     refuse_itself(path, models)
     if path.suffix.lower() == MODEL_SUFFIX:

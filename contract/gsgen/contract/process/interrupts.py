@@ -24,11 +24,7 @@ _OVER: Final = b"\0"  # no signal has this number
 @final
 @dataclass(slots=True)
 class Interrupts:
-    """Records whether the user has asked the process to stop.
-
-    Attributes:
-        requested: Set by the first interrupt.
-    """
+    """Records whether the user has asked the process to stop."""
 
     requested: threading.Event = field(default_factory=threading.Event)
 

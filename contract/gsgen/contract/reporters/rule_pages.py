@@ -45,7 +45,7 @@ def _published_docs() -> str:
     for line in metadata("gsgen").get_all("Project-URL") or ():
         label, _, url = line.partition(",")
         if label.strip().lower() == "documentation":
-            return url.strip()
+            return str(url).strip()
     return ""
 
 

@@ -12,8 +12,26 @@ from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
 from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness
 from gsgen.contract.rules.graph import capture, graph, integers, naming, replay
-from gsgen.contract.rules.interface import declarations, input_declarations, inputs, manifest
+from gsgen.contract.rules.interface import (
+    avatar_inputs,
+    declarations,
+    extensions,
+    input_declarations,
+    inputs,
+    manifest,
+    side_files,
+)
 from gsgen.contract.rules.outputs import capacity, companions, count, graph_outputs, outputs
+from gsgen.contract.rules.pictures import (
+    colors,
+    effects,
+    harmonics,
+    opacities,
+    orientation,
+    poses,
+    sizes,
+    turning,
+)
 from gsgen.contract.rules.targets import limits, visionary, visionary_drawing
 from gsgen.contract.rules.values import appearance, cells, covariance, execution, extent, rows
 from gsgen.contract.spec.roles import KINDS
@@ -25,8 +43,10 @@ from gsgen.contract.validation.rule import Registry, Rule, backends_in, rule, ru
 FAMILIES = (
     manifest,
     declarations,
+    extensions,
     inputs,
     input_declarations,
+    avatar_inputs,
     outputs,
     count,
     companions,
@@ -42,13 +62,22 @@ FAMILIES = (
     extent,
     appearance,
     cells,
+    sizes,
+    orientation,
+    opacities,
+    colors,
+    harmonics,
     determinism,
     camera,
     motion,
     robustness,
+    turning,
+    effects,
+    poses,
     limits,
     capacity,
     safety,
+    side_files,
     visionary,
     visionary_drawing,
     waivers,

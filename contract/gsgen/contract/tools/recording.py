@@ -2,6 +2,7 @@
 
 __all__ = [
     "RecordingRefused",
+    "current_document",
     "evenly_spaced",
     "inspect_recordable",
     "refuse_existing",
@@ -27,6 +28,7 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution, execute
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.spec.upgrades import upgrade
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
@@ -44,9 +46,6 @@ def refuse_existing(existing: Sequence[Path], folder: Path, alternative: str) ->
         existing: Files of the earlier recording.
         folder: Their folder.
         alternative: The option to change instead of using --force, for the hint.
-
-    Raises:
-        ConfigInvalid: ``existing`` is not empty.
     """
     if existing:
         message = f"holds {existing[0].name} already"
@@ -85,6 +84,13 @@ def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
     return subject
 
 
+def current_document(subject: InspectedModel) -> dict[str, Any]:
+    """Return the manifest's JSON, upgraded: an older version has not all fields to record in."""
+    document: dict[str, Any] = json.loads(subject.file.manifest_text or "{}")
+    version = subject.parsed.version if subject.parsed else None
+    return upgrade(document, version) if version is not None else document
+
+
 @contextmanager
 def run_at_probes(
     subject: InspectedModel, outputs: Sequence[str], probes: Sequence[Probe]
@@ -113,9 +119,6 @@ def write_recorded_copy(file: ModelFile, changed: Mapping[str, Any], model: Path
 
     Yields:
         A temporary folder; its files are moved next to the copy if the block succeeds.
-
-    Raises:
-        ConfigInvalid: The copy cannot be written.
     """
     document = json.loads(file.manifest_text or "{}") | dict(changed)
     try:

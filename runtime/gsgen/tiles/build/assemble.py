@@ -44,11 +44,6 @@ def geometric_error(tile: Tile) -> float:
 def write_index(plan: Plan, root: Tile, key: str) -> dict[str, tuple[int, str]]:
     """Write an index for each quality, then the record of the build.
 
-    Args:
-        plan: Of the build.
-        root: The tree.
-        key: Of the build.
-
     Returns:
         Every file of the tileset: path → bytes and sha256.
     """

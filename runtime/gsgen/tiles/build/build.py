@@ -169,7 +169,7 @@ def build_tileset(
         save_plan(_plan(run, files, chunks, facts, parameters, partition, output, work), plan_path)
     plan = load_plan(str(plan_path))
     if plan.count != splats:
-        raise AssertionError(f"{plan.count} splats counted of {splats}")
+        raise AssertionError(f"counted {plan.count} of {splats} splats")
     _write_tiles(run, str(plan_path), total)
     # 5. The index, and nothing else is left.
     progress.begin("index", 0)
@@ -183,7 +183,7 @@ def _write_tiles(run: _Run, path: str, rows: int) -> None:
     items = [PlanTask(plan=path, item=chunk.index) for chunk in plan.chunks]
     spilled = sum(run.phase("bin", rows, run_bin, items))
     if spilled != plan.count:
-        raise AssertionError(f"{spilled} rows spilled of {plan.count}")
+        raise AssertionError(f"spilled {spilled} of {plan.count} rows")
     # 4. Partitions, the largest first; then the levels above, deepest first.
     order = sorted(plan.partitions, key=lambda partition: (-partition.count, partition.index))
     items = [PlanTask(plan=path, item=partition.index) for partition in order]
@@ -235,7 +235,7 @@ def _require_output(output: Path) -> None:
     build_files = {BUILD_RECORD, WORK} & {path.name for path in output.iterdir()}
     if not build_files and any(output.iterdir()):
         raise ConfigInvalid(
-            "holds files that are not of a build; expected a new or empty folder",
+            "the folder holds files that no build wrote; expected a new or empty folder",
             where=str(output),
             hint=f"Name a folder in it, such as {output / 'tiles'}.",
         )

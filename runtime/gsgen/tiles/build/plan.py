@@ -162,13 +162,6 @@ def group_small(counts: Sequence[int], limit: int) -> list[list[int]]:
     """Group neighbouring octants that have at most ``limit`` splats together.
 
     Octants that a surface only touches would be leaves of a few splats, each a request.
-
-    Args:
-        counts: Splats of octants, in Morton order.
-        limit: Most splats of a group of several.
-
-    Returns:
-        The indices of each group, in order.
     """
     groups: list[list[int]] = []
     size = 0
@@ -187,13 +180,7 @@ def partition_of(
     anchors: Int64[np.ndarray, " n"],
     partitions: Iterable[Partition],
 ) -> Int64[np.ndarray, " n"]:
-    """Return the number of the partition of each splat.
-
-    Args:
-        codes: Morton codes.
-        anchors: Deepest level of each splat.
-        partitions: All partitions.
-    """
+    """Return the number of the partition of each splat."""
     result = np.full(len(codes), -1, np.int64)
     groups: dict[tuple[int, bool], list[tuple[int, int]]] = {}
     for partition in partitions:

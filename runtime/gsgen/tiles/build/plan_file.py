@@ -35,11 +35,7 @@ def _files(plan: Plan) -> list[SceneFile]:
 
 @lru_cache(maxsize=2)
 def load_plan(path: str) -> Plan:
-    """Return the build plan in the file ``path``, which each process reads once.
-
-    Raises:
-        InputUnreadable: The file is missing or damaged.
-    """
+    """Return the build plan in the file ``path``, which each process reads once."""
     content = read_json(Path(path))
     files = [_file(item) for item in content.pop("files")]
     chunks = tuple(Chunk(**{**item, "file": files[item["file"]]}) for item in content["chunks"])

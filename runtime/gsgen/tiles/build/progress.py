@@ -32,11 +32,9 @@ class Silent(Progress):
     """A progress display that shows nothing."""
 
     def __enter__(self) -> "Silent":
-        """Return the object."""
         return self
 
-    def __exit__(self, *error: object) -> None:
-        """Do nothing."""
+    def __exit__(self, *error: object) -> None: ...
 
     def begin(self, phase: str, total: int) -> None:
         """Ignore the beginning of a phase."""
@@ -50,11 +48,7 @@ class Silent(Progress):
 
 @final
 class JsonProgress(Progress):
-    """Writes progress as JSON lines: one at the beginning of each phase, then one a second.
-
-    Args:
-        write: Takes a line.
-    """
+    """Writes progress as JSON lines: one at the beginning of each phase, then one a second."""
 
     def __init__(self, write: Callable[[str], object]) -> None:
         self._write = write
@@ -62,11 +56,9 @@ class JsonProgress(Progress):
         self._start_time = self._written = time.monotonic()
 
     def __enter__(self) -> "JsonProgress":
-        """Return the object."""
         return self
 
-    def __exit__(self, *error: object) -> None:
-        """Do nothing: every line is written at once."""
+    def __exit__(self, *error: object) -> None: ...
 
     def begin(self, phase: str, total: int) -> None:
         """Write a JSON line for the beginning of a phase."""
@@ -125,13 +117,11 @@ class BarProgress(Progress):
         self._start_time, self._splats_done = 0.0, 0
 
     def __enter__(self) -> "BarProgress":
-        """Show the bar if stderr is a terminal."""
         if self._console.is_terminal:
             self._bar.start()
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Remove the bar."""
         if self._console.is_terminal:
             self._bar.stop()
 

@@ -115,7 +115,7 @@ def _opened(path: Path) -> SceneFile:
             f"cannot be read: {error.strerror or error}", where=str(path)
         ) from error
     if table.count == 0:
-        raise InputUnreadable("0 splats; expected at least one", where=str(path))
+        raise InputUnreadable("the file has 0 splats; expected at least one", where=str(path))
     return SceneFile(
         path=str(path),
         count=table.count,
@@ -184,11 +184,7 @@ def _ranges(file: SceneFile, chunk_bytes: int) -> Iterator[tuple[int, int]]:
 
 
 def read_chunk(chunk: Chunk) -> Splats:
-    """Return all rows of a scene chunk, including rows that cannot be drawn.
-
-    Raises:
-        InputUnreadable: The file was changed or cannot be read any more.
-    """
+    """Return all rows of a scene chunk, including rows that cannot be drawn."""
     try:
         if chunk.file.table is None:
             return _whole(Path(chunk.file.path))

@@ -69,7 +69,7 @@ def load_partition(plan: Plan, partition: Partition) -> Rows:
             rows[filled : filled + last - first] = spill[first:last]
             filled += int(last - first)
     if filled != partition.count:  # the barrier before this phase makes it impossible
-        raise AssertionError(f"{filled} rows of {partition.count} in {partition}")
+        raise AssertionError(f"read {filled} of {partition.count} spilled rows of {partition}")
     return rows
 
 

@@ -25,12 +25,7 @@ from gsgen.tiles.build.spill import bin_chunk
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanTask:
-    """A task that scans a chunk of a scene file.
-
-    Attributes:
-        chunk: To be scanned.
-        work: Folder of markers.
-    """
+    """A task that scans a chunk of a scene file."""
 
     chunk: Chunk
     work: str

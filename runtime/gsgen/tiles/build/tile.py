@@ -97,12 +97,7 @@ def _point(values: list[float]) -> tuple[float, float, float]:
 
 
 def mixture_of(splats: Splats, codes: UInt64[np.ndarray, " n"]) -> Mixture:
-    """Convert splats to Gaussians for merging, in the same order.
-
-    Args:
-        splats: To be merged.
-        codes: Their Morton codes.
-    """
+    """Convert splats to Gaussians for merging, in the same order."""
     scale = np.exp(splats.log_scale.astype(np.float64))
     rotation = unit(splats.rotation)
     return Mixture(

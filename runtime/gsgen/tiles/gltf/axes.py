@@ -32,12 +32,7 @@ def to_content_axes(splats: Splats) -> Splats:
 
 
 def rotate_splats(splats: Splats, rotation: Float64[np.ndarray, "3 3"]) -> Splats:
-    """Return ``splats`` after a rotation, with their view-dependent colours rotated too.
-
-    Args:
-        splats: To rotate.
-        rotation: A proper rotation matrix.
-    """
+    """Return ``splats`` after a rotation, with their view-dependent colours rotated too."""
     key = tuple(float(value) for value in rotation.ravel())
     (quaternion,) = rotations(np.asarray(rotation, np.float64)[None])
     sh = splats.sh

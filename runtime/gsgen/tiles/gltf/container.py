@@ -27,9 +27,6 @@ def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Cont
         data: The file.
         location: Its name, for errors.
         fetch: Reads a buffer in a file of its own; without it, that is an error.
-
-    Raises:
-        TilesetInvalid: It is not glTF 2.0, or ends early.
     """
     if data[:4] == b"glTF":
         with as_fault(location, Fault.CONTENT):

@@ -95,16 +95,7 @@ class ContentHeader:
 
 
 def read_header(container: Container, location: str, size: int) -> ContentHeader:
-    """Return the header of a tile's content; splats are not decoded.
-
-    Args:
-        container: Of :func:`open_content`.
-        location: The file's name, for errors.
-        size: Bytes of the file.
-
-    Raises:
-        TilesetInvalid: The JSON breaks the rules of glTF, or SPZ cannot be unpacked.
-    """
+    """Return the header of a tile's content; splats are not decoded."""
     with as_fault(location, Fault.CONTENT):
         primitives = tuple(
             _primitive(container, primitive, where, location)
@@ -190,17 +181,9 @@ def decode_content(
 ) -> list[tuple[Splats, Float64[np.ndarray, "4 4"]]]:
     """Decode the splats of a tile's content.
 
-    Args:
-        container: Of :func:`open_content`.
-        location: The file's name, for errors.
-        max_bytes: What they may take in memory.
-
     Returns:
         For each set of splats, as it is stored, the matrix that puts it in the content's
         frame, which is y up.
-
-    Raises:
-        TilesetInvalid: A value or a size is wrong.
     """
     header = read_header(container, location, 0)
     if header.splats * _DECODED_EACH > max_bytes:

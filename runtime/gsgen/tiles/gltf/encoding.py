@@ -76,9 +76,6 @@ def write_content(
         codec: ``spz`` for SPZ version 2, ``khr`` for plain float32 accessors.
         quality: 0 is the finest, 4 the smallest; ``khr`` has one quality only.
 
-    Returns:
-        The file, and the box of what it stores.
-
     Raises:
         ValueInvalid: The splats are empty or cannot be drawn, or lie too far from ``center``.
     """

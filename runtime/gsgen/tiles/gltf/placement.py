@@ -17,12 +17,7 @@ from gsgen.formats.shared.splats import Splats
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedSplats:
-    """Splats with positions relative to a float64 origin.
-
-    Attributes:
-        splats: Their positions are relative to ``origin``, so that float32 is enough.
-        origin: In the frame that they were placed in.
-    """
+    """Splats with positions relative to a float64 origin."""
 
     splats: Splats
     origin: Float64[np.ndarray, " 3"]

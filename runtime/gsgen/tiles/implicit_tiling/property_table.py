@@ -70,17 +70,7 @@ def read_property_table(
     classes: dict[str, PropertyClass],
     view: Callable[[JsonObject, str], bytes],
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a property table, [count] or [count, numbers].
-
-    Args:
-        table: Of the subtree.
-        count: How many rows there have to be.
-        classes: Of the tileset's schema.
-        view: Returns the bytes of the buffer view that a member names.
-
-    Raises:
-        TilesetInvalid: The class is not in the schema, or a size is wrong.
-    """
+    """Return the columns of a property table, [count] or [count, numbers]."""
     name, rows = table.text("class"), table.whole("count")
     if name not in classes:
         table.refuse("class", f"a class of the schema: {', '.join(classes) or 'none there'}")

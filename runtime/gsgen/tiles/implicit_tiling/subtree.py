@@ -74,9 +74,6 @@ def read_subtree(
         levels: Of a subtree, as the tileset says.
         classes: The metadata classes of the tileset.
         read_buffer: Reads a buffer that lies in a file of its own.
-
-    Raises:
-        TilesetInvalid: A size, a bitstream or a property table is wrong.
     """
     document, binary = _split(data, location)
     reader = _Reader(document, binary, read_buffer)

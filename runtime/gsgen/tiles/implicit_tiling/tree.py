@@ -88,11 +88,7 @@ def read_implicit(
     base: str,
     classes: dict[str, PropertyClass],
 ) -> ImplicitTree:
-    """Read the member ``implicitTiling`` of a tile.
-
-    Raises:
-        TilesetInvalid: A member is missing or wrong, or the volume cannot be divided.
-    """
+    """Read the member ``implicitTiling`` of a tile."""
     entry = tile.child("implicitTiling")
     scheme = entry.values.get("subdivisionScheme")
     if not isinstance(scheme, str) or scheme not in _SCHEMES:

@@ -68,9 +68,6 @@ def write_implicit_tileset(
         transform: From the root frame to the globe or the world.
         subtree_levels: Levels of one subtree.
 
-    Returns:
-        The uris of the subtrees.
-
     Raises:
         ValueError: A content is not where its template says.
         FileUnwritable: A file could not be written.

@@ -15,9 +15,6 @@ def write_archive(folder: Path, archive: Path) -> int:
     """Pack the files of ``folder`` into a .3tz archive; return their number.
 
     Hidden files and those whose names end in ``.tmp`` are left out.
-
-    Raises:
-        FileUnwritable: The archive could not be written or put in place.
     """
     paths = sorted(
         file.relative_to(folder).as_posix()

@@ -7,16 +7,12 @@ from pathlib import Path
 from typing import final
 
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, ClosedOnExit, check_range, missing
+from gsgen.tiles.stores.store import MAX_FILE, Store, check_range, missing
 
 
 @final
-class FolderStore(ClosedOnExit):
-    """Reads files of a folder; links that lead out of it are refused.
-
-    Attributes:
-        name: The folder.
-    """
+class FolderStore(Store):
+    """Reads files of a folder; links that lead out of it are refused."""
 
     def __init__(self, folder: Path) -> None:
         self.name = str(folder)
@@ -39,9 +35,6 @@ class FolderStore(ClosedOnExit):
                 return stream.read(count)
         except OSError as error:
             raise self._unreadable(path, error) from error
-
-    def close(self) -> None:
-        """Do nothing, since no file stays open."""
 
     def _open_check(self, path: str) -> tuple[Path, int]:
         """Return the path and size of a regular file in the folder; raise for any other file."""

@@ -1,19 +1,18 @@
-"""The protocol of file stores: read a tileset's files by path, within size limits."""
+"""The base class of file stores, which read a tileset's files by path within size limits."""
 
-__all__ = ["MAX_FILE", "ClosedOnExit", "Store", "check_range", "missing", "too_large"]
+__all__ = ["MAX_FILE", "Store", "check_range", "missing", "too_large"]
 
 from abc import ABC, abstractmethod
-from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Final, Self
 
 from gsgen.tiles.errors import ContentMissing, Fault, TilesetInvalid
 
 MAX_FILE: Final = 1 << 30
-"""How many bytes of one file are read, unless the caller says less."""
+"""The most bytes that are read of one file, unless the caller sets a lower limit."""
 
 
-class Store(Protocol):
-    """Protocol: reads files by their paths relative to a folder, from many threads.
+class Store(ABC):
+    """Base class of file stores: reads files by their paths relative to a folder, from many threads.
 
     Attributes:
         name: The folder, archive or address, for messages.
@@ -21,6 +20,7 @@ class Store(Protocol):
 
     name: str
 
+    @abstractmethod
     def size(self, path: str) -> int:
         """Return the size of a file in bytes.
 
@@ -28,8 +28,8 @@ class Store(Protocol):
             ContentMissing: There is no such file.
             StoreUnavailable: The store cannot be read now.
         """
-        ...
 
+    @abstractmethod
     def read(
         self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
     ) -> bytes:
@@ -46,38 +46,14 @@ class Store(Protocol):
             StoreUnavailable: The store cannot be read now.
             TilesetInvalid: The file is larger than ``limit``, or damaged.
         """
-        ...
 
-    def close(self) -> None:
-        """Close open files and connections of the store."""
-        ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
-
-
-class ClosedOnExit(ABC):
-    """Closes a store at the end of a ``with`` block."""
-
-    @abstractmethod
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  # a store of plain files has nothing to close
         """Close open files and connections of the store."""
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
@@ -85,18 +61,23 @@ def missing(store: str, path: str, reason: str = "the file does not exist") -> C
     """Return the error for a tileset file that does not exist."""
     return ContentMissing(
         reason,
-        location=f"{store}: {path}",
+        location=_location(store, path),
         expected="a file that can be read",
         hint="Copy or build the tileset again: a part of it is missing.",
         fault=Fault.CONTENT,
     )
 
 
+def _location(store: str, path: str) -> str:
+    """Return the full address of a file on a server, or its path after that of the store."""
+    return f"{store}/{path}" if "://" in store else f"{store}: {path}"
+
+
 def too_large(store: str, path: str, size: int, limit: int) -> TilesetInvalid:
     """Return the error for a tileset file above the size limit."""
     return TilesetInvalid(
         f"{size:,} bytes",
-        location=f"{store}: {path}",
+        location=_location(store, path),
         expected=f"{limit:,} bytes or fewer",
         fault=Fault.CONTENT,
     )

@@ -16,7 +16,7 @@ from threading import Lock
 from typing import BinaryIO, Final, final
 
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, ClosedOnExit, check_range, missing, too_large
+from gsgen.tiles.stores.store import MAX_FILE, Store, check_range, missing, too_large
 
 INDEX_NAME: Final = "@3dtilesIndex1@"
 _RECORD = struct.Struct("<16sQ")
@@ -39,12 +39,8 @@ def index_record(path: str, offset: int) -> bytes:
 
 
 @final
-class ZipStore(ClosedOnExit):
-    """Reads single members of a .3tz archive.
-
-    Attributes:
-        name: The archive.
-    """
+class ZipStore(Store):
+    """Reads single members of a .3tz archive."""
 
     def __init__(self, archive: Path) -> None:
         self.name = str(archive)

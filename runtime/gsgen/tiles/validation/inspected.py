@@ -100,9 +100,6 @@ def inspect_tileset(
         seconds: After how long no further content is decoded.
         progress: Called with a few words whenever a new stage begins.
         name: Name of the tileset in messages.
-
-    Raises:
-        TilesetInvalid: The index is not there, or not JSON.
     """
     inspected = InspectedTileset(tileset=None, store=store)
     try:

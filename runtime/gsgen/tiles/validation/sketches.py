@@ -38,12 +38,7 @@ _Edit = Callable[[JsonDict], JsonDict]
 @final
 @dataclass(slots=True)
 class TilesetSketch:
-    """A tileset in memory that can be edited and written.
-
-    Attributes:
-        document: ``tileset.json``.
-        files: Path → bytes of all others.
-    """
+    """A tileset in memory that can be edited and written."""
 
     document: JsonDict
     files: dict[str, bytes] = field(default_factory=dict)
@@ -200,13 +195,7 @@ def _add_record(sketch: TilesetSketch, source_splats: int) -> None:
 def edit_glb(
     data: bytes, *, document: _Edit | None = None, binary: Callable[[bytes], bytes] | None = None
 ) -> bytes:
-    """Return a GLB file with an edited JSON document or binary chunk.
-
-    Args:
-        data: The file.
-        document: Returns the JSON to write.
-        binary: Returns the binary chunk to write; lengths in the JSON follow it.
-    """
+    """Return a GLB file with an edited JSON document or binary chunk."""
     json_size = struct.unpack_from("<I", data, 12)[0]
     values: JsonDict = json.loads(data[20 : 20 + json_size])
     chunk = data[28 + json_size :]

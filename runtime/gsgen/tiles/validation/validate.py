@@ -48,9 +48,6 @@ def validate(
         settings: How far to go (static: JSON and headers; values: all splats), and severities.
         registry: The rules.
         progress: Called with a few words whenever a new stage begins.
-
-    Raises:
-        TilesetInvalid: The file cannot be read at all.
     """
     start = time.perf_counter()
     settings = settings.for_model(path)

@@ -147,11 +147,7 @@ def _merge(
 
 
 def check_values(container: Container, decoded: list[Splats], location: str) -> None:
-    """Raise if splats have non-finite numbers or quaternions that are not unit.
-
-    Raises:
-        TilesetInvalid: The first fault that is found.
-    """
+    """Raise if splats have non-finite numbers or quaternions that are not unit."""
     try:
         for splats in decoded:
             if len(splats):

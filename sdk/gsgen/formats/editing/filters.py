@@ -77,7 +77,7 @@ def within_box(splats: Splats, corners: tuple[float, ...]) -> Splats:
             f"{corners}", where="box", expected="three coordinates, then three that are not lower"
         )
     is_inside = (splats.position >= low) & (splats.position <= high)
-    return rows_of(splats, is_inside.all(axis=1))
+    return rows_of(splats, np.asarray(is_inside.all(axis=1)))
 
 
 def within_sphere(splats: Splats, sphere: tuple[float, ...]) -> Splats:

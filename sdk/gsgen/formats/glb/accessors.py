@@ -24,12 +24,6 @@ def read_accessor(
 ) -> Float32[np.ndarray, "n w"]:
     """Return the glTF accessor ``index`` as floats; normalised integers become fractions of 1.
 
-    Args:
-        glb: The file.
-        index: The index of the accessor.
-        widths: The allowed numbers of components.
-        where: The name of the accessor in an error.
-
     Raises:
         HeaderMalformed: The accessor breaks the specification.
         NotSupported: The accessor is sparse.
@@ -85,12 +79,7 @@ def _stored(glb: Container, accessor: Json, dtype: np.dtype, width: int, where: 
 
 
 def view_range(glb: Container, view: Json, where: str) -> tuple[int, int]:
-    """Return the first byte of a glTF buffer view in the file, and the view's length.
-
-    Raises:
-        NotSupported: Its buffer is outside of the file.
-        FileTruncated: It reaches beyond the end of the binary chunk.
-    """
+    """Return the first byte of a glTF buffer view in the file, and the view's length."""
     buffer = whole_number(view.get("buffer"), f"{where}, buffer")
     if buffer or "uri" in glb.item("buffers", 0, where):
         raise NotSupported(

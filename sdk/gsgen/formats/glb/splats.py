@@ -49,11 +49,7 @@ def is_splats(primitive: Json) -> bool:
 
 
 def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) -> Splats:
-    """Return the splats of a glTF primitive.
-
-    Raises:
-        FormatError: The primitive breaks the extension; the subclass names the fault.
-    """
+    """Return the splats of a glTF primitive."""
     extensions = object_member(primitive, "extensions", where)
     extension = object_member(extensions, NAME, where)
     mode = primitive.get("mode", 4)

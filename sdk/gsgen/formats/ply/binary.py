@@ -35,12 +35,7 @@ def binary_rows(
 
 
 def first_row(data: mmap.mmap, header: Header, vertex: Element) -> int:
-    """Return the first byte of the PLY element ``vertex``; raise if the file is too short.
-
-    Raises:
-        FileTruncated: The file ends before the last row.
-        BodyMalformed: A list before ``vertex`` has a negative count.
-    """
+    """Return the first byte of the PLY element ``vertex``; raise if the file is too short."""
     start = header.body
     for element in header.elements[: header.elements.index(vertex)]:
         start = _end(data, header, element, start)

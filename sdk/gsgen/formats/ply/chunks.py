@@ -46,9 +46,6 @@ def ply_table(path: FilePath) -> PlyTable | None:
     Returns:
         None where rows cannot be read by ranges: the numbers are text, big-endian, packed or of
         several types, or the file holds points. :func:`~gsgen.formats.read_ply` reads those.
-
-    Raises:
-        FormatError: The file cannot be read, is not a PLY file, or ends early.
     """
     with mapped(path) as data:
         header = parse_header(data)
@@ -68,17 +65,7 @@ def ply_table(path: FilePath) -> PlyTable | None:
 
 
 def read_ply_rows(path: FilePath, table: PlyTable, first: int, count: int) -> Splats:
-    """Read ``count`` splats of the PLY file at ``path`` from row ``first`` on, unchecked.
-
-    Args:
-        path: The file.
-        table: What :func:`ply_table` returned for it.
-        first: Row to begin with.
-        count: Rows to read, all of which are in the file.
-
-    Raises:
-        FileTruncated: The file has become shorter.
-    """
+    """Read ``count`` splats of the PLY file at ``path`` from row ``first`` on, unchecked."""
     width = len(table.columns)
     offset = table.first_byte + first * table.row_bytes
     with naming(path):

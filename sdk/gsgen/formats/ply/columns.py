@@ -21,10 +21,6 @@ def read_columns(
 
     The memory is that of these arrays and one chunk of rows: the length of the file is checked
     before an array is allocated.
-
-    Raises:
-        FileTruncated: The file ends before the last row.
-        BodyMalformed: A row of text, or a list before the vertices, breaks the rules.
     """
     if header.encoding == "binary_little_endian" and set(vertex.types.values()) == {"f4"}:
         return _floats(data, header, vertex, groups)

@@ -55,12 +55,7 @@ def splat_names(degree: int) -> list[str]:
 
 
 def find_vertex(header: Header) -> Element:
-    """Return the PLY element ``vertex``, which holds the points.
-
-    Raises:
-        PropertyMissing: The header has no such element.
-        NotSupported: Its rows are packed, or hold lists.
-    """
+    """Return the PLY element ``vertex``, which holds the points."""
     vertex = header.find("vertex")
     if vertex is None:
         names = listed([element.name for element in header.elements])
@@ -122,12 +117,7 @@ def _require_all(names: Collection[str], needed: list[str]) -> None:
 
 
 def cloud_colors(types: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the PLY property names of red, green and blue of a point cloud.
-
-    Raises:
-        PropertyMissing: Position or colour is missing.
-        NotSupported: The colours are neither bytes nor floats.
-    """
+    """Return the PLY property names of red, green and blue of a point cloud."""
     matches = {names: len(types.keys() & set(names)) for names in COLORS}
     colors = max(COLORS, key=lambda names: matches[names])  # the first one with the most properties
     missing = [name for name in (*XYZ, *colors) if name not in types]

@@ -26,14 +26,7 @@ def is_packed(header: Header) -> bool:
 
 
 def read_packed(data: mmap.mmap, header: Header) -> Splats:
-    """Return the splats of a compressed PLY file.
-
-    Raises:
-        PropertyMissing: Boxes, words or harmonics are missing.
-        HeaderMalformed: The file has too few boxes, or not one row of harmonics a splat.
-        FileTruncated: The file ends before the last row.
-        ValueInvalid: The file has no splats, or one that cannot be drawn.
-    """
+    """Return the splats of a compressed PLY file."""
     vertex, boxes = _element(header, "vertex"), _element(header, "chunk")
     require_rows(vertex.count, "element 'vertex'")
     needed = -(-vertex.count // rows.CHUNK)

@@ -27,9 +27,6 @@ def contents(path: FilePath) -> Iterator[mmap.mmap]:
     """Map a file into memory; FormatErrors of the ``with`` block name the file.
 
     Overflows raise no warnings: the checks of values refuse the resulting infinity or NaN.
-
-    Raises:
-        FileUnreadable: The file is missing, empty or not regular, or mapping it fails.
     """
     with naming(path), mapped(path) as data, np.errstate(all="ignore"):
         yield data
@@ -38,18 +35,7 @@ def contents(path: FilePath) -> Iterator[mmap.mmap]:
 def take(
     data: Data, dtype: DTypeLike, shape: tuple[int, ...], start: int, where: str
 ) -> Shaped[np.ndarray, "..."]:
-    """Return an array at byte ``start`` of ``data``, as a view.
-
-    Args:
-        data: The bytes of the file.
-        dtype: The dtype of the array, byte order included.
-        shape: The shape of the array.
-        start: The offset of its first byte.
-        where: The name of the array in the error.
-
-    Raises:
-        FileTruncated: ``data`` ends before the array does.
-    """
+    """Return an array at byte ``start`` of ``data``, as a view."""
     kind = np.dtype(dtype)
     count = 1
     for size in shape:  # not np.prod: a hostile size may be beyond 64 bits

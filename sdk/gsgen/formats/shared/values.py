@@ -22,13 +22,7 @@ def require_rows(count: int, where: str) -> None:
 def require_finite(
     table: Float32[np.ndarray, "n m"], labels: Sequence[str], infinite: Sequence[float] = ()
 ) -> None:
-    """Raise ValueInvalid unless all values are finite or one of ``infinite``.
-
-    Args:
-        table: The values, a column for each of ``labels``.
-        labels: The names of the columns in the error.
-        infinite: The allowed infinities.
-    """
+    """Raise ValueInvalid unless all values are finite or one of ``infinite``."""
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(table.sum()):  # a NaN or an infinity would make the sum non-finite
             return

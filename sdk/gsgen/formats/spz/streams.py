@@ -102,14 +102,7 @@ def _decode_word_rotations(stream: UInt8[np.ndarray, " b"]) -> Float32[np.ndarra
 def encode(
     splats: Splats, *, version: int, fractional_bits: int, sh_bits: Sequence[int]
 ) -> dict[str, bytes]:
-    """Encode ``splats`` as SPZ attribute streams.
-
-    Args:
-        splats: The splats, in the axes of the file.
-        version: The version of the format, 1 to 4.
-        fractional_bits: The bits after the binary point of coordinates.
-        sh_bits: The kept bits of eight for harmonics of degree 1, and of higher degrees.
-    """
+    """Encode ``splats`` as SPZ attribute streams."""
     log_scale = np.maximum(splats.log_scale, np.float32(-10))  # -inf becomes the smallest too
     encode_rotations = (
         _encode_word_rotations if version > BYTE_ROTATIONS else _encode_byte_rotations

@@ -39,20 +39,4 @@ __all__ = [
     "Stop",
 ]
 
-_HOME = {
-    "CameraLike": "camera_inputs",
-    "CaptureOff": "providers.errors",
-    "Frame": "frame",
-    "FrameGone": "providers.errors",
-    "FrameSession": "session",
-    "InputInvalid": "providers.errors",
-    "NodesOnCpu": "providers.errors",
-    "Pinhole": "camera_inputs",
-    "ProviderUnavailable": "providers.errors",
-    "RunFailed": "providers.errors",
-    "SessionClosed": "providers.errors",
-    "SizeUnknown": "providers.errors",
-    "Stop": "providers.cancellation",
-}
-
-__getattr__ = lazy_getattr(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__)

@@ -117,4 +117,4 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     ]
     if twice:
         actual = f"{len(twice)} of {len(runs)} frames show what the frame before did, {twice[0]}"
-        yield Violation.at("role time", actual, "a picture a frame", certainty="possible")
+        yield Violation.at("role time", actual, "other outputs in each frame", certainty="possible")

@@ -166,7 +166,9 @@ def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
     for later_run in behaviour.visits("again"):
         label = later_run.probe.label.removesuffix(f" {REPEATED}")
         if later_run.digest and later_run.digest != first[label]:
-            yield Violation.at(f"probe {label!r}", "other bits than at first", "the same bits")
+            yield Violation.at(
+                f"probe {label!r}", "other output bits than in the first run", "the same bits"
+            )
 
 
 @rule(
@@ -248,6 +250,6 @@ def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
     planned = [plan.probes[index].label for index in plan.trials.get("vectors", ())]
     if not same_seed and label in planned:
         actual = f"no outputs at {label!r}"
-        return Violation.at("", actual, "a run in time", certainty="possible")
+        return Violation.at("", actual, "a run within the time limit", certainty="possible")
     actual = f"no probe {vector.inputs!r} with seed {vector.seed}"
     return Violation.at("", actual, f"one of {', '.join(map(repr, known))}")

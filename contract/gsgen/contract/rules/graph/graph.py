@@ -82,7 +82,7 @@ def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
     """
     for node in subject.graph.all_nodes():
         if node.op_type in CONTROL_FLOW and node.domain in MAIN_DOMAIN:
-            yield Violation.at(_node_location(node), node.op_type, "straight-line operators")
+            yield Violation.at(_node_location(node), node.op_type, "a graph without control flow")
 
 
 @rule(
@@ -187,7 +187,7 @@ def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]
         turned = maker is not None and maker.op_type == "Transpose"
         if turned and right is not None and right.dims is not None and len(right.dims) == 1:
             yield Violation.at(
-                _node_location(node), f"Transpose times {right}", "a right side of two axes"
+                _node_location(node), f"Transpose times {right}", "a right operand of rank 2"
             )
 
 

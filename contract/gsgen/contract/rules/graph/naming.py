@@ -37,11 +37,13 @@ def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
     names = Counter(node.name for node in subject.graph.nodes if node.name)
     for name, count in names.items():
         if count > 1:
-            yield Violation.at(f"node {name}", f"{count} nodes of that name", "one node a name")
+            yield Violation.at(f"node {name}", f"{count} nodes have this name", "unique node names")
     for kind, tensors in (("input", subject.graph.inputs), ("output", subject.graph.outputs)):
         for tensor in tensors:
             if not tensor.name.isprintable() or " " in tensor.name:
-                yield Violation.at(f"{kind} {tensor.name!r}", "a blank in it", "a plain word")
+                yield Violation.at(
+                    f"{kind} {tensor.name!r}", "the name contains a blank", "a name without blanks"
+                )
 
 
 @rule(

@@ -212,16 +212,20 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
 
     Hint:
         Export without detaching the input (numpy round trips, `.item()`, Python branches), remove
-        it, or set "depends_on": {role: false}.
+        it, or set "depends_on": {input or role: false}.
     """
     graph, generator = subject.graph, subject.generator
-    idle = generator.depends_on if generator else {}
     used: set[str] = set()
     for tensor in graph.outputs:
         used |= graph.ancestors(tensor.name)[0]
     for entry in subject.manifest.inputs if subject.manifest else ():
-        if entry.name not in used and idle.get(entry.role, True):
-            yield Violation.at(f"input {entry.name}", "leads to no output", "an effect")
+        expected = generator is None or generator.depends(entry)
+        if entry.name not in used and expected:
+            yield Violation.at(
+                f"input {entry.name}",
+                "no output depends on it",
+                "an input that some output depends on",
+            )
 
 
 @rule(
@@ -244,4 +248,6 @@ def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """
     for value in subject.file.proto.graph.input:
         if value.name in subject.graph.initializers:
-            yield Violation.at(f"input {value.name}", "a weight of that name", "a weight alone")
+            yield Violation.at(
+                f"input {value.name}", "is also a weight", "a weight that is not an input"
+            )

@@ -144,7 +144,7 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     for names in (declared, list(subject.output_names)):
         for name in sorted({entry for entry in names if names.count(entry) > 1}):
             yield Violation.at(
-                f"manifest name {name!r}", "declared more than once", "one role a tensor"
+                f"manifest name {name!r}", "declared more than once", "one role per tensor"
             )
 
 

@@ -70,7 +70,7 @@ def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
     """
     declared = subject.declared_count
     if declared is not None and subject.graph.varies(declared.name):
-        yield Violation.at(f"output {declared.name}", "varies", "a constant count")
+        yield Violation.at(f"output {declared.name}", "the count varies", "a constant count")
 
 
 @rule(

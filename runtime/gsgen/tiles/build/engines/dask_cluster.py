@@ -88,7 +88,6 @@ class DaskEngine(Engine):
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Disconnect, and end a local cluster."""
         if self._client is not None:
             self._client.close()
         if self._cluster is not None:
@@ -107,7 +106,7 @@ class DaskEngine(Engine):
                 yield index[future.key], future.result()
         except self._distributed.scheduler.KilledWorker as error:
             raise EngineFailed(
-                f"workers died again and again: {error}",
+                f"Dask workers died repeatedly: {error}",
                 hint="A task may need more memory than a worker has.",
             ) from error
         finally:

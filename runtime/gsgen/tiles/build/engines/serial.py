@@ -16,11 +16,9 @@ class Serial(Engine):
     """Runs one build task after the other in this process."""
 
     def __enter__(self) -> "Serial":
-        """Return the engine."""
         return self
 
-    def __exit__(self, *error: object) -> None:
-        """Do nothing: there is nothing to close."""
+    def __exit__(self, *error: object) -> None: ...
 
     def run(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]

@@ -27,12 +27,7 @@ RETAINED_SIZE: Final = 0.5
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Level:
-    """The merged splats of a tile, for one level of detail.
-
-    Attributes:
-        mixture: The splats.
-        depth: Of the cells that they were merged in.
-    """
+    """The merged splats of a tile, for one level of detail."""
 
     mixture: Mixture
     depth: int
@@ -45,11 +40,6 @@ def choose_cells(
 
     The side of a cell is that of the tile divided by a power of two: lattices of tiles nest, and
     no cell crosses the edge of a tile.
-
-    Args:
-        code: Sorted Morton codes.
-        depth: Of the tile; cells are at this depth or deeper.
-        target: Wanted number of occupied cells.
 
     Returns:
         The depth of the cells, and the first row of each occupied one.

@@ -62,11 +62,7 @@ def concatenate(parts: Sequence[Mixture]) -> Mixture:
 
 
 def surface_area(scale: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-    """Return the surface areas of one-standard-deviation ellipsoids (Thomsen 2004).
-
-    Args:
-        scale: Semi-axes, in scene units.
-    """
+    """Return the surface areas of one-standard-deviation ellipsoids (Thomsen 2004)."""
     a, b, c = np.asarray(scale, np.float64).T
     largest = np.maximum(np.maximum(a, b), c)
     unit = np.where(largest > 0, largest, 1.0)  # powers of tiny numbers would vanish

@@ -129,9 +129,6 @@ def ellipsoids(
     Eigenvectors are rounded to 1e-6 and the largest component of the first two is positive: a
     matrix has the same rotation on every machine. A ball has the identity.
 
-    Args:
-        covariance: Upper triangles of positive semidefinite matrices.
-
     Returns:
         Standard deviations [n, 3] and unit quaternions (w, x, y, z) [n, 4].
     """

@@ -73,7 +73,7 @@ def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     for primitive in primitives(inspected):
         if len(set(primitive.counts.values())) > 1:
             text = ", ".join(f"{name} {count}" for name, count in primitive.counts.items())
-            yield Violation.at(f"content {primitive.location}", text, "one number for all")
+            yield Violation.at(f"content {primitive.location}", text, "equal numbers of splats")
     for content in inspected.contents:
         tile, header = content.tile, content.header
         if tile is None or header is None or len(tile.contents) > 1:

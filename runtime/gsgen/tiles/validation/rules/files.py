@@ -83,7 +83,9 @@ def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
         uri, digest = content.content.uri, content.sha256
         entry = record.files.get(uri)
         if entry is None:
-            yield Violation.at(f"content {uri}", f"not in {record.location}", "an entry there")
+            yield Violation.at(
+                f"content {uri}", f"not in {record.location}", "an entry for the content"
+            )
         elif (entry.size, entry.sha256) != (header.size, digest):
             yield Violation.at(
                 f"content {uri}",
@@ -146,7 +148,7 @@ def empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
             yield Violation.at(
                 f"tile {tile.location}",
                 "a leaf without content",
-                "content, or no such tile",
+                "content, or no leaf tile",
                 certainty=certainty(inspected),
             )
 

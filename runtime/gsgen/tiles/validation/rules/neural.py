@@ -58,7 +58,9 @@ def neural_content(inspected: InspectedTileset) -> Iterator[Violation]:
 def _check(inspected: InspectedTileset, tile: Tile, neural: NeuralTile) -> Iterator[Violation]:
     location = f"tile {neural.location}"
     if not tile.contents:
-        yield Violation.at(location, "no content", "splats of the first time, for other viewers")
+        yield Violation.at(
+            location, "no content", "splats at the first time, for viewers without generators"
+        )
     try:
         data = inspected.store.read(neural.uri, limit=MAX_MODEL)
     except TilesetInvalid as error:
