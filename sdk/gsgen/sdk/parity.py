@@ -119,15 +119,10 @@ def compare(
 ) -> Parity:
     """Compare a model's outputs with the expected ones for the same inputs.
 
-    Args:
-        references: The expected outputs for each probe.
-        outputs: The model's outputs for each probe.
-        tolerances: Allowed errors.
-        roundings: How often values were rounded to the storage dtype: twice, if the references
-            were, too.
-        neighbours: Index of a probe → the expected outputs for slightly changed inputs. A few rows
-            may match these instead: at a threshold, such as the border of a frustum, one kernel
-            jumps a little sooner than another.
+    ``roundings`` counts how often values were rounded to the storage dtype: twice, if the
+    references were, too. ``neighbours`` maps the index of a probe to the expected outputs for
+    slightly changed inputs. A few rows may match these instead: at a threshold, such as the border
+    of a frustum, one kernel jumps a little sooner than another.
     """
     worst: dict[str, FieldParity] = {}
     jumped = 0

@@ -47,10 +47,8 @@ def wrong_outputs(
 ) -> Iterator[WrongReplay]:
     """Yield every output whose replayed frames are wrong.
 
-    Args:
-        uncaptured: Outputs of each frame, computed without capture.
-        replayed: Outputs of the same frames; the first was captured, the others replayed.
-        origin: Describes the operator that an output, given by name, comes from.
+    ``replayed`` holds the frames of ``uncaptured``: the first was captured, the others replayed.
+    ``origin`` describes the operator that an output, given by name, comes from.
     """
     for name in uncaptured[0] if uncaptured else ():
         expected = [np.asarray(outputs[name]) for outputs in uncaptured]

@@ -126,22 +126,9 @@ def export_constant(
 ) -> ExportedConstant:
     """Write ``source`` as a generator that emits the same rows, bit for bit, at every frame.
 
-    Args:
-        source: The scene.
-        path: The model file; it is replaced only by a model that passed every check.
-        name: Name in the manifest; the file's stem if absent.
-        dtype: The dtype of the outputs; the source's own if absent.
-        capacity: Rows of the outputs; rows after those of the scene are zero. As many as the
-            scene has if absent.
-        opset: ONNX operator set.
-        target: The consumer to validate for. The graph needs no rewrites.
-        settings: Level, limits and severities of the validation.
-        progress: Called with a message when a step begins.
-
-    Raises:
-        ConfigInvalid: The capacity is smaller than the number of rows.
-        ParityFailed: ONNX Runtime does not return the same bits.
-        ExportRejected: The model breaks a rule; the error carries the report.
+    Options are those of :func:`gsgen.sdk.export`; the graph needs no rewrites. ``dtype`` is the
+    source's own by default. Rows up to ``capacity`` are zero. The bits of the outputs are compared,
+    and the file is replaced only by a model that passed every check.
     """
     path = Path(path)
     refuse_folder(path)
@@ -205,18 +192,9 @@ def write_constant(
 ) -> None:
     """Write a generator that emits ``rows`` and ``appearance``, bit for bit, at every frame.
 
-    Args:
-        rows: Packed Gaussians, float32 or float16. Zeros are added up to the manifest's capacity.
-        appearance: SH or RGB, float32 or float16.
-        manifest: Names the outputs; embedded.
-        path: The model file. Write to the draft of
-            :func:`gsgen.sdk.rewriting.atomic_model_files.atomic_write` to replace a model.
-        count: Number of live rows, the first ones; all if absent.
-        opset: ONNX operator set.
-
-    Raises:
-        GeneratorInvalid: The arrays do not fit each other or the manifest.
-        ParityFailed: ONNX Runtime does not return the same bits.
+    ``manifest`` names the outputs; rows up to its capacity are zero, and the first ``count`` rows
+    are live, by default all. Write to the draft of
+    :func:`gsgen.contract.process.atomic_files.atomic_write` to replace a model.
     """
     outputs = _outputs(rows, appearance, manifest, len(rows) if count is None else count)
     _save(_model(outputs, manifest, opset), path)

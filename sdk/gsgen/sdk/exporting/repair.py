@@ -70,11 +70,7 @@ def repair(
 ) -> RepairResult:
     """Write a repaired copy of ``source`` to ``target``, without guessing anything ambiguous.
 
-    Args:
-        source: The model.
-        target: The copy's path; if None, the copy is repaired and validated, but not written.
-        request: Facts that the model does not contain, and optional repairs.
-        settings: Settings of both validations.
+    Without ``target``, the copy is repaired and validated, but not written.
     """
     request, settings = request or RepairRequest(), settings or Settings()
     before = validate(source, settings)

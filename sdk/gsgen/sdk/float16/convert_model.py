@@ -162,21 +162,9 @@ def to_float16(
 ) -> tuple[ir.Model, Float16Result]:
     """Return a float16 copy of ``model``, and the nodes and tables that stay float32.
 
-    Args:
-        model: A prepared graph in float32.
-        manifest: Its manifest.
-        probes: Inputs to measure at.
-        outputs: Whether the outputs become float16, too.
-        tolerances: Allowed errors; the manifest's, or the contract's defaults, if absent.
-        arithmetic: Whether nodes compute in float16. If not, every node computes in float32, and
-            only weights and outputs are stored in 16 bits.
-        roundings: How often the rounding of stored outputs is added to the tolerances.
-        budget: Largest number of choices of nodes to measure.
-        limits: Time and memory for running the result.
-        progress: Called with a message when a step begins.
-
-    Raises:
-        RewriteFailed: Every choice of nodes exceeds the tolerances.
+    Without ``arithmetic``, every node computes in float32, and only weights and outputs are stored
+    in 16 bits. The rounding of stored outputs is added to the tolerances ``roundings`` times. All
+    other options are those of :func:`write_float16`.
     """
     if outputs:
         _refuse_half_words(model, manifest)

@@ -27,13 +27,8 @@ _UNSEEN = 12
 class ErrorProbe:
     """Measures the output error of rounding nodes or weights to float16, in the contract's units.
 
-    Args:
-        model: A graph in float32.
-        manifest: Names the outputs to compare.
-        probes: Inputs to measure at.
-        tolerances: Allowed errors.
-        half_outputs: Whether the outputs are stored in float16, too.
-        roundings: How often the rounding of stored outputs is added to the tolerances.
+    With ``half_outputs``, outputs are stored in float16, too; their rounding is added to the
+    tolerances ``roundings`` times.
 
     Attributes:
         weights: Name of each table that can be stored in 16 bits a number.

@@ -11,7 +11,6 @@ __all__ = [
 ]
 
 from collections.abc import Collection, Iterator
-from typing import ClassVar
 
 import numpy as np
 import onnx
@@ -47,9 +46,9 @@ class ToFloat16(CautiousRewrite):
     as do nodes that depend on weights alone, which are computed once.
     """
 
-    name: ClassVar[str] = "to-float16"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-2)
-    wanted_by: ClassVar[str] = "the user alone: `gsgen float16`"
+    name = "to-float16"
+    exactness = ErrorBudget(relative=1e-2)
+    wanted_by = "the user alone: `gsgen float16`"
 
     def __init__(
         self,

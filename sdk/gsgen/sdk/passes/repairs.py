@@ -17,6 +17,7 @@ from onnx_ir import passes
 
 from gsgen.contract.errors import GsgenError
 from gsgen.sdk.passes.framework.graph_builder import append_output, free_name, new_node, weight
+from gsgen.sdk.passes.framework.value_facts import numpy_dtype
 
 _RGB = 3
 
@@ -117,8 +118,7 @@ class SilencePadding(passes.InPlacePass):
         )
         graph.append(live)
         for value in outputs:
-            assert value.dtype is not None
-            zero = weight(graph, f"{value.name}_zero", np.zeros((), value.dtype.numpy()))
+            zero = weight(graph, f"{value.name}_zero", np.zeros((), numpy_dtype(value)))
             masked = new_node("Where", [live.outputs[0], value, zero], f"{value.name}_live")
             masked.outputs[0].type, masked.outputs[0].shape = value.type, value.shape
             append_output(graph, value, [masked])

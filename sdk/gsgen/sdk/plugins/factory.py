@@ -118,9 +118,7 @@ def require_torch() -> None:
 def load_factory(target: str, folder: Path | None = None) -> Factory:
     """Import a factory ``module:name``; modules of ``folder`` take precedence.
 
-    Args:
-        target: ``package.module:factory``, or ``file.py:factory``.
-        folder: The folder to search first; the current folder if absent.
+    ``target`` is ``package.module:factory`` or ``file.py:factory``.
     """
     require_torch()
     search_folder = folder or Path.cwd()

@@ -130,23 +130,9 @@ def rewrite_file(
     A model without a manifest gets probes from the shapes and dtypes of its inputs; a symbolic size
     counts as 3 unless ``sizes`` has it.
 
-    Args:
-        source: Any ONNX model.
-        path: The file of the result; if None, the result is compared but not written.
-        target: The consumer.
-        only: Names of the passes to run; all passes of the target if empty.
-        skip: Names of passes not to run.
-        opset: Operator set of the result; chosen by the target's kernels if absent.
-        sizes: Symbolic dimension → size.
-        limits: Time and memory for running the model.
-        progress: Called with a message when a step begins.
-
-    Raises:
-        ModelUnreadable: ``source`` is not a readable model.
-        UnknownName: A pass is unknown.
-        ConfigInvalid: ``opset`` is above that of the model, or ``path`` would replace its weights.
-        RewriteFailed: The model is unsafe or ill-formed, or the result is ill-formed, breaks a rule
-            that ``source`` keeps, or computes something else.
+    ``only`` and ``skip`` are names of passes; the target's kernels choose ``opset`` by default.
+    Without ``path``, the result is compared but not written. A result that is ill-formed, breaks a
+    rule that ``source`` keeps, or computes something else is refused.
     """
     limits, sizes = limits or Limits(), sizes or {}
     progress("reading the model")

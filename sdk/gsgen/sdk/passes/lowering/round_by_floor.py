@@ -8,6 +8,7 @@ import onnx_ir as ir
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.passes.framework.base import NodeRewrite
 from gsgen.sdk.passes.framework.graph_builder import new_node, weight
+from gsgen.sdk.passes.framework.value_facts import required
 
 
 class RoundByFloor(NodeRewrite):
@@ -36,11 +37,9 @@ def _is_typed_round(node: ir.Node) -> bool:
 
 
 def _rewrite(node: ir.Node) -> None:
-    graph, x, old = node.graph, node.inputs[0], node.outputs[0]
+    graph, x, old = node.graph, required(node.inputs[0]), node.outputs[0]
     assert isinstance(graph, ir.Graph)
-    assert x is not None
-    dtype = x.dtype
-    assert dtype is not None
+    dtype = required(x.dtype)
     zero, half, unit = (
         weight(graph, f"{node.name}_{name}", np.asarray(value, dtype.numpy()))
         for name, value in (("zero", 0), ("half", 0.5), ("one", 1))

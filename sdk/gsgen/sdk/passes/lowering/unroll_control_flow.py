@@ -3,7 +3,6 @@
 __all__ = ["UnrollControlFlow"]
 
 from collections.abc import Callable, Sequence
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -35,8 +34,8 @@ class UnrollControlFlow(CautiousRewrite):
     iterations and 8,192 nodes; larger and data-dependent nodes stay as they are.
     """
 
-    name: ClassVar[str] = "unroll-control-flow"
-    wanted_by: ClassVar[str] = "targets that capture graphs"
+    name = "unroll-control-flow"
+    wanted_by = "targets that capture graphs"
 
     def __init__(self, turns: int = _MAX_ITERATIONS, nodes: int = _MAX_NODES) -> None:
         super().__init__()

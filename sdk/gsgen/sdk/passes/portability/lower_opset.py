@@ -3,7 +3,7 @@
 __all__ = ["LowerOpset"]
 
 from collections.abc import Callable
-from typing import ClassVar, Self
+from typing import Self
 
 import onnx
 import onnx_ir as ir
@@ -68,9 +68,9 @@ class LowerOpset(CautiousRewrite):
     model stays as it is, and the pass reports that node.
     """
 
-    name: ClassVar[str] = "lower-opset"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5, absolute=1e-7)
-    wanted_by: ClassVar[str] = "targets with operator tables, or --opset"
+    name = "lower-opset"
+    exactness = ErrorBudget(relative=1e-5, absolute=1e-7)
+    wanted_by = "targets with operator tables, or --opset"
 
     def __init__(self, target_opset: int = SAFEST_OPSET, max_ir_version: int | None = None) -> None:
         super().__init__()
