@@ -72,14 +72,14 @@ def build(
     levels = Levels.of(read.anchors)
     report_checkpoint(
         f"{describe_cells(read)}; {levels.mode} to whole levels, fork {levels.fork:g}",
-        read.anchors.cfg,
+        read.anchors.run.cfg,
     )
     if blend == "alpha":
         note(
             "note: the method blends by a weighted sum of cells; this model needs sorted "
             "Gaussians. --blend wsr keeps the cells"
         )
-    warn_unsupported(read.anchors.cfg, SUPPORTED_OPTIONS)
+    warn_unsupported(read.anchors.run.cfg, SUPPORTED_OPTIONS)
     appearance = require_appearance(read.anchors, appearance_id, "--appearance-id")
     generator = DuplexGS(
         read,
@@ -89,7 +89,7 @@ def build(
         appearance=appearance,
         selection=Selection(cull, max_anchors),
     )
-    generator.producer = producer_of(_PUBLICATION.code, read.anchors.folder, read.anchors.iteration)
+    generator.producer = producer_of(_PUBLICATION.code, read.anchors.run)
     return generator
 
 

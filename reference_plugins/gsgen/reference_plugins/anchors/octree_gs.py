@@ -49,14 +49,14 @@ class Levels:
     @classmethod
     def of(cls, checkpoint: AnchorCheckpoint) -> "Levels":
         """Read the levels of detail of an anchor checkpoint."""
-        cloud, cfg = checkpoint.cloud, checkpoint.cfg
+        cloud, cfg = checkpoint.cloud, checkpoint.run.cfg
         assert cloud.level is not None
         assert cloud.info is not None
         if len(cloud) < 2 or not (cloud.info[:2] > 0).all():
             message = (
                 f"info is {cloud.info[:2].tolist()}, expected a voxel size and a distance above 0"
             )
-            raise CheckpointInvalid(message, where=str(checkpoint.folder))
+            raise CheckpointInvalid(message, where=str(checkpoint.run.folder))
         mode = cfg.word("dist2level", "round", MODES)
         fork = cfg.number("fork", 2)
         if fork <= 1:

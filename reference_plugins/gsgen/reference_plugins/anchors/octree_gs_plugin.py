@@ -48,13 +48,14 @@ def build(
     read = read_anchors(checkpoint, iteration, octree=True)
     levels = Levels.of(read)
     report_checkpoint(
-        f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}", read.cfg
+        f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}",
+        read.run.cfg,
     )
-    warn_unsupported(read.cfg, SUPPORTED_OPTIONS)
+    warn_unsupported(read.run.cfg, SUPPORTED_OPTIONS)
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
     generator = OctreeGS(read.cloud, read.nets, levels, appearance=appearance, selection=selection)
-    generator.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
+    generator.producer = producer_of(_PUBLICATION.code, read.run)
     return generator
 
 

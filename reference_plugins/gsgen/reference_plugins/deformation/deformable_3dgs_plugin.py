@@ -44,14 +44,14 @@ def build(
     from gsgen.sdk import inputs
 
     read = read_deformation(checkpoint, iteration)
-    report_checkpoint(read.describe(), read.cfg)
-    if not read.cfg.present:
-        note(f"note: {read.cfg.path} is missing; the network tells its variant")
+    report_checkpoint(read.describe(), read.run.cfg)
+    if not read.run.cfg.present:
+        note(f"note: {read.run.cfg.path} is missing; the network tells its variant")
     if read.operations > _HIGH_OPERATIONS:
         note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     generator = Deformable3DGS(read.canonical, read.net, time)
-    generator.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
+    generator.producer = producer_of(_PUBLICATION.code, read.run)
     return generator
 
 

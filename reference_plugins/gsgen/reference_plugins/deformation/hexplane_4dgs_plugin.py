@@ -52,12 +52,12 @@ def build(
     from gsgen.sdk import inputs
 
     read = read_hexplanes(checkpoint, iteration)
-    report_checkpoint(read.describe(), read.cfg)
+    report_checkpoint(read.describe(), read.run.cfg)
     if read.flags.mask == "empty_voxel":
         note("warning: empty_voxel was never compared with the original code")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     generator = HexPlane4DGS(read.canonical, read.nets, read.flags, time, bake=bake)
-    generator.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
+    generator.producer = producer_of(_PUBLICATION.code, read.run)
     return generator
 
 

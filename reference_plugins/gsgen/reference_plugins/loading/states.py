@@ -1,12 +1,23 @@
 """Reads state dicts without running code, and checks the shape of every tensor."""
 
-__all__ = ["Shape", "entries_below", "first_names", "load_network", "load_state", "require_tensors"]
+__all__ = [
+    "Layer",
+    "Shape",
+    "entries_below",
+    "first_names",
+    "layer_of",
+    "linear_shapes",
+    "load_network",
+    "load_state",
+    "require_tensors",
+]
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
@@ -16,6 +27,8 @@ from gsgen.reference_plugins.loading.tensor_files import load_tensors
 
 Shape = tuple[int | None, ...]
 """Sizes of a tensor's axes; None allows any size."""
+Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
+"""Weight and bias of a dense layer."""
 
 _MAX_SHOWN = 12
 # Prefixes of every name after training on several GPUs, and after compilation.
@@ -85,6 +98,16 @@ def require_tensors(
             hint="Its cfg_args may come from another training run.",
         )
     return {name: state[name].detach().to(torch.float32) for name in expected}
+
+
+def linear_shapes(name: str, inputs: int | None, outputs: int | None) -> dict[str, Shape]:
+    """Return the expected shapes of the weight and the bias of a dense layer."""
+    return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
+
+
+def layer_of(state: Mapping[str, Tensor], name: str) -> Layer:
+    """Return weight and bias of a dense layer in a state dict."""
+    return state[f"{name}.weight"], state[f"{name}.bias"]
 
 
 def first_names(names: Iterable[str], between: str = ", ") -> str:

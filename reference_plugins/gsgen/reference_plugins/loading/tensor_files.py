@@ -11,8 +11,7 @@ from typing import Any
 
 import torch
 
-from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.reference_plugins.loading.reasons import reason_of
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid, reason_of
 
 # Training computes learning rates and scene sizes with NumPy, and saves them with the tensors.
 # They are not used here.

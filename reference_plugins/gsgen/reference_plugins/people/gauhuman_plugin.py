@@ -52,8 +52,8 @@ def build(
     from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 
     read = read_gauhuman(checkpoint, iteration, body)
-    report_checkpoint(read.describe(), read.cfg)
-    warn_about_body(read.cfg, read.body)
+    report_checkpoint(read.describe(), read.run.cfg)
+    warn_about_body(read.run.cfg, read.body)
     recording = read_motion(motion, read.body.joints) if motion else None
     avatar = GauHuman(
         read.canonical,

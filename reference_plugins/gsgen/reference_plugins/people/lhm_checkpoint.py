@@ -18,11 +18,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from gsgen.formats import FormatError, read_ply_columns
+from gsgen.formats import read_ply_columns
 from gsgen.reference_plugins.bodies.body_models import Body, read_body, required_body
 from gsgen.reference_plugins.loading.array_archives import read_npz
 from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
-from gsgen.reference_plugins.loading.errors import CheckpointInvalid
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_faults
 from gsgen.reference_plugins.loading.folder import likely_folders, required_file
 from gsgen.reference_plugins.loading.tensor_files import load_tensors
 
@@ -210,12 +210,8 @@ def _samples(folder: Path, count: int) -> Float[np.ndarray, "n 3"]:
 
 
 def _points(path: Path) -> Float[np.ndarray, "n 3"]:
-    try:
-        read = read_ply_columns(path, {"position": ("x", "y", "z")})
-    except FormatError as error:
-        message = str(error).replace(f"{path}: ", "")
-        raise CheckpointInvalid(message, where=str(path)) from error
-    return read["position"].astype(np.float64)
+    with format_faults(path):
+        return read_ply_columns(path, {"position": ("x", "y", "z")})["position"].astype(np.float64)
 
 
 def _stiff(path: Path, vertices: int) -> Bool[np.ndarray, " v"]:
