@@ -20,45 +20,26 @@ if TYPE_CHECKING:
     from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication, installed_plugins
 
 __all__ = [
-    "Cells",
-    "Demo",
-    "ExportFailed",
-    "ExportRejected",
-    "Exported",
-    "GaussianGenerator",
-    "Gaussians",
-    "GeneratorInvalid",
-    "ParityFailed",
-    "Plugin",
-    "PostProcess",
-    "Publication",
-    "export",
-    "export_post_process",
-    "inputs",
-    "installed_plugins",
-    "math",
-    "wrap",
-]
+    "Cells", "Demo", "ExportFailed", "ExportRejected", "Exported", "GaussianGenerator", "Gaussians",
+    "GeneratorInvalid", "ParityFailed", "Plugin", "PostProcess", "Publication", "export",
+    "export_post_process", "inputs", "installed_plugins", "math", "wrap",
+]  # fmt: skip
 
 _HOME = {
-    "Cells": "authoring.cells",
-    "ExportFailed": "errors",
-    "ExportRejected": "errors",
-    "Exported": "exporting.exporter",
-    "GaussianGenerator": "authoring.generator",
-    "Gaussians": "authoring.generator",
-    "GeneratorInvalid": "errors",
-    "ParityFailed": "errors",
-    "Demo": "plugins.plugin",
-    "Plugin": "plugins.plugin",
-    "Publication": "plugins.plugin",
-    "installed_plugins": "plugins.plugin",
-    "PostProcess": "authoring.post_process",
-    "export": "exporting.exporter",
-    "export_post_process": "exporting.post_process_exporter",
-    "inputs": "authoring.inputs",
-    "math": "math",
-    "wrap": "authoring.adapter",
+    name: module
+    for module, names in {
+        "authoring.adapter": "wrap",
+        "authoring.cells": "Cells",
+        "authoring.generator": "GaussianGenerator Gaussians",
+        "authoring.inputs": "inputs",
+        "authoring.post_process": "PostProcess",
+        "errors": "ExportFailed ExportRejected GeneratorInvalid ParityFailed",
+        "exporting.exporter": "Exported export",
+        "exporting.post_process_exporter": "export_post_process",
+        "math": "math",
+        "plugins.plugin": "Demo Plugin Publication installed_plugins",
+    }.items()
+    for name in names.split()
 }
 
 

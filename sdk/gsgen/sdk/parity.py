@@ -7,14 +7,9 @@ Gaussians, and their visibility like opacity; the shape of a cell matters only i
 """
 
 __all__ = [
-    "FieldParity",
-    "ModelOutput",
-    "Parity",
-    "Reference",
-    "compare",
-    "fibonacci_directions",
+    "FieldParity", "ModelOutput", "Parity", "Reference", "compare", "fibonacci_directions",
     "references_equal",
-]
+]  # fmt: skip
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -7,18 +7,9 @@ file each, or state dicts in one file: ``checkpoints.pth`` of the mode ``unite``
 """
 
 __all__ = [
-    "AnchorCheckpoint",
-    "AnchorCloud",
-    "AnchorNets",
-    "Mlp",
-    "States",
-    "describe_anchors",
-    "numbered",
-    "read_anchors",
-    "read_nets",
-    "require_appearance",
-    "require_sizes",
-]
+    "AnchorCheckpoint", "AnchorCloud", "AnchorNets", "Mlp", "States", "describe_anchors",
+    "numbered", "read_anchors", "read_nets", "require_appearance", "require_sizes",
+]  # fmt: skip
 
 import re
 from collections.abc import Mapping
@@ -177,8 +168,6 @@ def numbered(pattern: re.Pattern[str], names: tuple[str, ...]) -> tuple[str, ...
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Sizes:
-    """Sizes that determine the shapes of the decoding networks of anchors."""
-
     per_anchor: int
     width: int
     appearance: int

@@ -94,12 +94,10 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether a run's point cloud has cells, which are anchors with a size."""
     return "anchor_size_0" in point_columns(iteration)
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic Duplex-GS checkpoint of 3,000 cells, and return the export options."""
     from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_duplex
 
     write_duplex(folder, AnchorOptions(anchors=3000, iteration=40_000))

@@ -60,13 +60,11 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether a run's point cloud has anchors with levels, which are not cells."""
     columns = point_columns(iteration)
     return {"f_offset_0", "level"} <= set(columns) and "anchor_size_0" not in columns
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic Octree-GS checkpoint of 3,000 anchors, and return the export options."""
     from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_octree
 
     options = AnchorOptions(anchors=3000, iteration=40_000)

@@ -56,13 +56,11 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether a run's point cloud has anchors without levels."""
     columns = point_columns(iteration)
     return "f_offset_0" in columns and not {"level", "anchor_size_0"} & set(columns)
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic Scaffold-GS checkpoint of 3,000 anchors, and return the export options."""
     from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_scaffold
 
     write_scaffold(folder, AnchorOptions(anchors=3000))

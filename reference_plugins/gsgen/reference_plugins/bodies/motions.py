@@ -33,14 +33,9 @@ _HANDS = 90
 # Numbers of a pose: root and body alone, SMPL, SMPL+H, SMPL-X.
 _WIDTHS = (66, 72, 156, 165)
 _JSON = {
-    "root_pose": 3,
-    "body_pose": 63,
-    "jaw_pose": 3,
-    "leye_pose": 3,
-    "reye_pose": 3,
-    "lhand_pose": 45,
-    "rhand_pose": 45,
-}
+    "root_pose": 3, "body_pose": 63, "jaw_pose": 3, "leye_pose": 3, "reye_pose": 3,
+    "lhand_pose": 45, "rhand_pose": 45,
+}  # fmt: skip
 _KNOWN = (*("poses", "trans", "mocap_framerate", "mocap_frame_rate"), *("R", "Rh", "Th", "shapes"))
 
 

@@ -1,18 +1,9 @@
 """Command-line options that all plugins of people share."""
 
 __all__ = [
-    "BodyFile",
-    "Hands",
-    "Instances",
-    "MotionFile",
-    "RootRotation",
-    "Shape",
-    "Spacing",
-    "parse_numbers",
-    "read_shape",
-    "warn_about_body",
-    "with_motion",
-]
+    "BodyFile", "Hands", "Instances", "MotionFile", "RootRotation", "Shape", "Spacing",
+    "parse_numbers", "read_shape", "warn_about_body", "with_motion",
+]  # fmt: skip
 
 from collections.abc import Sequence
 from pathlib import Path

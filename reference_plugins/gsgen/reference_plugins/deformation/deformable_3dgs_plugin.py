@@ -56,12 +56,10 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether a training run has a folder of deformation networks."""
     return (run / "deform").is_dir()
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic checkpoint of 8,000 Gaussians that move visibly."""
     from gsgen.reference_plugins.deformation.synthetic_deformations import write_deformable
 
     write_deformable(folder, count=8000, sway=1.0)

@@ -62,12 +62,10 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether an iteration's files include a hexplane and its network."""
     return (iteration / "deformation.pth").is_file()
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic checkpoint of 8,000 Gaussians that move visibly."""
     from gsgen.reference_plugins.deformation.synthetic_deformations import (
         HexPlaneOptions,
         write_hexplane,

@@ -116,7 +116,6 @@ class HexPlaneCheckpoint:
 
 
 def _sizes(planes: tuple[Tensor, ...]) -> tuple[int, int, int, int]:
-    """Return the resolution of the planes along x, y, z and t."""
     return (planes[0].shape[2], planes[0].shape[1], planes[1].shape[1], planes[2].shape[1])
 
 

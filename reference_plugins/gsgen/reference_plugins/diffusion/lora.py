@@ -49,13 +49,9 @@ _ALPHA = re.compile(r"(?P<layer>.+)\.alpha")
 _TEXT = ("text_encoder.", "text_encoder_2.", "lora_te_", "lora_te1_", "lora_te2_")
 # Part of a tensor's name → the kind of adapter that it belongs to.
 _UNSUPPORTED = {
-    "dora_scale": "DoRA",
-    "lora_magnitude_vector": "DoRA",
-    "hada_": "LoHa",
-    "lokr_": "LoKr",
-    "lora_mid": "LoCon with a core",
-    "oft_": "OFT",
-}
+    "dora_scale": "DoRA", "lora_magnitude_vector": "DoRA", "hada_": "LoHa", "lokr_": "LoKr",
+    "lora_mid": "LoCon with a core", "oft_": "OFT",
+}  # fmt: skip
 
 
 @dataclass(slots=True)

@@ -1,18 +1,9 @@
 """Command-line options and console messages that several plugins share."""
 
 __all__ = [
-    "AppearanceId",
-    "Checkpoint",
-    "CullOption",
-    "Fps",
-    "Frames",
-    "Iteration",
-    "Loop",
-    "MaxAnchors",
-    "note",
-    "report_checkpoint",
-    "warn_unsupported",
-]
+    "AppearanceId", "Checkpoint", "CullOption", "Fps", "Frames", "Iteration", "Loop", "MaxAnchors",
+    "note", "report_checkpoint", "warn_unsupported",
+]  # fmt: skip
 
 import sys
 from collections.abc import Mapping

@@ -1,16 +1,9 @@
 """Reads state dicts without running code, and checks the shape of every tensor."""
 
 __all__ = [
-    "Layer",
-    "Shape",
-    "entries_below",
-    "first_names",
-    "layer_of",
-    "linear_shapes",
-    "load_network",
-    "load_state",
-    "require_tensors",
-]
+    "Layer", "Shape", "entries_below", "first_names", "layer_of", "linear_shapes", "load_network",
+    "load_state", "require_tensors",
+]  # fmt: skip
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path

@@ -75,7 +75,6 @@ def _recognises(run: Path, iteration: Path) -> bool:
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic GauHuman checkpoint and a motion, and return the export options."""
     from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
     from gsgen.reference_plugins.bodies.synthetic_motion import write_demo_motion
     from gsgen.reference_plugins.people.synthetic_people import write_gauhuman

@@ -32,17 +32,9 @@ BETAS = 10
 FIRST_EXPRESSION = 300
 EXPRESSIONS = 100
 _FIELDS = (
-    "offset_xyz",
-    "query_points",
-    "rgb",
-    "opacity",
-    "scaling",
-    "rotation",
-    "transform_mat_neutral_pose",
-    "betas",
-    "body_ratio",
-    "have_face",
-)
+    "offset_xyz", "query_points", "rgb", "opacity", "scaling", "rotation",
+    "transform_mat_neutral_pose", "betas", "body_ratio", "have_face",
+)  # fmt: skip
 _POINTS = "pretrained_models/dense_sample_points"
 _PRIOR = "pretrained_models/voxel_grid/human_prior_constrain.npz"
 

@@ -27,43 +27,25 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.synthetic.knot import torus_knot
 
 __all__ = [
-    "AnchorOptions",
-    "HexPlaneOptions",
-    "PersonOptions",
-    "torus_knot",
-    "write_body",
-    "write_deformable",
-    "write_denoiser",
-    "write_difix",
-    "write_duplex",
-    "write_gauhuman",
-    "write_hexplane",
-    "write_lhm",
-    "write_motion",
-    "write_octree",
-    "write_r3",
-    "write_scaffold",
+    "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_body",
+    "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_gauhuman",
+    "write_hexplane", "write_lhm", "write_motion", "write_octree", "write_r3", "write_scaffold",
     "write_stylise",
-]
+]  # fmt: skip
 
 _MODULES = {
-    "AnchorOptions": "anchors.synthetic_anchors",
-    "HexPlaneOptions": "deformation.synthetic_deformations",
-    "PersonOptions": "bodies.synthetic_body",
-    "torus_knot": "synthetic.knot",
-    "write_body": "bodies.synthetic_body",
-    "write_deformable": "deformation.synthetic_deformations",
-    "write_denoiser": "images.synthetic_images",
-    "write_difix": "images.synthetic_difix",
-    "write_duplex": "anchors.synthetic_anchors",
-    "write_gauhuman": "people.synthetic_people",
-    "write_hexplane": "deformation.synthetic_deformations",
-    "write_lhm": "people.synthetic_people",
-    "write_motion": "bodies.synthetic_motion",
-    "write_octree": "anchors.synthetic_anchors",
-    "write_r3": "people.synthetic_people",
-    "write_scaffold": "anchors.synthetic_anchors",
-    "write_stylise": "images.synthetic_images",
+    name: module
+    for module, names in {
+        "anchors.synthetic_anchors": "AnchorOptions write_duplex write_octree write_scaffold",
+        "bodies.synthetic_body": "PersonOptions write_body",
+        "bodies.synthetic_motion": "write_motion",
+        "deformation.synthetic_deformations": "HexPlaneOptions write_deformable write_hexplane",
+        "images.synthetic_difix": "write_difix",
+        "images.synthetic_images": "write_denoiser write_stylise",
+        "people.synthetic_people": "write_gauhuman write_lhm write_r3",
+        "synthetic.knot": "torus_knot",
+    }.items()
+    for name in names.split()
 }
 
 

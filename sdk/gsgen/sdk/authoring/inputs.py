@@ -4,23 +4,10 @@ The Visionary viewer binds the default names to the correct role.
 """
 
 __all__ = [
-    "appearance_id",
-    "camera_position",
-    "conditioning",
-    "control",
-    "expression",
-    "frame_index",
-    "image",
-    "pose",
-    "projection",
-    "root_rotation",
-    "root_translation",
-    "shape",
-    "time",
-    "timestep",
-    "view",
-    "viewport",
-]
+    "appearance_id", "camera_position", "conditioning", "control", "expression", "frame_index",
+    "image", "pose", "projection", "root_rotation", "root_translation", "shape", "time", "timestep",
+    "view", "viewport",
+]  # fmt: skip
 
 from typing import Literal
 

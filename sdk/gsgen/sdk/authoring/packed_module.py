@@ -1,16 +1,9 @@
 """Packs, casts, pads and names the outputs of an author's module as the contract requires."""
 
 __all__ = [
-    "APPEARANCE_RGB",
-    "APPEARANCE_SH",
-    "CELLS",
-    "COUNT",
-    "GAUSSIANS",
-    "Packed",
-    "PackedGenerator",
-    "check_whole_cells",
-    "output_names",
-]
+    "APPEARANCE_RGB", "APPEARANCE_SH", "CELLS", "COUNT", "GAUSSIANS", "Packed", "PackedGenerator",
+    "check_whole_cells", "output_names",
+]  # fmt: skip
 
 from dataclasses import dataclass
 

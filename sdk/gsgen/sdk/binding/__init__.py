@@ -24,35 +24,21 @@ if TYPE_CHECKING:
     from gsgen.sdk.binding.session import FrameSession
 
 __all__ = [
-    "CameraLike",
-    "CaptureOff",
-    "Frame",
-    "FrameGone",
-    "FrameSession",
-    "InputInvalid",
-    "NodesOnCpu",
-    "Pinhole",
-    "ProviderUnavailable",
-    "RunFailed",
-    "SessionClosed",
-    "SizeUnknown",
-    "Stop",
-]
+    "CameraLike", "CaptureOff", "Frame", "FrameGone", "FrameSession", "InputInvalid", "NodesOnCpu",
+    "Pinhole", "ProviderUnavailable", "RunFailed", "SessionClosed", "SizeUnknown", "Stop",
+]  # fmt: skip
 
 _HOME = {
-    "CameraLike": "camera_inputs",
-    "CaptureOff": "providers.errors",
-    "Frame": "frame",
-    "FrameGone": "providers.errors",
-    "FrameSession": "session",
-    "InputInvalid": "providers.errors",
-    "NodesOnCpu": "providers.errors",
-    "Pinhole": "camera_inputs",
-    "ProviderUnavailable": "providers.errors",
-    "RunFailed": "providers.errors",
-    "SessionClosed": "providers.errors",
-    "SizeUnknown": "providers.errors",
-    "Stop": "providers.cancellation",
+    name: module
+    for module, names in {
+        "camera_inputs": "CameraLike Pinhole",
+        "frame": "Frame",
+        "providers.cancellation": "Stop",
+        "providers.errors": "CaptureOff FrameGone InputInvalid NodesOnCpu ProviderUnavailable "
+        "RunFailed SessionClosed SizeUnknown",
+        "session": "FrameSession",
+    }.items()
+    for name in names.split()
 }
 
 __getattr__ = lazy_getattr(__name__, _HOME)

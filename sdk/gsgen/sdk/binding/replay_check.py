@@ -16,22 +16,10 @@ Outputs = Mapping[str, np.ndarray]
 # Two runs on one adapter use the same kernels, so they agree to the last bits.
 _SAME = {"float32": 1e-5, "float16": 2e-3}
 # Operators that are buffer copies, which capture does not record, or that update in place.
-_CULPRITS = frozenset(
-    {
-        "Flatten",
-        "Identity",
-        "ReduceMax",
-        "ReduceMean",
-        "ReduceMin",
-        "ReduceProd",
-        "ReduceSum",
-        "Reshape",
-        "ScatterElements",
-        "ScatterND",
-        "Squeeze",
-        "Unsqueeze",
-    }
-)
+_CULPRITS = frozenset({
+    "Flatten", "Identity", "ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum",
+    "Reshape", "ScatterElements", "ScatterND", "Squeeze", "Unsqueeze",
+})  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,13 +5,9 @@ kernel to record.
 """
 
 __all__ = [
-    "ConstantRows",
-    "ConstantSource",
-    "ExportedConstant",
-    "constant_manifest",
-    "export_constant",
+    "ConstantRows", "ConstantSource", "ExportedConstant", "constant_manifest", "export_constant",
     "write_constant",
-]
+]  # fmt: skip
 
 import os
 from abc import ABC, abstractmethod
@@ -29,6 +25,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import execute
+from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import (
@@ -48,7 +45,6 @@ from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
-from gsgen.sdk.rewriting.atomic_model_files import refuse_folder
 
 _IR_VERSION = 8
 _BOUNDS_MARGIN = 1e-3

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from gsgen.contract.probing.probes import Probe, default_probes
+from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.contract.spec.manifest import (
     AppearanceOutput,
     Bounds,
@@ -50,7 +51,6 @@ from gsgen.sdk.exporting.tracing import trace_generator
 from gsgen.sdk.exporting.verification import check_memory, check_parity
 from gsgen.sdk.float16.convert_model import Float16Result, float16_manifest, to_float16
 from gsgen.sdk.parity import Parity
-from gsgen.sdk.rewriting.atomic_model_files import refuse_folder
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.rewriting.rewrite import prepare
 
@@ -97,8 +97,6 @@ class Exported(ExportResult):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Options:
-    """Options of :func:`export`, which writes a generator as an ONNX model."""
-
     name: str
     dtype: Dtype
     capacity: int | None

@@ -15,6 +15,7 @@ from onnx_ir.passes.common import NameFixPass
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.validation.report import Report
@@ -29,7 +30,6 @@ from gsgen.sdk.passes import (
     ReorderHarmonics,
     SilencePadding,
 )
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 from gsgen.sdk.rewriting.model_io import has_external_weights, refuse_overwriting, save_model
 from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 

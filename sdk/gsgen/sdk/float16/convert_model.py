@@ -17,6 +17,7 @@ import onnx_ir as ir
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
 from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.contract.spec.manifest_io import dumps
@@ -35,7 +36,6 @@ from gsgen.sdk.float16.to_float16 import Boundary, ToFloat16, can_compute_in_flo
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.passes.framework.base import opset_of
 from gsgen.sdk.passes.repairs import PadColor
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
 from gsgen.sdk.rewriting.model_io import (
     has_external_weights,
@@ -224,7 +224,6 @@ class _Choice:
 
     @property
     def retained_names(self) -> set[str]:
-        """The names of the nodes that compute in float32."""
         return {entry.node for entry in self.retained}
 
 
@@ -307,7 +306,6 @@ def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
 def _convert(
     model: ir.Model, manifest: GeneratorManifest, choice: _Choice, *, outputs: bool
 ) -> None:
-    """Convert a generator to float16 in place, and embed its new manifest."""
     ToFloat16(
         choice.retained_names, outputs=outputs, stored=choice.stored, unstepped=choice.unstepped
     )(model)

@@ -1,14 +1,9 @@
 """Convert a graph to float16, except for a list of nodes."""
 
 __all__ = [
-    "FLOAT",
-    "HALF",
-    "Boundary",
-    "ToFloat16",
-    "can_compute_in_float16",
-    "convertible_indices",
+    "FLOAT", "HALF", "Boundary", "ToFloat16", "can_compute_in_float16", "convertible_indices",
     "node_key",
-]
+]  # fmt: skip
 
 from collections.abc import Collection, Iterator
 

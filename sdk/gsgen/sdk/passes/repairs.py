@@ -1,13 +1,8 @@
 """Repairs of model outputs that violate a rule, where only one repair is possible."""
 
 __all__ = [
-    "CastCount",
-    "PadColor",
-    "PinDimensions",
-    "RenameOutputs",
-    "ReorderHarmonics",
-    "SilencePadding",
-]
+    "CastCount", "PadColor", "PinDimensions", "RenameOutputs", "ReorderHarmonics", "SilencePadding",
+]  # fmt: skip
 
 from collections.abc import Mapping
 

@@ -6,14 +6,8 @@ declare, it is not written.
 """
 
 __all__ = [
-    "Change",
-    "GraphStats",
-    "Rewritten",
-    "graph_stats",
-    "prepare",
-    "rewrite_file",
-    "rewrite_graph",
-]
+    "Change", "GraphStats", "Rewritten", "graph_stats", "prepare", "rewrite_file", "rewrite_graph",
+]  # fmt: skip
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -39,6 +33,7 @@ from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.model.provider_placement import Placement, placements
 from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import FAILURES
@@ -51,7 +46,6 @@ from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.framework.base import BITS, ErrorBudget, Rewrite, RewriteTarget, opset_of
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite, Refusal
 from gsgen.sdk.passes.registry import find_rewrites
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 from gsgen.sdk.rewriting.model_io import has_external_weights, refuse_overwriting, save_model
 from gsgen.sdk.rewriting.output_equivalence import Difference, compare_files, probes_of
 from gsgen.sdk.rewriting.rule_regression import refuse_new_violations

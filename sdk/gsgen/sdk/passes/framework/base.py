@@ -6,21 +6,9 @@ the documentation page is generated from it. Rewrites are listed in
 """
 
 __all__ = [
-    "BITS",
-    "SAFE_WIDTH",
-    "ByTables",
-    "ErrorBudget",
-    "NodeRewrite",
-    "Rewrite",
-    "RewriteTarget",
-    "Substitute",
-    "WithinLimit",
-    "describe_item",
-    "every_node",
-    "is_op",
-    "kernel_dtype",
-    "opset_of",
-]
+    "BITS", "SAFE_WIDTH", "ByTables", "ErrorBudget", "NodeRewrite", "Rewrite", "RewriteTarget",
+    "Substitute", "WithinLimit", "describe_item", "every_node", "is_op", "kernel_dtype", "opset_of",
+]  # fmt: skip
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping

@@ -1,16 +1,9 @@
 """Facts about values that are known before the first frame: shapes, constants, attributes."""
 
 __all__ = [
-    "UNBOUNDED_END",
-    "attribute_values",
-    "constant_of",
-    "fixed_shape",
-    "int_attribute",
-    "numpy_dtype",
-    "rank_of",
-    "required",
-    "split_sizes",
-]
+    "UNBOUNDED_END", "attribute_values", "constant_of", "fixed_shape", "int_attribute",
+    "numpy_dtype", "rank_of", "required", "split_sizes",
+]  # fmt: skip
 
 from typing import Any, TypeVar
 

@@ -178,7 +178,6 @@ def _pixel_table(before: InsertionPoint, image: ir.Value) -> ir.Value:
 def _convert(
     before: InsertionPoint, value: ir.Value, kind: ir.DataType, shape: list[int] | None = None
 ) -> ir.Value:
-    """Return a graph value, cast and reshaped."""
     if value.dtype != kind:
         value = before.op("Cast", value, dtype=kind, to=kind.value)
     return value if shape is None else before.op("Reshape", value, before.int64(*shape))

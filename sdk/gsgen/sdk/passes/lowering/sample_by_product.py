@@ -50,8 +50,6 @@ class SampleByProduct(CautiousRewrite):
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A line of sampled points with one coordinate in common."""
-
     fixed: ir.Value  # the constant coordinate of each point, [n, 1]
     common: ir.Value  # the common coordinate, one number
     common_is_x: bool  # whether the common coordinate is x

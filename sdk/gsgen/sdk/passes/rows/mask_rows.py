@@ -36,18 +36,8 @@ from gsgen.sdk.passes.rows.row_operators import propagate_rows, split_rows
 from gsgen.sdk.passes.rows.row_reductions import pad_rows, reduce_rows, scatter_rows
 
 _READS_NUMBERS = (
-    "Add",
-    "Cast",
-    "Div",
-    "Mul",
-    "Sub",
-    "Where",
-    "Equal",
-    "Less",
-    "Greater",
-    "Min",
-    "Max",
-)
+    "Add", "Cast", "Div", "Mul", "Sub", "Where", "Equal", "Less", "Greater", "Min", "Max",
+)  # fmt: skip
 
 
 class MaskRows(CautiousRewrite):

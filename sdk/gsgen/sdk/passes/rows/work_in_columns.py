@@ -21,13 +21,8 @@ _MAX_WIDTH = 16
 # Nanoseconds per element, measured with ONNX Runtime 1.31 on one core; only their ratios matter.
 # Joining and splitting narrow rows moves four bytes at a time.
 _ELEMENTWISE_COST, _BROADCAST_COST, _JOIN_COST, _SPLIT_COST, _REDUCE_COST, _EXPAND_COST = (
-    1.2,
-    3.2,
-    4.0,
-    2.0,
-    2.0,
-    5.5,
-)
+    1.2, 3.2, 4.0, 2.0, 2.0, 5.5,
+)  # fmt: skip
 _COPIES = ("Reshape", "Squeeze", "Unsqueeze")
 _MAX_COST_RATIO = 0.85
 
