@@ -93,10 +93,6 @@ def build(
     return generator
 
 
-def _recognises(run: Path, iteration: Path) -> bool:
-    return "anchor_size_0" in point_columns(iteration)
-
-
 def _write_demo(folder: Path) -> list[str]:
     from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_duplex
 
@@ -113,7 +109,7 @@ PLUGIN = Plugin(
     "embedding_appearance.pt), or all of them in checkpoints.pth.",
     inputs=("view", "projection", "appearance_id"),
     publication=_PUBLICATION,
-    recognises=_recognises,
+    recognises=lambda run, iteration: "anchor_size_0" in point_columns(iteration),
     demo=Demo(write=_write_demo, caption="around it"),
     build=build,
 )

@@ -55,10 +55,6 @@ def build(
     return generator
 
 
-def _recognises(run: Path, iteration: Path) -> bool:
-    return (run / "deform").is_dir()
-
-
 def _write_demo(folder: Path) -> list[str]:
     from gsgen.reference_plugins.deformation.synthetic_deformations import write_deformable
 
@@ -74,7 +70,7 @@ PLUGIN = Plugin(
     "DIR/deform/iteration_N/deform.pth.",
     inputs=("time",),
     publication=_PUBLICATION,
-    recognises=_recognises,
+    recognises=lambda run, iteration: (run / "deform").is_dir(),
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,
 )

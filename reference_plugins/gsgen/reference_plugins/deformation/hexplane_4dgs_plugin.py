@@ -61,10 +61,6 @@ def build(
     return generator
 
 
-def _recognises(run: Path, iteration: Path) -> bool:
-    return (iteration / "deformation.pth").is_file()
-
-
 def _write_demo(folder: Path) -> list[str]:
     from gsgen.reference_plugins.deformation.synthetic_deformations import (
         HexPlaneOptions,
@@ -84,7 +80,7 @@ PLUGIN = Plugin(
     "deformation.pth. Iterations of the coarse stage are passed over.",
     inputs=("time",),
     publication=_PUBLICATION,
-    recognises=_recognises,
+    recognises=lambda run, iteration: (iteration / "deformation.pth").is_file(),
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,
 )

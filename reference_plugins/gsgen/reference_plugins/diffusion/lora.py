@@ -10,7 +10,7 @@ __all__ = ["Adapter", "Pair", "read_lora", "split_pairs"]
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -190,8 +190,9 @@ def _checked_settings(settings: Mapping[str, Any], where: Path) -> dict[str, flo
         message = f"peft_type is {settings['peft_type']!r}, supported: 'LORA'"
         raise CheckpointInvalid(message, where=str(where))
     pattern = settings.get("alpha_pattern") or {}
-    numbers = [settings.get("lora_alpha", 1), *_values(pattern)]
-    if not all(_is_number(number) for number in numbers):
+    ranks = pattern.values() if isinstance(pattern, dict) else [pattern]
+    numbers = [settings.get("lora_alpha", 1), *ranks]
+    if not all(type(number) in (int, float) and math.isfinite(number) for number in numbers):
         raise CheckpointInvalid(
             f"lora_alpha and alpha_pattern must hold finite numbers, but hold {numbers!r:.80}",
             where=str(where),
@@ -201,11 +202,3 @@ def _checked_settings(settings: Mapping[str, Any], where: Path) -> dict[str, flo
             message = f"alpha_pattern has {name!r}, supported: suffixes of layer names"
             raise CheckpointInvalid(message, where=str(where))
     return {name: float(value) for name, value in pattern.items()}
-
-
-def _values(pattern: Any) -> Iterable[Any]:
-    return pattern.values() if isinstance(pattern, dict) else [pattern]
-
-
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)

@@ -124,10 +124,8 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
     )
     noise = torch.linspace(first**0.5, last**0.5, steps, dtype=torch.float64).square()
     signal = float(torch.cumprod(1 - noise, 0)[_TIMESTEP])
-    image_gain, contrast_gain = (
-        scale / math.sqrt(1 - signal),
-        scale * math.sqrt(signal / (1 - signal)),
-    )
+    image_gain = scale / math.sqrt(1 - signal)
+    contrast_gain = scale * math.sqrt(signal / (1 - signal))
     for color in range(COLORS):  # means of four pixels; neither convolution reads beyond the border
         weights["down_blocks.0.downsamplers.0.conv.weight"][color, color, 1:, 1:] = 0.25
         weights["up_blocks.0.upsamplers.0.conv.weight"][color, color, 1, 1] = 1.0

@@ -123,10 +123,6 @@ def parse_pose_ids(text: str) -> list[int]:
     return ids
 
 
-def _recognises(run: Path, iteration: Path) -> bool:
-    return is_r3_run(run)
-
-
 def _write_demo(folder: Path) -> list[str]:
     from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
     from gsgen.reference_plugins.bodies.synthetic_motion import write_demo_motion
@@ -149,7 +145,7 @@ PLUGIN = Plugin(
         code="https://github.com/Yifever20002/R3Avatars",
         licence="MIT",
     ),
-    recognises=_recognises,
+    recognises=lambda run, iteration: is_r3_run(run),
     demo=Demo(write=_write_demo, caption="a motion", view="person"),
     build=build,
 )

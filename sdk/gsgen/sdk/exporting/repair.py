@@ -81,7 +81,7 @@ def repair(
     manifest = request.manifest or _own_manifest(subject)
     steps, manifest = _steps(subject, manifest, broken, request)
     if request.manifest is not None:
-        steps.append((Repair("embedded the given manifest", "GM001"), _keep))
+        steps.append((Repair("embedded the given manifest", "GM001"), lambda _: None))
     if not steps:
         raise GsgenError("has no fault with one right answer", where=str(source))
     model = ir.load(source)
@@ -121,10 +121,6 @@ def _check_symbols(model: ir.Model, sizes: Mapping[str, int]) -> None:
 
 Change = Callable[[ir.Model], passes.PassResult | None]
 Steps = list[tuple[Repair, Change]]
-
-
-def _keep(_: ir.Model) -> None:
-    return
 
 
 def _own_manifest(subject: InspectedModel) -> GeneratorManifest:

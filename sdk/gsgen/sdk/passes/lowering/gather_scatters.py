@@ -57,10 +57,8 @@ def _obstacle(node: ir.Node) -> str:
 def _replace(node: ir.Node) -> None:
     write = InsertionPoint(node)
     data, _, updates = node.inputs
-    indices, shape = (
-        required(constant_of(node.inputs[1], largest=_LARGEST)),
-        required(fixed_shape(data)),
-    )
+    indices = required(constant_of(node.inputs[1], largest=_LARGEST))
+    shape = required(fixed_shape(data))
     if is_op(node, "ScatterND"):
         depth = indices.shape[-1]
         row_shape = shape[depth:]

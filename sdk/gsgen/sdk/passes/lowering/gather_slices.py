@@ -118,10 +118,8 @@ def _clipped(begin: int, end: int, step: int, size: int) -> tuple[int, int | Non
 
 def _gather_nd(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
     """Write a GatherND as a Gather: merge the indexed axes, and flatten each multi-index."""
-    indices, shape = (
-        required(constant_of(node.inputs[1], largest=1 << 24)),
-        required(fixed_shape(x)),
-    )
+    indices = required(constant_of(node.inputs[1], largest=1 << 24))
+    shape = required(fixed_shape(x))
     depth = indices.shape[-1]
     indexed_shape, row_shape = shape[:depth], shape[depth:]
     inside = np.where(indices < 0, indices + np.array(indexed_shape, np.int64), indices)

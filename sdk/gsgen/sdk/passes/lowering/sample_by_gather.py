@@ -56,10 +56,8 @@ def _obstacle(node: ir.Node) -> str:
         return "the sizes of its inputs are not known"
     if len(image) != 4:
         return f"its image has {len(image)} axes, expected 4"
-    mode, padding = (
-        _string_attribute(node, "mode", "bilinear"),
-        _string_attribute(node, "padding_mode", "zeros"),
-    )
+    mode = _string_attribute(node, "mode", "bilinear")
+    padding = _string_attribute(node, "padding_mode", "zeros")
     if mode not in _BILINEAR:
         return f"mode is {mode}, expected bilinear"
     if padding not in ("zeros", "border"):

@@ -46,11 +46,9 @@ class ClipBeforeCast(NodeRewrite):
     def replace(self, node: ir.Node) -> None:
         """Clip the float input of a Cast to integers, and cast the result."""
         inner = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
-        x, kind, bounds = (
-            required(inner.inputs[0]),
-            required(node.outputs[0].dtype),
-            required(_bounds(node)),
-        )
+        x = required(inner.inputs[0])
+        kind = required(node.outputs[0].dtype)
+        bounds = required(_bounds(node))
         assert x.dtype is not None
         write, dtype = InsertionPoint(node), x.dtype.numpy()
         numbers = [

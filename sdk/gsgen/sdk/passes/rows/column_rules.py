@@ -57,7 +57,8 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
         perm = node.attributes.get("perm")
         return perm is not None and next(iter(perm.as_ints())) == 0
     if is_op(node, "Gather"):
-        return int_attribute(node, "axis", 0) % len(shape) > 0 and _are_constant(node.inputs[1:])
+        known = all(constant_of(value) is not None for value in node.inputs[1:])
+        return int_attribute(node, "axis", 0) % len(shape) > 0 and known
     if is_op(node, "Slice"):
         return _slices(node, len(shape)) is not None
     if is_op(node, "Split"):
@@ -175,10 +176,6 @@ def _axes(node: ir.Node, rank: int) -> list[int]:
         return [axis % rank for axis in attribute.as_ints()]
     known = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
     return [] if known is None else [int(axis) % rank for axis in known.reshape(-1)]
-
-
-def _are_constant(values: Sequence[ir.Value | None]) -> bool:
-    return all(constant_of(value) is not None for value in values)
 
 
 def _slices(node: ir.Node, rank: int) -> tuple[slice, ...] | None:

@@ -168,7 +168,10 @@ class _Attempt:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
             return scatter_rows(node, facts, self.draft)
-        if is_op(node, "Concat", "Pad") and _fills_capacity(facts):  # Case 3: up to a capacity
+        is_filled = any(isinstance(fact, Filler | Linear) for fact in facts[1:])
+        if (
+            is_op(node, "Concat", "Pad") and isinstance(facts[0], Rows) and is_filled
+        ):  # Case 3: up to a capacity
             return pad_rows(node, facts, self.draft)
         return reduce_rows(node, facts, self.draft)  # Case 4: a reduction over the rows
 
@@ -284,13 +287,6 @@ class _Attempt:
         return self.draft.op(
             "Add", self.draft.number(fact, value), zero, shape=list(fact.constant.shape)
         )
-
-
-def _fills_capacity(facts: Sequence[Fact | None]) -> bool:
-    """Return whether kept rows are followed by filler rows up to a fixed capacity."""
-    return isinstance(facts[0], Rows) and any(
-        isinstance(fact, Filler | Linear) for fact in facts[1:]
-    )
 
 
 def _varies(fact: Fact | None) -> bool:
