@@ -60,7 +60,7 @@ class AnchorCloud:
     log_scale: Float[Tensor, "n 6"]
     rotation: Float[Tensor, "n 4"]  # quaternions (w, x, y, z); only the prefilter uses them
     level: Float[Tensor, " n"] | None = None  # octree level, from 0; absent in Scaffold-GS
-    # A learnt shift of the level that belongs to a distance
+    # a learnt shift of the level that belongs to a distance
     extra_level: Float[Tensor, " n"] | None = None
     # numbers of the scene in the first rows of a column: voxel size, distance, …
     info: Float[Tensor, " n"] | None = None

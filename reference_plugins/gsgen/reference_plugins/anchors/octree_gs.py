@@ -60,9 +60,8 @@ class Levels:
         mode = cfg.word("dist2level", "round", MODES)
         fork = cfg.number("fork", 2)
         if fork <= 1:
-            raise CheckpointInvalid(
-                f"fork is {fork:g}, expected a number above 1", where=str(cfg.path)
-            )
+            message = f"fork is {fork:g}, expected a number above 1"
+            raise CheckpointInvalid(message, where=str(cfg.path))
         top = int(cloud.level.max()) - int(cloud.level.min())
         voxel, standard = (float(number) for number in cloud.info[:2])
         return cls(mode=mode, fork=fork, voxel=voxel, standard=standard, top=top)

@@ -103,9 +103,8 @@ def _read_folder(path: Path, joints: int) -> Motion:
                 message = f"has frames of different sizes: {error}"
                 raise CheckpointInvalid(message, where=str(path)) from error
             return _from_arrays(path, joined, joints)
-    raise CheckpointInvalid(
-        "holds no .npz, .npy or .json", where=str(path), hint=_supported_motions()
-    )
+    message = "holds no .npz, .npy or .json"
+    raise CheckpointInvalid(message, where=str(path), hint=_supported_motions())
 
 
 def _frame_number(path: Path) -> tuple[int, str]:
@@ -129,9 +128,8 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 def _from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Motion:
     if "poses" not in read or not read["poses"].size:
         names = ", ".join(read) or "no known array"
-        raise CheckpointInvalid(
-            f"has no array poses (has: {names})", where=str(path), hint=_supported_motions()
-        )
+        message = f"has no array poses (has: {names})"
+        raise CheckpointInvalid(message, where=str(path), hint=_supported_motions())
     poses = read["poses"]
     frames = len(poses) if poses.ndim > 1 else 1
     pose = _convert_poses(path, poses.reshape(frames, -1), joints)

@@ -125,9 +125,8 @@ def parse_numbers(text: str | None, most: int, option: str) -> list[float] | Non
         numbers = [float(word) for word in text.split(",")]
     except ValueError as error:
         hint = f"Write it as {option} 0.4,-1.2."
-        raise ConfigInvalid(
-            f"{text!r} is not a list of numbers", where=option, hint=hint
-        ) from error
+        message = f"{text!r} is not a list of numbers"
+        raise ConfigInvalid(message, where=option, hint=hint) from error
     if len(numbers) > most or not all(abs(number) < 1e6 for number in numbers):
         message = f"gives {len(numbers)} numbers, expected up to {most}, all finite"
         raise ConfigInvalid(message, where=option)

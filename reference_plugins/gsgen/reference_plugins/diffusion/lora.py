@@ -140,9 +140,8 @@ def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], 
         pair = pairs.setdefault(layer, Pair())
         if getattr(pair, part) is not None:
             message = f"{name} is a second tensor of its kind for {layer}"
-            raise CheckpointInvalid(
-                message, where=str(path), hint="Give a file that holds one adapter."
-            )
+            hint = "Give a file that holds one adapter."
+            raise CheckpointInvalid(message, where=str(path), hint=hint)
         if part == "alpha" and value.numel() != 1:
             message = f"{name} is {list(value.shape)}, expected one number"
             raise CheckpointInvalid(message, where=str(path))
@@ -193,10 +192,8 @@ def _checked_settings(settings: Mapping[str, Any], where: Path) -> dict[str, flo
     ranks = pattern.values() if isinstance(pattern, dict) else [pattern]
     numbers = [settings.get("lora_alpha", 1), *ranks]
     if not all(type(number) in (int, float) and math.isfinite(number) for number in numbers):
-        raise CheckpointInvalid(
-            f"lora_alpha and alpha_pattern must hold finite numbers, but hold {numbers!r:.80}",
-            where=str(where),
-        )
+        message = f"lora_alpha and alpha_pattern must hold finite numbers, but hold {numbers!r:.80}"
+        raise CheckpointInvalid(message, where=str(where))
     for name in pattern:
         if not re.fullmatch(r"[\w.]+", name):  # peft interprets them as regular expressions
             message = f"alpha_pattern has {name!r}, supported: suffixes of layer names"

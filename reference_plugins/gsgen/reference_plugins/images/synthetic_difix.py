@@ -45,10 +45,8 @@ _SHARE = 8 / _RANK  # α/r, with the α that peft sets
 _UNET: dict[str, Any] = {
     "_class_name": "UNet2DConditionModel",
     "block_out_channels": [_WIDTH, _WIDTH],
-    "down_block_types": [
-        "DownBlock2D",
-        "DownBlock2D",
-    ],  # only the middle block attends to the prompt
+    # Only the middle block attends to the prompt.
+    "down_block_types": ["DownBlock2D", "DownBlock2D"],
     "up_block_types": ["UpBlock2D", "UpBlock2D"],
     "cross_attention_dim": 16,
     "attention_head_dim": 4,
@@ -137,11 +135,8 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
     gamma, beta = weights["conv_norm_out.weight"], weights["conv_norm_out.bias"]
     for color in range(COLORS):
         weights["conv_in.weight"][color, color, 1, 1] = 1 / scale
-        x, fine, coarse = (
-            8 * color,
-            _WIDTH + color,
-            color,
-        )  # channels of the skip connection, and of the lower level
+        # Channels of the skip connection, and of the lower level.
+        x, fine, coarse = 8 * color, _WIDTH + color, color
         joined[x, fine], joined[x + 1, fine] = 1.0, -1.0
         joined[x + 2 : x + 6, fine], joined[x + 2 : x + 6, coarse] = 1.0, -1.0
         fixed[x + 6], fixed[x + 7] = _LARGE, -_LARGE

@@ -48,7 +48,7 @@ def read_canonical(path: Path) -> Canonical:
     with format_faults(path):
         splats = read_ply(path)
     if isinstance(splats, PointCloud):
-        raise CheckpointInvalid("holds points, expected splats", where=str(path))
+        raise CheckpointInvalid("holds a point cloud, expected splats", where=str(path))
     return Canonical(
         position=torch.from_numpy(splats.position),
         rotation=torch.from_numpy(splats.rotation),

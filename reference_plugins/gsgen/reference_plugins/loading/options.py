@@ -51,7 +51,9 @@ Frames = Annotated[
 Fps = Annotated[
     float | None, typer.Option(help="Frames a second at natural speed, for the manifest.", min=0.01)
 ]
-Loop = Annotated[bool, typer.Option("--loop", help="The end continues at the start.")]
+Loop = Annotated[
+    bool, typer.Option("--loop", help="The motion repeats: its end continues at its start.")
+]
 
 
 def note(text: str) -> None:

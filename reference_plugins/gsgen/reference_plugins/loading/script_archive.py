@@ -93,9 +93,8 @@ class _Reader:
         self._root = names[0].removesuffix("data.pkl")
         order = f"{self._root}byteorder"
         if order in archive.namelist() and self._bytes("byteorder") != sys.byteorder.encode():
-            raise ValueError(
-                f"has another byte order than this machine, expected {sys.byteorder}-endian"
-            )
+            message = f"has another byte order than this machine, expected {sys.byteorder}-endian"
+            raise ValueError(message)
 
     def module(self) -> Any:
         with self._archive.open(f"{self._root}data.pkl") as file:

@@ -37,9 +37,8 @@ def load_state(path: Path, content: str) -> dict[str, Any]:
     hint = "Expected a file of tensors, as torch.save writes it; code in files is not run."
     state = load_tensors(path, hint)
     if not isinstance(state, dict):
-        raise CheckpointInvalid(
-            f"holds a {type(state).__name__}, expected a state dict", where=str(path)
-        )
+        message = f"holds a {type(state).__name__}, expected a state dict"
+        raise CheckpointInvalid(message, where=str(path))
     return {name: _unwrapped(value) for name, value in _unwrapped(state).items()}
 
 
@@ -85,11 +84,8 @@ def require_tensors(
     ]
     problems = [text for text in troubles if text and not text.endswith(": ")]
     if problems:
-        raise CheckpointInvalid(
-            "; ".join(problems[:_MAX_SHOWN]),
-            where=str(path),
-            hint="Its cfg_args may come from another training run.",
-        )
+        hint = "Its cfg_args may come from another training run."
+        raise CheckpointInvalid("; ".join(problems[:_MAX_SHOWN]), where=str(path), hint=hint)
     return {name: state[name].detach().to(torch.float32) for name in expected}
 
 

@@ -154,11 +154,9 @@ def constant_manifest(
     count = len(packed.rows)
     total = count if capacity is None else capacity
     if total < count:
-        raise ConfigInvalid(
-            f"{total} is less than the {count} rows",
-            where="--capacity",
-            hint=f"Give {count} or more, or leave it out.",
-        )
+        message = f"{total} is less than the {count} rows"
+        hint = f"Give {count} or more, or leave it out."
+        raise ConfigInvalid(message, where="--capacity", hint=hint)
     return GeneratorManifest(
         name=name,
         family=family,
@@ -202,7 +200,9 @@ def _outputs(
 ) -> dict[str, np.ndarray]:
     declared = manifest.outputs
     if declared.gaussians is None or declared.appearance is None or declared.count is None:
-        raise GeneratorInvalid("names no gaussians, appearance or count", where="manifest.outputs")
+        raise GeneratorInvalid(
+            "names no gaussians, appearance or count, expected all three", where="manifest.outputs"
+        )
     if declared.cells is not None:
         message = "declares cells, but constant rows are written without cells"
         raise GeneratorInvalid(message, where="manifest.outputs")
@@ -271,4 +271,4 @@ def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
                 raise ParityFailed(message, where=where)
             # NaN equals NaN: its payload does not change what is drawn.
             if not np.array_equal(actual, expected, equal_nan=actual.dtype.kind == "f"):
-                raise ParityFailed("output has other values than the rows", where=where)
+                raise ParityFailed("output differs from the packed rows of the source", where=where)

@@ -258,11 +258,9 @@ def _describe(
     gaussians = start.gaussians
     rows = capacity if capacity is not None else len(gaussians)
     if rows < len(gaussians):
-        raise GeneratorInvalid(
-            f"capacity {rows} is less than the {len(gaussians)} Gaussians",
-            where="capacity",
-            hint=f"Give {len(gaussians)} or more.",
-        )
+        message = f"capacity {rows} is less than the {len(gaussians)} Gaussians"
+        hint = f"Give {len(gaussians)} or more."
+        raise GeneratorInvalid(message, where="capacity", hint=hint)
     bounds = measure_bounds(first_runs)
     draft = _manifest(generator, name, dtype, gaussians.degree, rows, bounds)
     if start.cells is not None:

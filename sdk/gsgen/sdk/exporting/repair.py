@@ -83,7 +83,7 @@ def repair(
     if request.manifest is not None:
         steps.append((Repair("embedded the given manifest", "GM001"), lambda _: None))
     if not steps:
-        raise GsgenError("has no fault with one right answer", where=str(source))
+        raise GsgenError("has no fault that gsgen can repair without guessing", where=str(source))
     model = ir.load(source)
     _check_symbols(model, request.sizes)
     external_weights = has_external_weights(model)

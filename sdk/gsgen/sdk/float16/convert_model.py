@@ -175,7 +175,9 @@ def to_float16(
     )
     search = _Search(model, measure, arithmetic=arithmetic, budget=budget)
     if not search.nodes and not measure.weights:
-        raise RewriteFailed("computes nothing in float32", where="model")
+        raise RewriteFailed(
+            "has no node that computes in float32, and no large float32 weight", where="model"
+        )
     if not measure.rounded.holds:
         raise RewriteFailed(
             f"float16 outputs alone are too coarse: {measure.rounded.describe()}",
@@ -192,11 +194,9 @@ def to_float16(
         if parity.holds:
             break
     else:
-        raise RewriteFailed(
-            f"its float16 kernels differ by more than rounding: {parity.describe()}",
-            where="model",
-            hint="Raise the tolerances in the manifest, or leave the model in float32.",
-        )
+        message = f"its float16 kernels differ by more than rounding: {parity.describe()}"
+        hint = "Raise the tolerances in the manifest, or leave the model in float32."
+        raise RewriteFailed(message, where="model", hint=hint)
     frame = measure.frame_bytes
     return converted, Float16Result(
         path=None,
@@ -270,7 +270,8 @@ class _Search:
             retained = retained_nodes(nodes, self._guards, node_search.retained)
         else:
             retained = [
-                RetainedFloat32(node_key(node), "weights alone are halved") for node in nodes
+                RetainedFloat32(node_key(node), "only weights are stored in 16 bits")
+                for node in nodes
             ]
         retained += merge_islands(self.boundary, nodes, retained)
         return _Choice(

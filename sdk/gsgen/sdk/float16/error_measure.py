@@ -51,7 +51,9 @@ class ErrorProbe:
         declared = manifest.outputs
         assert declared.gaussians is not None
         if declared.appearance is None or declared.count is None:
-            raise RewriteFailed("names no appearance or count", where="manifest.outputs")
+            raise RewriteFailed(
+                "names no appearance or count, expected both", where="manifest.outputs"
+            )
         self.names = (
             declared.gaussians.name,
             declared.appearance.name,
@@ -134,10 +136,8 @@ class ErrorProbe:
             size = sum(path.stat().st_size for path in Path(folder).iterdir())
             with execute(file, self.names, probes, limits.for_model(size)) as execution:
                 if execution.fault is not None:
-                    raise RewriteFailed(
-                        f"ONNX Runtime cannot run the result: {execution.fault.message}",
-                        where="float16",
-                    )
+                    message = f"ONNX Runtime cannot run the result: {execution.fault.message}"
+                    raise RewriteFailed(message, where="float16")
                 outputs = [
                     self._read(execution.samples[run.sample].outputs) for run in execution.runs
                 ]

@@ -142,9 +142,8 @@ class RenameOutputs(_Repair):
         used_names = {value.name for value in ends}
         for old, new in renames.items():
             if new in used_names:
-                raise GsgenError(
-                    f"already exists, so output {old!r} cannot be renamed to it", where=new
-                )
+                message = f"already exists, so output {old!r} cannot be renamed to it"
+                raise GsgenError(message, where=new)
         inner = [value for node in graph for value in node.outputs]
         for value in (*inner, *graph.initializers.values()):
             if value.name in renames.values() and value not in graph.outputs:

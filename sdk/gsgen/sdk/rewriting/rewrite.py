@@ -220,21 +220,16 @@ def _refuse_broken(report: Report) -> None:
     for finding in report.findings:
         unsafe = finding.rule.startswith("GS") or finding.rule in _GRAPH_RULES
         if unsafe and finding.severity >= Severity.ERROR:
-            raise RewriteFailed(
-                f"{finding.rule}: {finding.where}: {finding.message}",
-                where=report.path,
-                hint=finding.hint,
-            )
+            message = f"{finding.rule}: {finding.where}: {finding.message}"
+            raise RewriteFailed(message, where=report.path, hint=finding.hint)
 
 
 def _refuse_higher(model: ir.Model, opset: int | None) -> None:
     now = opset_of(model)
     if opset is not None and opset > now:
-        raise ConfigInvalid(
-            f"{opset} is above the model's operator set {now}",
-            where="--opset",
-            hint="Rewrites only lower it; export the model again with a higher one.",
-        )
+        message = f"{opset} is above the model's operator set {now}"
+        hint = "Rewrites only lower it; export the model again with a higher one."
+        raise ConfigInvalid(message, where="--opset", hint=hint)
 
 
 def prepare(model: ir.Model) -> None:
@@ -291,11 +286,9 @@ def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
         if not changed:
             return _merged(changes)
     undoing = ", ".join(sorted({change.rewrite for change in changes}))
-    raise RewriteFailed(
-        f"still changes after {_MOST_ROUNDS} rounds of {undoing}",
-        where="rewrite",
-        hint="Leave one of them out with --skip, and please report it.",
-    )
+    message = f"still changes after {_MOST_ROUNDS} rounds of {undoing}"
+    hint = "Leave one of them out with --skip, and please report it."
+    raise RewriteFailed(message, where="rewrite", hint=hint)
 
 
 def _merged(changes: Sequence[Change]) -> list[Change]:
@@ -326,11 +319,9 @@ def _check_form(file: Path, changes: Sequence[Change]) -> None:
     try:
         onnx.checker.check_model(file, full_check=True)
     except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
-        raise RewriteFailed(
-            f"the result is not well formed: {str(error).strip().splitlines()[0]}",
-            where=_names(changes),
-            hint="Leave a pass out with --skip, and please report it.",
-        ) from error
+        message = f"the result is not well formed: {str(error).strip().splitlines()[0]}"
+        hint = "Leave a pass out with --skip, and please report it."
+        raise RewriteFailed(message, where=_names(changes), hint=hint) from error
 
 
 def graph_stats(file: Path, goal: RewriteTarget) -> GraphStats:

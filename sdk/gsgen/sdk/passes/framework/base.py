@@ -33,7 +33,7 @@ class ErrorBudget:
 
     relative: float = 0.0  # allowed error, relative to the largest number in the output's tensor
     absolute: float = 0.0  # allowed error in addition
-    repairs_nonfinite: bool = False  # A value that was NaN or infinite may become any number
+    repairs_nonfinite: bool = False  # a value that was NaN or infinite may become any number
     pads: bool = False  # rows of zeros may follow the rows of an output
 
     @property
