@@ -73,7 +73,8 @@ def _replace(node: ir.Node) -> None:
     # If several updates have the same index, the last one counts; NumPy assigns in this order.
     order[flat.reshape(-1)] = rows + np.arange(flat.size)
     old = write.op("Reshape", data, write.int64(rows, *row_shape))
-    new = write.op("Reshape", updates, write.int64(flat.size, *row_shape))
+    # A size of zero would mean the size of the updates' first axis.
+    new = write.op("Reshape", updates, write.int64(flat.size or -1, *row_shape))
     both = write.op("Concat", old, new, axis=0)
     gathered = write.op("Gather", both, write.constant(order, "order"), axis=0)
     write.replace(write.op("Reshape", gathered, write.int64(*shape)))
