@@ -20,6 +20,7 @@ from gsgen.formats import (
     write_compressed_ply,
     write_glb,
     write_ply,
+    write_sog,
     write_splat,
     write_spz,
 )
@@ -91,6 +92,7 @@ def bench_all_codecs(tmp_path: Path) -> None:
         "SPZ 4": lambda file: write_spz(file, splats, version=4),
         "SPLAT": lambda file: write_splat(file, splats),
         "GLB": lambda file: write_glb(file, splats),
+        "SOG": lambda file: write_sog(file, splats),
     }
     say(f"{SMALL:,} splats of degree 3, {whole:.0f} MB in memory")
     for name, write in writers.items():

@@ -22,18 +22,6 @@ import numpy as np
 import pytest
 from support.pages import DOCS, blocks
 
-from bench.tile_scenes import (
-    SHARED,
-    Judge,
-    garden,
-    garden_cameras,
-    in_cells,
-    knot,
-    knot_cameras,
-    largest,
-    random_grown,
-    tilesplat,
-)
 from gsgen.formats import Splats, write_ply
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.tiles.build.build import build_tileset
@@ -48,6 +36,18 @@ from gsgen.tiles.build.progress import Silent
 from gsgen.tiles.build.tile import mixture_of, splats_of
 from gsgen.tiles.gltf.encoding import write_content
 from gsgen.tiles.leaves import read_leaves
+from support.tiles.level_scenes import (
+    SHARED,
+    Judge,
+    garden,
+    garden_cameras,
+    in_cells,
+    knot,
+    knot_cameras,
+    largest,
+    random_grown,
+    tilesplat,
+)
 from support.tiles.tile_scenes import scattered
 
 GUIDE = DOCS / "guides" / "a-city-in-tiles.md"

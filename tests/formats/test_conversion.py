@@ -127,7 +127,7 @@ def test_flags_that_a_format_cannot_hold_are_told(tmp_path):
         assert done.lost == lost
 
 
-@pytest.mark.parametrize("name", ["ksplat", "sog", "npz"])
+@pytest.mark.parametrize("name", ["ksplat", "npz"])
 def test_formats_that_are_only_read_are_refused(tmp_path, name):
     with pytest.raises(NotSupported, match="is a format that gsgen only reads"):
         convert(GOLDENS / "scene.ply", tmp_path / "a", codec_named(name))

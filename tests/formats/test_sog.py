@@ -60,8 +60,9 @@ def naive_read(files: dict[str, bytes]) -> Splats:
         made["sh"].append([[meta["sh0"]["codebook"][b] for b in colors[row][:3]]])
     if "shN" in meta:
         rest = (meta["shN"]["bands"] + 1) ** 2 - 1
-        palette = Image.open(BytesIO(files["centroids.webp"])).convert("RGBA")
-        labels = pixels("labels.webp")
+        centroids, label_image = meta["shN"]["files"]
+        palette = Image.open(BytesIO(files[centroids])).convert("RGBA")
+        labels = pixels(label_image)
         for row in range(meta["count"]):
             label = labels[row][0] | labels[row][1] << 8
             for j in range(rest):

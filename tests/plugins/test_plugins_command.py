@@ -7,6 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from gsgen.cli.app import build
+from gsgen.contract import _extensions
 from gsgen.contract._extensions import Command, find_commands
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.roles import ROLES
@@ -45,7 +46,8 @@ def test_one_that_lacks_something_says_what(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     point = EntryPoint("ghost", "no.such.module:PLUGIN", "gsgen.generators")
-    monkeypatch.setattr(command, "find_plugins", lambda: {"ghost": Command("ghost", point, ("x",))})
+    monkeypatch.setattr(command, "find_plugins", lambda: {"ghost": Command("ghost", point)})
+    monkeypatch.setattr(_extensions, "_missing", lambda _: ("x",))
     command.plugins()
     assert "lacks x: pip install" in capsys.readouterr().out
 

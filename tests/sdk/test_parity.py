@@ -1,3 +1,4 @@
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,8 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs, Tolerances
 from gsgen.sdk import Gaussians, ParityFailed
-from gsgen.sdk.exporting import verification
-from gsgen.sdk.exporting.eager_reference import Reference, run_eager
+from gsgen.sdk.exporting import eager_reference, verification
+from gsgen.sdk.exporting.eager_reference import EagerRuns, Reference
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
 from gsgen.sdk.exporting.verification import _nudged, check_parity
 from gsgen.sdk.parity import ModelOutput, Parity, compare, fibonacci_directions, references_equal
@@ -140,8 +141,8 @@ def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
     known, model = culled(n, []), culled(n, gone)
     outputs = [ModelOutput(*layout.encode(model.gaussians), n)]
     assert not compare([known], outputs, Tolerances()).holds
-    near = {0: [culled(n, []), culled(n, gone[:1]), culled(n, gone[1:] or gone)]}
-    parity = compare([known], outputs, Tolerances(), neighbours=near)
+    near = [culled(n, []), culled(n, gone[:1]), culled(n, gone[1:] or gone)]
+    parity = compare([known], outputs, Tolerances(), nearby=lambda _: near)
     assert parity.holds is holds
     assert parity.rows_at_threshold == (len(gone) if holds else 0)
     assert ("at a threshold" in parity.describe()) is holds
@@ -150,8 +151,8 @@ def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
 def test_a_row_that_torch_never_has_is_no_jump() -> None:
     known, model = culled(100, []), culled(100, [7])
     outputs = [ModelOutput(*layout.encode(model.gaussians), 100)]
-    near = {0: [culled(100, []), culled(100, [8])]}
-    parity = compare([known], outputs, Tolerances(), neighbours=near)
+    near = [culled(100, []), culled(100, [8])]
+    parity = compare([known], outputs, Tolerances(), nearby=lambda _: near)
     assert not parity.holds
     (worst,) = [field for field in parity.fields if field.excess > 1]
     assert (worst.field, worst.row) == ("opacity", 7)
@@ -184,10 +185,9 @@ class Threshold(Drift):
 
 def test_a_model_that_jumps_a_little_sooner_than_torch_agrees_with_it(monkeypatch) -> None:
     module = Threshold().eval()
-    references = [
-        run_eager(module, Probe(label=f"time={t}", inputs={"time": np.float32([t])}))
-        for t in (0.2, 0.9)
-    ]
+    references = EagerRuns(
+        module, [Probe(label=f"time={t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.9)]
+    )
     outputs = [ModelOutput(*layout.encode(one.gaussians), one.count) for one in references]
     outputs[0].rows[7, 3] = 0 if outputs[0].rows[7, 3] else module.opacity[7].item()
     manifest = GeneratorManifest(name="m", outputs=GeneratorOutputs(), inputs=Drift.inputs)
@@ -199,6 +199,62 @@ def test_a_model_that_jumps_a_little_sooner_than_torch_agrees_with_it(monkeypatc
     monkeypatch.setattr(verification, "diagnose", lambda *_: ("", "hint"))
     with pytest.raises(ParityFailed, match="opacity of Gaussian 8 is off"):
         check_parity(Path("m.onnx"), manifest, references, suspects, lambda _: None)
+
+
+def test_results_that_do_not_fit_are_run_again(monkeypatch) -> None:
+    class Counted(Drift):
+        runs = 0
+
+        def forward(self, time: torch.Tensor) -> Gaussians:
+            self.runs += 1
+            return super().forward(time)
+
+    module = Counted().eval()
+    probes = [Probe(label=f"{t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.9, 0.4)]
+    single = EagerRuns(module, probes)[0]
+    module.runs = 0
+    monkeypatch.setattr(eager_reference, "KEPT_BYTES", 2 * single.nbytes)
+    runs = EagerRuns(module, probes[:1], [single]) + EagerRuns(module, probes[1:])
+    assert [reference.probe for reference in runs] == probes
+    assert module.runs == 2
+    assert references_equal(runs[0], single)
+    assert module.runs == 2
+    assert references_equal(runs[-1], runs[2])
+    assert module.runs == 4
+
+
+def test_only_one_probe_is_held_at_a_time() -> None:
+    known = culled(100, [])
+    steps = []
+
+    def references() -> Iterator[Reference]:
+        for index in range(3):
+            steps.append(f"torch {index}")
+            yield known
+
+    def outputs() -> Iterator[ModelOutput]:
+        for index in range(3):
+            steps.append(f"model {index}")
+            yield ModelOutput(*layout.encode(known.gaussians), 100)
+
+    assert compare(references(), outputs(), Tolerances()).probes == 3
+    assert steps == [f"{kind} {index}" for index in range(3) for kind in ("torch", "model")]
+
+
+@pytest.mark.parametrize("step", [1, 2, 7, 200])
+@pytest.mark.parametrize("count", [0, 1, 150, 299, 300])
+def test_every_so_many_cells_are_kept_whole(step: int, count: int) -> None:
+    known = with_cells(np.full(100, 0.5))
+    assert known.cells is not None
+    rows, color = layout.encode(known.gaussians)
+    output = ModelOutput(rows, color, count, packed_cells(known.cells)).every(step)
+    indices = [row for row in range(300) if row // 3 % step == 0]
+    np.testing.assert_array_equal(output.rows, rows[indices])
+    np.testing.assert_array_equal(output.color, color[indices])
+    assert output.count == sum(row < count for row in indices)
+    bare = ModelOutput(rows, color, count).every(step)
+    np.testing.assert_array_equal(bare.rows, rows[::step])
+    assert bare.count == len(range(0, count, step))
 
 
 # ---- Cells -------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsgen.formats import Splats, write_compressed_ply, write_glb, write_ply, write_spz
+from gsgen.formats import Splats, write_compressed_ply, write_glb, write_ply, write_sog, write_spz
 from gsgen.formats import write_splat as write_splat_file
 
 GOLDENS = Path(__file__).parents[1] / "formats" / "goldens"
@@ -213,7 +213,11 @@ def samples(folder: Path) -> dict[str, list[bytes]]:
         ],
         "glb": [written(write_glb, splats)],
         "ksplat": [ksplat(splats, level) for level in (0, 1, 2)],
-        "sog": [zipped(sog_files()), zipped(sog_files(bands=0), zipfile.ZIP_DEFLATED)],
+        "sog": [
+            zipped(sog_files()),
+            zipped(sog_files(bands=0), zipfile.ZIP_DEFLATED),
+            written(write_sog, splats),
+        ],
         "npz": [_npz()],
     }
     file.unlink()

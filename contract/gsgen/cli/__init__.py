@@ -1,4 +1,4 @@
-"""The `gsgen` program: a thin app that finds its commands among the installed packages."""
+"""The `gsgen` program, whose commands come from the installed packages."""
 
 __all__ = ["main"]
 

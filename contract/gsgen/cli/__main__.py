@@ -1,4 +1,4 @@
-"""`python -m gsgen.cli` is `gsgen`."""
+"""Runs the `gsgen` program by `python -m gsgen.cli`."""
 
 from gsgen.cli import main
 

@@ -1,7 +1,8 @@
-"""Build the program from the commands of all installed packages."""
+"""Builds the `gsgen` program from the commands of all installed packages."""
 
 __all__ = ["build", "main"]
 
+import atexit
 import errno
 import gc
 import sys
@@ -16,12 +17,14 @@ from gsgen.contract._extensions import Command, escape_markup, find_commands
 from gsgen.contract.errors import ExitCode, GsgenError, UnknownName
 from gsgen.contract.process.interrupts import ending_at_interrupts
 
+# Objects between two garbage collections: more than all imports of a command create.
+_COLLECT_AFTER = 500_000
 # Errors of a full or read-only disk.
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
 def main() -> None:
-    """Run the program on the process's arguments, and exit with an :class:`~gsgen.contract.errors.ExitCode`."""
+    """Run `gsgen` on the process's arguments, and exit with an exit code of the contract."""
     try:
         with ending_at_interrupts() as interrupts:
             _run()
@@ -34,7 +37,8 @@ def main() -> None:
 
 
 def _run() -> None:
-    gc.set_threshold(50_000)  # imports create many objects and hardly any garbage
+    gc.set_threshold(_COLLECT_AFTER)  # imports create many objects and hardly any garbage
+    atexit.register(gc.freeze)  # so that the interpreter's last collection has nothing to visit
     arguments = sys.argv[1:]
     commands = find_commands()
     if arguments[:1] == ["help"] and "help" not in commands:
@@ -86,7 +90,7 @@ def _fail(error: GsgenError) -> Never:
 
 
 def build(commands: list[Command]) -> typer.Typer:
-    """Return an app with ``commands``; only those are imported, which keeps start-up fast."""
+    """Return a typer app with ``commands``; only these are imported, which keeps start-up fast."""
     app = typer.Typer(
         name="gsgen",
         cls=_Sorted,
@@ -111,7 +115,7 @@ class _Sorted(TyperGroup):
     """A command group whose help lists commands and groups by name."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of all commands."""
+        """Return the names of all commands, sorted."""
         return sorted(super().list_commands(ctx))
 
 

@@ -40,19 +40,19 @@ class Case:
 
     @property
     def name(self) -> str:
-        """The id and the name of the rule, such as ``GV003-opacity-range``."""
+        """The id and the slug of the rule, such as ``GV003-opacity-range``."""
         return f"{self.rule.id}-{self.rule.slug}"
 
     @property
     def broken(self) -> bool:
-        """Whether the model breaks the rule, also if that is expected or only warned about."""
+        """Whether the model breaks the rule, including expected failures and warnings."""
         return bool(self.findings)
 
 
 def settle(
     report: Report, rule: Rule, suite: str, expected: Iterable[ExpectedFailure] = ()
 ) -> Case:
-    """Return the case of ``rule``, from the report of the model and the expected failures."""
+    """Return the test case of ``rule``, from the model's report and the expected failures."""
     path = PurePath(report.path)
     foreseen = next((entry for entry in expected if entry.matches(rule.id, path)), None)
     outcome = report.outcome(rule.id)
@@ -86,6 +86,6 @@ def _judged(
 
 
 def _words(findings: tuple[Finding, ...]) -> str:
-    """Return the lines that ``gsgen validate`` prints for the findings that count, or for all."""
+    """Return a rule's findings as `gsgen validate` prints them: those that count, or all."""
     reported = [finding for finding in findings if finding.counts] or findings
     return "\n".join(line.text for line in finding_lines(reported))

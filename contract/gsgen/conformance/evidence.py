@@ -26,7 +26,7 @@ Runs = list[tuple[Probe, Arrays]]
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """The means to reproduce one failure.
+    """The command, probe and files that reproduce one failure.
 
     Attributes:
         command: The command line; it exits 1 as long as the rule is broken.
@@ -61,11 +61,7 @@ class Dumps:
     most: int | None = None
 
     def __post_init__(self) -> None:
-        """Check the folder before any work is done.
-
-        Raises:
-            ConfigInvalid: ``folder`` is a file.
-        """
+        """Raise if the folder for dumps is unusable, before any work is done."""
         if self.folder.exists() and not self.folder.is_dir():
             raise ConfigInvalid("is a file, expected a folder", where=str(self.folder))
 
@@ -124,7 +120,7 @@ def _keep(
 
 
 def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
-    """Return the probes of the findings, the first one first; at least one probe."""
+    """Return the probes that a rule's findings name, or one default probe."""
     text = " ".join(finding.message for finding in findings)
     labels = {example.probe for finding in findings for example in finding.examples[:1]}
     matches = [probe for probe in plan.probes if probe.label in labels or repr(probe.label) in text]
@@ -156,7 +152,7 @@ def _is_near(path: Path) -> bool:
 
 
 def _options(settings: Settings) -> list[str]:
-    """Return the options of `gsgen repro` that stand for ``settings``."""
+    """Return the options of `gsgen repro` that are equivalent to ``settings``."""
     words = []
     if settings.source != "defaults":
         words += ["--config", settings.source]

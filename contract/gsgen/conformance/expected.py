@@ -26,7 +26,7 @@ _KEYS = ("rule", "model", "reason")
 
 @dataclass(frozen=True, slots=True)
 class ExpectedFailure:
-    """A rule whose failure is expected.
+    """A rule that a model is expected to break, with the reason.
 
     Attributes:
         rule: The rule's id.
@@ -45,7 +45,7 @@ class ExpectedFailure:
         return f"{self.source}: {self.rule}{models} ({self.reason})"
 
     def matches(self, rule: str, path: PurePath) -> bool:
-        """Return whether the entry names this rule of the model at ``path``."""
+        """Return whether the expected failure names this rule of the model at ``path``."""
         names = (path.as_posix(), path.name)
         model_matches = not self.model or any(fnmatchcase(name, self.model) for name in names)
         return model_matches and rule == self.rule
@@ -96,11 +96,6 @@ def _refuse_strange_keys(table: Mapping[str, Any], known: tuple[str, ...], where
 def unmatched_entries(
     entries: Iterable[ExpectedFailure], tested: Mapping[Path, Iterable[str]]
 ) -> list[ExpectedFailure]:
-    """Return the entries that match no tested rule of any model.
-
-    Args:
-        entries: The expected failures.
-        tested: Model → ids of its tested rules.
-    """
+    """Return the expected failures that match no tested rule of any model."""
     pairs = [(rule, path) for path, rules in tested.items() for rule in rules]
     return [entry for entry in entries if not any(entry.matches(*pair) for pair in pairs)]

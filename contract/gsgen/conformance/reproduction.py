@@ -1,4 +1,4 @@
-"""Reproduces one failure: checks one rule, with one probe if possible, and returns the rows."""
+"""Reproduces one failure: checks one rule, with one probe if possible, and returns bad rows."""
 
 __all__ = ["NotJudged", "Reproduction", "Row", "reproduce"]
 
@@ -21,12 +21,12 @@ from gsgen.contract.validator import validate
 
 
 class NotJudged(GsgenError):
-    """A rule cannot be checked, so that neither success nor failure is known."""
+    """Raised if a rule cannot be checked, so that neither success nor failure is known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A row that breaks the rule: its number, probe, ten packed values and colour."""
+    """A packed row that breaks a rule: its number, probe, ten values and colour."""
 
     number: int
     probe: str
@@ -59,7 +59,7 @@ def reproduce(
     probe: str | None = None,
     dump: Path | None = None,
 ) -> Reproduction:
-    """Check ``rule`` again, with ``probe`` alone if it is set.
+    """Check ``rule`` on a model again, with only the probe ``probe`` if it is set.
 
     Args:
         path: The ONNX file.
@@ -101,7 +101,7 @@ _SUBJECTS = {"model": "the file", "runs": "several runs compared", "report": "th
 
 
 def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
-    """Check ``rule`` and the rules that it needs, up to the level of the rule."""
+    """Check ``rule`` and the rules that it depends on, up to the level of ``rule``."""
     registry = installed_rules()
     part = registry if rule.scope == "report" else needed_by(rule, registry)
     report = validate(path, settings, registry=part)
@@ -123,7 +123,7 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
 def _look(
     path: Path, rule: Rule, settings: Settings, findings: tuple[Finding, ...], dump: Path | None
 ) -> tuple[Row, ...]:
-    """Run the probes of the findings once more, and return (and dump) the rows."""
+    """Run the probes of the findings once more, and return (and save) the offending rows."""
     if not findings or rule.scope in ("model", "report") or not (dump or rule.scope == "rows"):
         return ()
     subject, plan = plan_for(path, settings)
@@ -141,7 +141,7 @@ def _save(rerun: Replay, dump: Path | None) -> None:
 
 
 def _rows(rerun: Replay, number: int, findings: Sequence[Finding]) -> tuple[Row, ...]:
-    """Return the rows of the findings, with the outputs of the probe."""
+    """Return the packed rows that the findings name, from the outputs of a probe."""
     emission, label = rerun.emission(number), rerun.probes[number].label
     if emission.gaussians is None:
         return ()

@@ -32,7 +32,7 @@ Arrays = dict[str, np.ndarray]
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """The results of probes that were run again in their own session.
+    """The results of probes that were run again in their own sandbox session.
 
     Attributes:
         subject: The model.
@@ -47,14 +47,14 @@ class Replay:
     settings: Settings
 
     def outputs(self, probe: int) -> Arrays:
-        """Return the outputs of a probe; empty if the run ended before it."""
+        """Return the model outputs at a probe; empty if the run ended before it."""
         for run in self.execution.runs:
             if run.probe == probe:
                 return self.execution.samples[run.sample].outputs
         return {}
 
     def emission(self, probe: int) -> ModelOutputs:
-        """Return the outputs of a probe as value rules receive them."""
+        """Return the model outputs at a probe in the form that value rules receive."""
         run_probe = self.probes[probe]
         return read_outputs(
             self.subject, run_probe.label, self.outputs(probe), zeros=run_probe.zeros
@@ -82,11 +82,7 @@ class Replay:
 
 
 def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
-    """Return the model and its planned runs; the manifest must be readable.
-
-    Raises:
-        ModelUnreadable: The file is not an ONNX model at all.
-    """
+    """Return the inspected model and its planned runs; the manifest must be readable."""
     subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
     return subject, make_plan(subject, level, settings.seed)
@@ -96,14 +92,14 @@ def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
 def replay(
     subject: InspectedModel, probes: Sequence[Probe], settings: Settings
 ) -> Iterator[Replay]:
-    """Run ``probes`` again, in a context that owns the results."""
+    """Run ``probes`` of a model again in the sandbox; results exist within the ``with`` block."""
     path, names = subject.file.path, fetched_outputs(subject)
     with execute(path, names, probes, subject.granted) as execution:
         yield Replay(subject, tuple(probes), execution, settings)
 
 
 def find_probes(probes: Sequence[Probe], key: str) -> tuple[Probe, ...]:
-    """Return the probes with the label or number ``key``; several may share a label.
+    """Return the probes with the label or number ``key``; several probes may share a label.
 
     Raises:
         UnknownName: No probe has this label or number; the hint names the nearest.
@@ -118,13 +114,10 @@ def find_probes(probes: Sequence[Probe], key: str) -> tuple[Probe, ...]:
 
 
 def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
-    """Write inputs and outputs of a few runs to an ``.npz`` file.
+    """Save the inputs and outputs of model runs to an ``.npz`` file.
 
     The first run's arrays are called ``input.NAME`` and ``output.NAME``, the second's
     ``2.input.NAME`` and so on; ``probe`` and ``2.probe`` are their labels.
-
-    Raises:
-        GsgenError: The file cannot be written.
     """
     arrays: Arrays = {}
     for number, (probe, outputs) in enumerate(runs, start=1):

@@ -1,4 +1,4 @@
-"""Tests a model: plans its suites, validates it once, and returns the case of every rule."""
+"""Runs the conformance suites of a model: validates it once, and returns a case per rule."""
 
 __all__ = ["ModelRun", "run_model", "suites_of"]
 
@@ -25,7 +25,7 @@ FAILING: tuple[CaseStatus, ...] = ("failed", "crashed")
 
 @dataclass(frozen=True, slots=True)
 class ModelRun:
-    """The results of the suites of one model.
+    """The results of the conformance suites of one model.
 
     Attributes:
         report: The report of `gsgen validate`.
@@ -38,20 +38,20 @@ class ModelRun:
     evidence: Mapping[str, Evidence]
 
     def case(self, rule: str) -> Case:
-        """Return the case of a rule; raises KeyError if no suite of this run holds it."""
+        """Return the test case of a rule; raise KeyError if no suite of this run has it."""
         for case in self.cases:
             if case.rule.id == rule:
                 return case
         raise KeyError(rule)
 
     def text(self, case: Case) -> str:
-        """Return the text of a case: its findings, and the means to reproduce it."""
+        """Return a test case as text: its findings, and the command that reproduces them."""
         evidence = self.evidence.get(case.rule.id)
         return f"{case.text}\n{evidence}" if evidence and case.status in FAILING else case.text
 
     @property
     def suites(self) -> dict[str, list[Case]]:
-        """The cases by the name of their suite."""
+        """The test cases of the model, by the name of their suite."""
         by_suite: dict[str, list[Case]] = {}
         for case in self.cases:
             by_suite.setdefault(case.suite, []).append(case)
@@ -59,11 +59,7 @@ class ModelRun:
 
 
 def suites_of(path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
-    """Return the suites that apply to a model, with their rules, without running the model.
-
-    Raises:
-        ModelUnreadable: The file is not an ONNX model at all.
-    """
+    """Return the conformance suites that apply to a model with their rules; nothing is run."""
     subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     rules = installed_rules().rules.values()
     return plan_suites(rules, Declared.by(subject), settings.target)
@@ -78,7 +74,7 @@ def run_model(
     dumps: Dumps | None = None,
     progress: Progress = lambda words: None,
 ) -> ModelRun:
-    """Validate a model once, and return the case of every rule of its suites.
+    """Validate a model once, and return the test case of every rule of its suites.
 
     Args:
         path: The ONNX file.

@@ -1,4 +1,4 @@
-"""Suites: groups of rules, and the models that each group tests.
+"""Conformance suites: groups of rules, and the models that each group tests.
 
 A rule belongs to the first suite that claims it among those that apply to the model, else to
 ``basic``. So every rule that can fail for a model is in exactly one suite, and ``gsgen validate`` accepts a
@@ -20,7 +20,7 @@ from gsgen.contract.validation.rule import Rule
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """The facts of a manifest that decide which suites apply.
+    """The features that a manifest declares, which decide the conformance suites that apply.
 
     Attributes:
         kind: The kind of model; empty if the manifest cannot be read.
@@ -34,7 +34,7 @@ class Declared:
 
     @classmethod
     def by(cls, subject: InspectedModel) -> "Declared":
-        """Return the facts of the manifest of ``subject``, or of the inferred one."""
+        """Return the features that the manifest (or the inferred manifest) of a model declares."""
         manifest = subject.manifest
         if manifest is None:
             return cls("")
@@ -45,7 +45,7 @@ class Declared:
 
 @dataclass(frozen=True, slots=True)
 class Suite:
-    """A group of rules that are tested together.
+    """A named group of rules that are tested together.
 
     Attributes:
         name: The value of ``--suite``.
@@ -133,7 +133,7 @@ SUITES: tuple[Suite, ...] = (
 
 
 def find_suite(name: str, where: str = "--suite") -> Suite:
-    """Return the suite called ``name``.
+    """Return the conformance suite called ``name``.
 
     Raises:
         UnknownName: No suite has this name; the hint names the nearest.
@@ -147,7 +147,7 @@ def find_suite(name: str, where: str = "--suite") -> Suite:
 def plan_suites(
     rules: Iterable[Rule], declared: Declared, target: Target
 ) -> dict[str, tuple[Rule, ...]]:
-    """Return the suites that apply to a model with their rules, ``basic`` first.
+    """Return the conformance suites that apply to a model with their rules, ``basic`` first.
 
     Rules of other kinds of models, and of other targets, are left out: they cannot fail.
     """

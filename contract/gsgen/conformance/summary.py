@@ -1,4 +1,4 @@
-"""The result of a conformance run, as text for people and as JSON for programs."""
+"""Formats the result of a conformance run as text and as JSON."""
 
 __all__ = ["SCHEMA", "exit_code", "lines_of", "to_json"]
 
@@ -31,7 +31,7 @@ _STYLE: dict[CaseStatus, str] = {
 
 
 def exit_code(entries: Sequence[Entry]) -> ExitCode:
-    """Return what `gsgen validate` would: 3 for a crash, 4 for no model, 1 for a failure, else 0."""
+    """Return the exit code: 3 for a crash, 4 for an unreadable model, 1 for a failure, else 0."""
     runs = [entry for entry in entries if isinstance(entry, ModelRun)]
     statuses = {case.status for run in runs for case in run.cases}
     if "crashed" in statuses:
@@ -42,7 +42,7 @@ def exit_code(entries: Sequence[Entry]) -> ExitCode:
 
 
 def lines_of(run: ModelRun) -> list[Line]:
-    """Return one line a suite, what failed with how to reproduce it, and the verdict."""
+    """Return the text of a conformance run: suites, failures with their commands, verdict."""
     report = run.report
     judged = f"judged for {report.target.label} at level {report.level.word}"
     lines = [Line(f"{report.path}: {report.kind or 'kind unknown'}, {judged}", "bold")]
@@ -76,7 +76,7 @@ def _verdict(run: ModelRun) -> Line:
 
 
 def to_json(entries: Sequence[Entry]) -> str:
-    """Return all models as one document; findings are those of `gsgen validate --format json`."""
+    """Return the results of all models as a JSON document, with findings of `gsgen validate`."""
     document = {
         "schema": SCHEMA,
         "tool": {"name": "gsgen", "version": version("gsgen")},

@@ -1,4 +1,4 @@
-"""Entry points of all installed packages, read once per process."""
+"""Entry points of all installed Python packages, read once per process."""
 
 __all__ = ["registered_entry_points"]
 
@@ -13,6 +13,6 @@ def _all() -> tuple[EntryPoint, ...]:
 
 
 def registered_entry_points(group: str) -> list[EntryPoint]:
-    """Return the entry points of ``group``, sorted by name."""
+    """Return the installed entry points of ``group``, sorted by name."""
     points = [point for point in _all() if point.group == group]
     return sorted(points, key=lambda point: point.name)

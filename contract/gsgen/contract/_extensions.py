@@ -1,4 +1,4 @@
-"""Find the commands that packages register under the entry point group ``gsgen.commands``.
+"""Finds the gsgen commands that packages register under the entry point group ``gsgen.commands``.
 
 An entry point names a typer function or a :class:`typer.Typer`. An extra that it needs stands in
 square brackets: ``export = "gsgen.sdk.commands.export:app [sdk]"``.
@@ -9,7 +9,8 @@ __all__ = ["Command", "escape_markup", "find_commands"]
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, PackageNotFoundError, version
+from functools import cache
+from importlib.metadata import EntryPoint, PackageNotFoundError, requires, version
 from typing import Annotated, Any
 
 import typer
@@ -23,36 +24,39 @@ _REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """An installed command, whose dependencies may be missing.
+    """A command that an installed package registers; packages that it needs may be missing.
 
     Attributes:
         name: The word that users type after ``gsgen``.
         point: The entry point of its code.
-        missing: Required distributions that are not installed.
     """
 
     name: str
     point: EntryPoint
-    missing: tuple[str, ...]
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Required distributions that are not installed."""
+        return _missing(self.point)
 
     @property
     def requirement(self) -> str:
-        """The distribution with the extra that this command needs."""
+        """The distribution and extra that the command needs, such as ``gsgen[sdk]``."""
         owner = self.point.dist.name if self.point.dist else "gsgen"
         return f"{owner}[{','.join(self.point.extras)}]"
 
     @property
     def remedy(self) -> str:
-        """The shell command that installs the missing distributions."""
+        """The shell command that installs the command's missing distributions."""
         return f"pip install '{self.requirement}'"
 
     @property
     def context(self) -> dict[str, Any]:
-        """Context settings of the command: one with missing dependencies accepts any options."""
+        """Click context settings of the command; without dependencies it accepts any options."""
         return {"ignore_unknown_options": True} if self.missing else {}
 
     def load(self) -> Callable[..., Any] | typer.Typer:
-        """Import the command, or return one that reports its missing dependencies."""
+        """Import the command, or return a replacement that reports its missing dependencies."""
         if self.missing:
             absent = ", ".join(self.missing)
             return _refusing(
@@ -70,7 +74,7 @@ class Command:
 
 
 def _refusing(summary: str, reason: str, code: ExitCode) -> Callable[..., Any]:
-    """Return a command that takes any arguments and fails with ``reason``."""
+    """Return a command that takes any arguments and fails with the message ``reason``."""
 
     def refuse(words: Annotated[list[str] | None, typer.Argument(hidden=True)] = None) -> None:
         typer.echo(f"gsgen: {reason}", err=True)
@@ -86,24 +90,26 @@ def escape_markup(text: str) -> str:
 
 
 def find_commands(group: str = _GROUP) -> dict[str, Command]:
-    """Return the commands of an entry point group, by name."""
-    return {
-        point.name: Command(point.name, point, _missing(point))
-        for point in registered_entry_points(group)
-    }
+    """Return the commands of an entry point group as a mapping from name to command."""
+    return {point.name: Command(point.name, point) for point in registered_entry_points(group)}
 
 
 def _missing(point: EntryPoint) -> tuple[str, ...]:
-    """Return the distributions that the entry point's extras require and that are not installed."""
-    required = (point.dist.requires or []) if point.dist and point.extras else []
+    """Return the distributions that an entry point's extras require and that are not installed."""
     absent = []
-    for line in required:
+    for line in _requirements(point.dist.name) if point.dist and point.extras else ():
         match = _REQUIREMENT.match(line)
         if match and match[2] in point.extras and not _installed(match[1]):
             absent.append(match[1])
     return tuple(absent)
 
 
+@cache
+def _requirements(distribution: str) -> tuple[str, ...]:
+    return tuple(requires(distribution) or ())
+
+
+@cache
 def _installed(name: str) -> bool:
     try:
         version(name)

@@ -1,4 +1,4 @@
-"""Lazy imports: the names of a package are loaded on first use, which keeps start-up fast."""
+"""Lazy imports: a package loads each public name on first use, which keeps start-up fast."""
 
 __all__ = ["lazy_getattr"]
 
@@ -8,7 +8,7 @@ from importlib import import_module
 
 
 def lazy_getattr(package: str, home: Mapping[str, str]) -> Callable[[str], object]:
-    """Return a module ``__getattr__`` (PEP 562) for ``package``.
+    """Return a module ``__getattr__`` (PEP 562) that imports the public names of ``package``.
 
     Args:
         package: The package's ``__name__``.

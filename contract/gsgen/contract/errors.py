@@ -86,33 +86,33 @@ class GsgenError(Exception):
 
 
 class InputUnreadable(GsgenError):
-    """A file or folder is missing, damaged, or of another kind than expected (exit code 4)."""
+    """Raised if an input file or folder is missing, damaged, or of another kind than expected."""
 
     exit_code: ClassVar[int] = ExitCode.UNREADABLE
 
 
 class ModelUnreadable(InputUnreadable):
-    """The file is not an ONNX model, so no rule can be checked."""
+    """Raised if a file is not an ONNX model, so that no rule can be checked."""
 
 
 class ManifestInvalid(GsgenError):
-    """A manifest does not follow its schema, or cannot be written."""
+    """Raised if a manifest does not follow its schema, or cannot be written."""
 
 
 class ConfigInvalid(GsgenError):
-    """An option or a settings file holds an invalid value."""
+    """Raised if an option or a settings file holds an invalid value."""
 
 
 class LayoutMismatch(GsgenError):
-    """Arrays do not have the shapes or dtypes of the packed layout."""
+    """Raised if arrays do not have the shapes or dtypes of the packed layout."""
 
 
 class UnknownName(ConfigInvalid):
-    """No rule, target, role or plugin has the given name."""
+    """Raised if no rule, target, role or plugin has the given name."""
 
     @classmethod
     def among(cls, noun: str, name: str, known: Iterable[str], where: str = "") -> "UnknownName":
-        """Return the error for an unknown ``name``, with the nearest known name as its hint."""
+        """Return the UnknownName error for ``name``, with the nearest known name as its hint."""
         from difflib import get_close_matches  # imported on failure only: start-up time counts
 
         names = sorted(known)

@@ -1,4 +1,4 @@
-"""Validators of files that are not models: found by the entry point group ``gsgen.validators``.
+"""Plug-in validators of files other than ONNX models (entry point group ``gsgen.validators``).
 
 An entry point names a module with two functions: ``recognises``, which looks at the name of a
 file alone, and ``validate``, which returns a report such as a model gets.
@@ -22,10 +22,10 @@ _GROUP = "gsgen.validators"
 
 
 class FileValidator(Protocol):
-    """Judges files of a kind that another package knows."""
+    """Protocol of a plug-in that validates one kind of file, such as tilesets."""
 
     def recognises(self, path: Path) -> bool:
-        """Say whether ``path`` names a file, folder or address of this kind."""
+        """Return whether ``path`` names a file, folder or address that this plug-in validates."""
         ...
 
     def validate(
@@ -35,12 +35,12 @@ class FileValidator(Protocol):
         registry: "Registry",
         progress: Callable[[str], None],
     ) -> "Report":
-        """Judge it; raises InputUnreadable where it cannot be judged at all."""
+        """Validate the file at ``path`` and return a report; raise InputUnreadable if damaged."""
         ...
 
 
 def find_validator(path: Path) -> FileValidator | None:
-    """Return what judges the file at ``path``; None for a model, or what may be one."""
+    """Return the plug-in that validates the file at ``path``; None if it may be an ONNX model."""
     if path.suffix.lower() == MODEL_SUFFIX:
         return None
     for point in registered_entry_points(_GROUP):

@@ -1,4 +1,4 @@
-"""Public function to validate a model by every installed rule."""
+"""The public function that validates a model by every installed rule."""
 
 __all__ = ["validate"]
 
@@ -33,6 +33,8 @@ def validate(
         InputUnreadable: A file of another kind cannot be read.
     """
     settings, registry = settings or Settings(), registry or installed_rules()
+    if settings.only:
+        registry = registry.with_needs(settings.only)
     validator = find_validator(Path(path))
     if validator is not None:
         return validator.validate(Path(path), settings, registry, progress)

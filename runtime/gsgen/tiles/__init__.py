@@ -1,4 +1,4 @@
-"""3D Tiles of Gaussian splats: how is a scene that does not fit stored, read and checked?
+"""3D Tiles of Gaussian splats: how are scenes that exceed the memory stored, read, checked?
 
     >>> from gsgen.tiles import open_tileset
     >>> tileset = open_tileset("town/tileset.json")

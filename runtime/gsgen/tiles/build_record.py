@@ -1,4 +1,4 @@
-"""Read the record of a build, ``gsgen.tiles.json``: sizes and digests of all files."""
+"""Reads ``gsgen.tiles.json``, the build record with the size and digest of every file."""
 
 __all__ = ["BuildRecord", "RecordedFile", "read_build_record"]
 
@@ -19,7 +19,7 @@ _DIGEST = re.compile(r"^[0-9a-f]{64}$")
 @final
 @dataclass(frozen=True, slots=True)
 class RecordedFile:
-    """Size and SHA-256 of a file when it was written."""
+    """The size and SHA-256 of a tileset's file when it was written."""
 
     size: int
     sha256: str
@@ -28,7 +28,7 @@ class RecordedFile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildRecord:
-    """The record of a build: its inputs, and the size and digest of every file.
+    """The record of a tileset build: its inputs, and the size and digest of every file.
 
     Attributes:
         location: The file.
@@ -44,7 +44,7 @@ class BuildRecord:
 
 
 def read_build_record(store: Store, index: str) -> BuildRecord | None:
-    """Return the record in the folder of ``index``, or None if the file does not exist.
+    """Return the build record in the folder of the tileset's index; None if it is missing.
 
     Raises:
         TilesetInvalid: The record is not valid JSON, or a member is wrong.

@@ -1,4 +1,4 @@
-"""Errors of tilesets, each with its location in the file."""
+"""Errors about tilesets, each with its location in the file."""
 
 __all__ = ["ContentMissing", "Fault", "StoreUnavailable", "TilesetInvalid"]
 
@@ -8,7 +8,7 @@ from gsgen.contract.errors import InputUnreadable
 
 
 class Fault(StrEnum):
-    """The kinds of fault of a tileset; each value is the id of the rule that reports it."""
+    """The kinds of faults of a tileset; each value is the id of the rule that reports it."""
 
     SCHEMA = "GT001"
     CONTENT = "GT005"
@@ -22,7 +22,7 @@ class Fault(StrEnum):
 
 
 class TilesetInvalid(InputUnreadable):
-    """A tileset, or one of its files, does not follow 3D Tiles or the profile of splats.
+    """Raised if a tileset, or one of its files, violates 3D Tiles or the profile of splats.
 
     Attributes:
         actual: What the file holds.
@@ -48,8 +48,8 @@ class TilesetInvalid(InputUnreadable):
 
 
 class ContentMissing(TilesetInvalid):
-    """A file that the tileset refers to does not exist (404, 410, no such member)."""
+    """Raised if a file that a tileset refers to does not exist."""
 
 
 class StoreUnavailable(TilesetInvalid):
-    """A store cannot be read now: a server error, a timeout, a connection that broke."""
+    """Raised if a tileset's files cannot be read now: a server error, a timeout, no connection."""

@@ -1,4 +1,4 @@
-"""Write the index of a tileset: ``tileset.json``, and the record of the build.
+"""Writes the index of a tileset, ``tileset.json``, and the record of the build.
 
 Equal tiles give equal bytes: keys are sorted, numbers are written in full, no time is noted.
 """
@@ -42,7 +42,7 @@ Corner = Float64[np.ndarray, " 3"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContentRecord:
-    """The content of a tile at one quality, as written.
+    """A written content file of a tile at one quality.
 
     Attributes:
         uri: Relative to the index.
@@ -62,7 +62,7 @@ class ContentRecord:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TileRecord:
-    """A tile to write into an index, with the tiles below it.
+    """A tile to write into an index, with its descendants.
 
     The index gets boxes that hold the content and all tiles below, and ``low`` and ``high``
     are grown where necessary.
@@ -116,7 +116,7 @@ def morton(coordinates: tuple[int, int, int]) -> int:
 
 
 def content_uri(level: int, coordinates: tuple[int, int, int], data: bytes) -> str:
-    """Return the name of a tile's file, which contains a digest of its bytes for caching."""
+    """Return the file name of a tile's content, with a digest of its bytes for caching."""
     digest = hashlib.sha256(data).hexdigest()[:8]
     return f"t/{level}/{morton(coordinates)}-{digest}.glb"
 
@@ -131,7 +131,7 @@ def write_tileset(
     quality: int = 0,
     transform: Float64[np.ndarray, "4 4"] | None = None,
 ) -> None:
-    """Write ``tileset.json`` for the tree below ``root``; it appears whole or not at all.
+    """Write ``tileset.json`` for the tree below ``root``, atomically.
 
     Args:
         path: The file to write; the contents' uris are relative to its folder.
@@ -166,7 +166,7 @@ def tileset_document(
     quality: int = 0,
     transform: Float64[np.ndarray, "4 4"] | None = None,
 ) -> JsonDict:
-    """Return the JSON of :func:`write_tileset`."""
+    """Return the JSON document that :func:`write_tileset` writes."""
     written = _tile(root, quality)
     tree = written.document
     if transform is not None:
@@ -230,7 +230,7 @@ def _properties(tile: TileRecord) -> JsonDict:
 
 
 def box_numbers(low: Corner, high: Corner) -> list[float]:
-    """Return a box along the axes as 3D Tiles writes it: the centre, and three half axes."""
+    """Return an axis-aligned box as 3D Tiles encodes it: the centre, and three half axes."""
     half = np.diag((np.asarray(high) - low) / 2)
     return [float(value) for value in [*((np.asarray(high) + low) / 2), *half.ravel()]]
 
@@ -238,7 +238,7 @@ def box_numbers(low: Corner, high: Corner) -> list[float]:
 def write_build_record(
     path: Path, *, key: str, source_splats: int, files: Mapping[str, bytes | tuple[int, str]]
 ) -> None:
-    """Write the record of a build: the size and SHA-256 of every file, which the validator compares.
+    """Write the build record: the size and SHA-256 of every file, for the validator.
 
     Args:
         path: ``gsgen.tiles.json`` beside the index.
@@ -263,6 +263,6 @@ def write_build_record(
 
 
 def json_bytes(document: Mapping[str, object]) -> bytes:
-    """Return JSON with sorted keys and no spaces, which is the same on every machine."""
+    """Return JSON bytes with sorted keys and no spaces, which are equal on every machine."""
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return text.encode() + b"\n"

@@ -1,4 +1,4 @@
-"""Count the tiles, splats and bytes of a tileset at each level."""
+"""Counts the tiles, splats and bytes of a tileset at each level."""
 
 __all__ = ["LevelInfo", "TilesetInfo", "describe_tileset"]
 
@@ -22,7 +22,7 @@ from gsgen.tiles.uris import resolve_uri
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelInfo:
-    """The totals of all tiles of a level.
+    """The totals of all tiles of one level of a tileset.
 
     Attributes:
         level: 0 for the root.
@@ -81,7 +81,7 @@ class _Measured:
 
 
 def describe_tileset(source: str | Path) -> TilesetInfo:
-    """Return the totals of the tileset at ``source``.
+    """Return the numbers of tiles, splats and bytes of the tileset at ``source``.
 
     Numbers come from metadata where the tileset has them, else from the files' headers.
 

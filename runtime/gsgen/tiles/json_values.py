@@ -1,4 +1,4 @@
-"""Read typed values from parsed JSON; each member is checked when it is read."""
+"""Reads typed values from parsed JSON; each member is checked when it is read."""
 
 __all__ = ["JsonDict", "JsonObject", "parse_object", "shorten"]
 
@@ -58,7 +58,7 @@ def shorten(value: object) -> str:
 @final
 @dataclass(frozen=True, slots=True)
 class JsonObject:
-    """A JSON object and its location in the file.
+    """A JSON object of a tileset, with its location in the file.
 
     Attributes:
         values: The members.
@@ -74,28 +74,28 @@ class JsonObject:
         return key in self.values
 
     def refuse(self, key: str, expected: str) -> Never:
-        """Raise TilesetInvalid with the value at ``key`` as the actual value."""
+        """Raise TilesetInvalid for the JSON member ``key``, with its value as the actual value."""
         actual = shorten(self.values[key]) if key in self.values else "the member is missing"
         raise TilesetInvalid(actual, location=self.at(key), expected=expected, fault=self.fault)
 
     def at(self, key: str) -> str:
-        """Return the location of a member."""
+        """Return the location of a JSON member, for error messages."""
         separator = "" if self.location.endswith(", ") else "."
         return f"{self.location}{separator}{key}"
 
     def child(self, key: str) -> "JsonObject":
-        """Return the required object at ``key``."""
+        """Return the required JSON object at ``key``."""
         value = self.values.get(key)
         if not isinstance(value, dict):
             self.refuse(key, "an object")
         return JsonObject(value, self.at(key), self.fault)
 
     def optional(self, key: str) -> "JsonObject | None":
-        """Return the object at ``key``, or None where the member is missing."""
+        """Return the JSON object at ``key``, or None if the member is missing."""
         return self.child(key) if key in self.values else None
 
     def objects(self, key: str) -> Iterator["JsonObject"]:
-        """Yield the objects of the array at ``key``; none where the member is missing."""
+        """Yield the objects of the JSON array at ``key``; nothing if the member is missing."""
         entries = self.values.get(key, [])
         if not isinstance(entries, list):
             self.refuse(key, "an array of objects")
@@ -108,35 +108,35 @@ class JsonObject:
             yield JsonObject(entry, location, self.fault)
 
     def text(self, key: str) -> str:
-        """Return the required, nonempty string at ``key``."""
+        """Return the required, nonempty JSON string at ``key``."""
         value = self.values.get(key)
         if not isinstance(value, str) or not value:
             self.refuse(key, "a string")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """Return the strings of the array at ``key``; none where the member is missing."""
+        """Return the strings of the JSON array at ``key``; empty if the member is missing."""
         value = self.values.get(key, [])
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
             self.refuse(key, "an array of strings")
         return tuple(value)
 
     def number(self, key: str, *, least: float = -_LARGEST) -> float:
-        """Return the finite number at ``key``, which is at least ``least``."""
+        """Return the finite JSON number at ``key``, which is at least ``least``."""
         value = self.values.get(key)
         if not _is_number(value) or value < least:
             self.refuse(key, "a number" if least < 0 else f"a number, {least:g} or more")
         return float(value)
 
     def whole(self, key: str, *, least: int = 0, most: int = 2**53) -> int:
-        """Return the whole number at ``key``, from ``least`` to ``most``."""
+        """Return the whole JSON number at ``key``, from ``least`` to ``most``."""
         value = self.values.get(key)
         if not _is_number(value) or value != int(value) or not least <= value <= most:
             self.refuse(key, f"a whole number from {least} to {most}")
         return int(value)
 
     def numbers(self, key: str, count: int) -> Float64[np.ndarray, " n"]:
-        """Return the ``count`` finite numbers of the array at ``key``."""
+        """Return the ``count`` finite numbers of the JSON array at ``key``."""
         value = self.values.get(key)
         if not isinstance(value, list) or len(value) != count or not all(map(_is_number, value)):
             self.refuse(key, f"{count} finite numbers")

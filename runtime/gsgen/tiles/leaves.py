@@ -1,4 +1,4 @@
-"""Read splats out of a tileset: all leaves, or the content of one tile, in the root frame."""
+"""Reads splats of a tileset: all leaves, or the content of one tile, in the root frame."""
 
 __all__ = ["finest_contents", "read_leaves", "read_tile_content", "recognises"]
 
@@ -33,7 +33,7 @@ _FAR: Final = 16384.0  # beyond it, a step of float32 is more than a millimetre
 def read_tile_content(
     store: Store, tileset: Tileset, tile: Tile, content: Content
 ) -> list[PlacedSplats]:
-    """Return the splats of a content in the frame of the root tile.
+    """Return the splats of a tile's content in the frame of the root tile.
 
     Raises:
         TilesetInvalid: The file is missing or wrong.
@@ -54,7 +54,7 @@ def read_tile_content(
 
 
 def finest_contents(tileset: Tileset) -> Iterator[tuple[Tile, Content]]:
-    """Yield the contents that are drawn at the finest level of detail."""
+    """Yield the tile contents that are drawn at the finest level of detail."""
     for tile in tileset.tiles():
         if tile.is_finest:
             for content in tile.contents:
@@ -73,7 +73,7 @@ def recognises(path: str | os.PathLike[str]) -> bool:
 
 
 def read_leaves(source: str | os.PathLike[str]) -> Splats:
-    """Return all leaves of the tileset at ``source`` as one set, in the frame of the root tile.
+    """Return all leaves of a tileset as one set of splats, in the frame of the root tile.
 
     Where the root frame is so large that float32 would lose millimetres, positions are
     relative to the middle of the splats; a ``FormatWarning`` then reports that origin.

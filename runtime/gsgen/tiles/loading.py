@@ -1,4 +1,4 @@
-"""Read a tileset: its index, external tilesets and subtrees become one tree of tiles."""
+"""Reads a tileset: its index, external tilesets and subtrees become one tree of tiles."""
 
 __all__ = ["Limits", "LoadReport", "load_tileset", "open_tileset"]
 
@@ -38,7 +38,7 @@ _TOLERANCE: Final = 1e-4
 
 
 def open_tileset(source: str | Path, *, limits: Limits | None = None) -> Tileset:
-    """Read the tileset at ``source``; contents are not read.
+    """Read the tree of tiles of the tileset at ``source``; contents are not read.
 
     Args:
         source: ``tileset.json``, its folder, a ``.3tz`` archive, or an address.
@@ -61,7 +61,7 @@ def load_tileset(
     report: LoadReport | None = None,
     name: str = "",
 ) -> Tileset:
-    """Read the tileset whose index is ``index`` of ``store``.
+    """Read the tree of tiles of the tileset with the index file ``index`` in ``store``.
 
     Args:
         store: Where its files lie.
@@ -96,7 +96,7 @@ class _Loader:
         self._tiles = 0
 
     def tileset(self, index: str, name: str) -> Tileset:
-        """Read the outermost index."""
+        """Read the outermost index of the tileset."""
         document = self._documents.read_index(index)
         asset = document.child("asset")
         source = self._documents.describe(index, document, ())
@@ -139,7 +139,7 @@ class _Loader:
         parent: _Parent,
         own_transform: Matrix | None = None,
     ) -> Tile:
-        """Read a tile and all below it."""
+        """Read a tile and all its descendants."""
         if parent.level >= self._limits.depth:
             raise TilesetInvalid(
                 f"more than {self._limits.depth} levels of tiles",
@@ -176,7 +176,7 @@ class _Loader:
         children.append(self._tile(entry, document, parent))
 
     def _guard(self, read: Callable[[], None]) -> None:
-        """Read a part; if it is invalid, leave it out and report the fault."""
+        """Read a part of a tileset; omit it and report the fault if it is invalid."""
         try:
             read()
         except TilesetInvalid as error:
@@ -205,13 +205,13 @@ class _Loader:
                 TilesetInvalid(
                     "an empty array",
                     location=entry.at("children"),
-                    expected="one child at least, or no member",
+                    expected="at least one child, or no member `children`",
                 )
             )
         return children
 
     def _transform(self, entry: JsonObject) -> Matrix:
-        """Return the transform of a tile; report one that is not a similarity."""
+        """Return the transform of a tile; report a transform that is not a similarity."""
         if "transform" not in entry:
             return np.eye(4)
         matrix = entry.numbers("transform", 16).reshape(4, 4).T
@@ -344,6 +344,6 @@ class _Loader:
 
 
 def _properties(metadata: JsonObject | None) -> JsonDict:
-    """Return the properties of a metadata entity."""
+    """Return the properties of a 3D Tiles metadata entity."""
     properties = metadata.optional("properties") if metadata else None
     return dict(properties.values) if properties else {}

@@ -13,7 +13,7 @@ _SCALAR: Final[JsonDict] = {"type": "SCALAR"}
 
 
 def metadata_schema() -> JsonDict:
-    """Return the metadata schema (3D Metadata Specification 1.0) of a tileset."""
+    """Return the metadata schema (3D Metadata Specification 1.0) of an explicit tileset."""
     tile: dict[str, JsonDict] = {
         "bytes": {
             **_SCALAR,

@@ -1,4 +1,4 @@
-"""Neural tiles: the extension GSGEN_neural_tile, a generator in a tile.
+"""Neural tiles: the extension GSGEN_neural_tile, by which a tile holds a generator.
 
 The content of such a tile stays a file of splats, which every viewer can draw; a viewer that
 knows the extension may run the model instead. It is used and never required.
@@ -25,7 +25,7 @@ _DIGEST = re.compile(r"^[0-9a-f]{64}$")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NeuralTile:
-    """The generator of a tile.
+    """The declaration of the generator that a neural tile holds.
 
     Attributes:
         uri: The ONNX model, relative to the tileset's folder.
@@ -47,7 +47,7 @@ class NeuralTile:
 
 
 def read_neural_tile(extension: JsonObject, base: str) -> NeuralTile:
-    """Read the object ``GSGEN_neural_tile`` of a tile.
+    """Parse the extension object ``GSGEN_neural_tile`` of a tile.
 
     Args:
         extension: The object.
@@ -86,7 +86,7 @@ def read_neural_tile(extension: JsonObject, base: str) -> NeuralTile:
 
 
 def neural_schema() -> JsonDict:
-    """Return the JSON Schema of the extension's object."""
+    """Return the JSON Schema of the extension GSGEN_neural_tile."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": EXTENSION,

@@ -1,4 +1,4 @@
-"""A tileset in memory: the tree of tiles, independent of the files that it was read from."""
+"""A tileset in memory: a tree of tiles that does not depend on files."""
 
 __all__ = ["Content", "Refine", "Tile", "Tileset"]
 
@@ -19,7 +19,7 @@ Refine = Literal["ADD", "REPLACE"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Content:
-    """A file of a tile.
+    """A content file of a tile.
 
     Attributes:
         uri: Relative to the tileset's folder.
@@ -35,7 +35,7 @@ class Content:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tile:
-    """A tile, explicit or of an implicit tree.
+    """A tile of a tileset, explicit or of an implicit tree.
 
     Attributes:
         location: The file and the JSON path or the implicit coordinates.
@@ -63,14 +63,14 @@ class Tile:
 
     @property
     def is_finest(self) -> bool:
-        """Whether its content is drawn at the finest level of detail."""
+        """Whether the tile's content is drawn at the finest level of detail."""
         return not self.children or self.refine == "ADD"
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tileset:
-    """A tree of tiles with the declarations of its index.
+    """A tree of tiles with the declarations of the tileset's index.
 
     Attributes:
         name: The file, address or archive, as the caller gave it.
@@ -101,11 +101,11 @@ class Tileset:
 
     @property
     def content_axes(self) -> Float64[np.ndarray, "4 4"]:
-        """From the frame of a content to that of its tile."""
+        """The 4×4 matrix from the frame of a content to that of its tile."""
         return Z_UP_FROM_Y_UP if self.y_up else np.eye(4)
 
     def tiles(self) -> Iterator[Tile]:
-        """Yield all tiles, each before those below it, depth first."""
+        """Yield all tiles of the tileset, each before its children, depth first."""
         pending = [self.root]
         while pending:
             tile = pending.pop()
@@ -113,7 +113,7 @@ class Tileset:
             pending += reversed(tile.children)
 
     def pairs(self) -> Iterator[tuple[Tile, Tile]]:
-        """Yield every tile with each of the tiles right below it."""
+        """Yield every tile with each of its children."""
         for tile in self.tiles():
             for child in tile.children:
                 yield tile, child

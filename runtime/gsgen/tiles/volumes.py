@@ -21,7 +21,7 @@ _MOST_LEVEL = 40
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Box:
-    """A box with any orientation.
+    """A bounding box with any orientation.
 
     Attributes:
         center: The middle.
@@ -33,21 +33,21 @@ class Box:
 
     @property
     def size(self) -> float:
-        """Length of the diagonal."""
+        """The length of the box's diagonal."""
         return 2 * float(np.sqrt(np.square(self.half_axes).sum()))
 
     def transformed(self, matrix: Matrix) -> "Box":
-        """Return the box after ``matrix``."""
+        """Return the box transformed by ``matrix``."""
         linear = matrix[:3, :3]
         return Box(linear @ self.center + matrix[:3, 3], self.half_axes @ linear.T)
 
     def samples(self) -> Points:
-        """Return the eight corners."""
+        """Return the eight corners of the box."""
         signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
         return np.asarray(self.center + signs @ self.half_axes)
 
     def outside(self, points: Points) -> Float64[np.ndarray, " n"]:
-        """Return the largest distance of points beyond a face, along the axes of the box; 0 within.
+        """Return the largest distance of points beyond a face of the box; 0 for points within.
 
         Axes have to be at right angles, as 3D Tiles asks for.
         """
@@ -57,7 +57,7 @@ class Box:
         return np.asarray(np.maximum(along - lengths, 0).max(axis=1))
 
     def child(self, offsets: tuple[int, ...], level: int) -> "Box":
-        """Return the cell ``offsets`` of a level: of a quadtree (two) or an octree (three)."""
+        """Return the cell of the box at ``level`` of a quadtree or octree, by its ``offsets``."""
         split = np.ones(3)
         split[: len(offsets)] = 2.0 ** min(level, _MOST_LEVEL)
         cells = np.zeros(3)
@@ -69,7 +69,7 @@ class Box:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Sphere:
-    """A sphere.
+    """A bounding sphere.
 
     Attributes:
         center: The middle.
@@ -81,21 +81,21 @@ class Sphere:
 
     @property
     def size(self) -> float:
-        """The diameter."""
+        """The diameter of the sphere."""
         return 2 * self.radius
 
     def transformed(self, matrix: Matrix) -> "Sphere":
-        """Return the sphere after ``matrix``; the largest scale counts."""
+        """Return the sphere transformed by ``matrix``; its largest scale applies to the radius."""
         linear = matrix[:3, :3]
         scale = float(np.linalg.norm(linear, 2))
         return Sphere(linear @ self.center + matrix[:3, 3], self.radius * scale)
 
     def samples(self) -> Points:
-        """Return the ends of its three diameters along the axes."""
+        """Return the ends of the sphere's diameters along the three axes."""
         return np.asarray(self.center + self.radius * np.vstack([np.eye(3), -np.eye(3)]))
 
     def outside(self, points: Points) -> Float64[np.ndarray, " n"]:
-        """Return how far points lie outside; 0 within."""
+        """Return the distance of points beyond the sphere's surface; 0 for points within."""
         distance = np.linalg.norm(points - self.center, axis=1)
         return np.asarray(np.maximum(distance - self.radius, 0))
 
@@ -118,13 +118,13 @@ class Region:
 
     @property
     def size(self) -> float:
-        """Roughly the length of the diagonal, in metres."""
+        """The approximate length of the region's diagonal, in metres."""
         corners = self.samples()
         return float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
 
     @property
     def width(self) -> float:
-        """Angle from west to east; across the date line where east is the smaller."""
+        """The angle from the region's west to its east, also across the date line."""
         return (
             (self.east - self.west) % (2 * np.pi)
             if self.east < self.west
@@ -132,19 +132,19 @@ class Region:
         )
 
     def transformed(self, matrix: Matrix) -> "Region":
-        """Return the same region: transforms do not move it."""
+        """Return the region unchanged, since transforms do not apply to regions."""
         del matrix
         return self
 
     def samples(self) -> Points:
-        """Return 18 points of the region (ECEF)."""
+        """Return 18 sample points of the region (ECEF)."""
         longitude = self.west + self.width * np.array([0.0, 0.5, 1.0])
         latitude = np.linspace(self.south, self.north, 3)
         grid = np.meshgrid(longitude, latitude, [self.minimum, self.maximum])
         return ecef(*(axis.ravel() for axis in grid))
 
     def outside(self, points: Points) -> Float64[np.ndarray, " n"]:
-        """Return how far points (ECEF) lie outside, in metres, roughly; 0 within."""
+        """Return the approximate distance of points (ECEF) outside the region in metres."""
         longitude, latitude, height = geodetic(points)
         middle = self.west + self.width / 2
         apart = np.abs((longitude - middle + np.pi) % (2 * np.pi) - np.pi)
@@ -154,7 +154,7 @@ class Region:
         return np.asarray(np.maximum(np.maximum(east, north), up))
 
     def child(self, offsets: tuple[int, ...], level: int) -> "Region":
-        """Return the cell ``offsets`` of a level: of a quadtree (two) or an octree (three)."""
+        """Return the cell of the region at ``level`` of a quadtree or octree, by ``offsets``."""
         count = 2.0 ** min(level, _MOST_LEVEL)
         width, height = self.width / count, (self.north - self.south) / count
         low, high = self.minimum, self.maximum
@@ -175,7 +175,7 @@ Volume = Box | Sphere | Region
 
 
 def read_volume(volume: JsonObject) -> Volume:
-    """Read a ``boundingVolume``.
+    """Read a ``boundingVolume`` of 3D Tiles.
 
     Raises:
         TilesetInvalid: It is neither box, nor sphere, nor region, or its numbers are wrong.
@@ -206,7 +206,7 @@ def ecef(
     latitude: Float64[np.ndarray, " n"],
     height: Float64[np.ndarray, " n"],
 ) -> Points:
-    """Return points of the WGS 84 ellipsoid, given in radians and metres, in metres (ECEF)."""
+    """Convert WGS 84 longitudes, latitudes (radians) and heights (metres) to ECEF points."""
     sine, cosine = np.sin(latitude), np.cos(latitude)
     squeeze = (_POLE / _EQUATOR) ** 2
     radius = _EQUATOR / np.sqrt(cosine**2 + squeeze * sine**2)
@@ -219,7 +219,7 @@ def ecef(
 def geodetic(
     points: Points,
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Return longitude, latitude (radians) and height (metres) of points (ECEF).
+    """Convert ECEF points to longitudes, latitudes (radians) and heights (metres).
 
     B. R. Bowring 1976, "Transformation from spatial to geographical coordinates": three
     rounds are below a micrometre on the surface.
@@ -245,7 +245,7 @@ def geodetic(
 def _unit_axes(
     half_axes: Float64[np.ndarray, "3 3"], lengths: Float64[np.ndarray, " 3"]
 ) -> Float64[np.ndarray, "3 3"]:
-    """Return the directions of a box; an axis of length zero is at right angles to the others."""
+    """Return the unit axes of a box; an axis of length zero becomes orthogonal to the others."""
     units = half_axes / np.where(lengths > 0, lengths, 1)[:, None]
     flat = [axis for axis in range(3) if lengths[axis] == 0]
     if len(flat) == 1:

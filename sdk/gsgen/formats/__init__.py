@@ -36,6 +36,7 @@ from gsgen.formats.shared.errors import (
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.sog.sog import read_sog
+from gsgen.formats.sog.write import write_sog
 from gsgen.formats.splat import read_splat, write_splat
 from gsgen.formats.spz.spz import read_spz, write_spz
 
@@ -79,6 +80,7 @@ __all__ = [
     "write_compressed_ply",
     "write_glb",
     "write_ply",
+    "write_sog",
     "write_splat",
     "write_spz",
 ]

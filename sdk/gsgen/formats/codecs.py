@@ -1,4 +1,4 @@
-"""The table of splat formats: the one place that states their names, marks and functions.
+"""The table of splat file formats: names, suffixes, magic bytes, readers and writers.
 
 Help texts, hints, error messages and the documentation read this table. A new format is a module
 that reads it, an entry of the table, and a sample in ``tests/support/splat_files.py``.
@@ -28,6 +28,7 @@ from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.sog.meta import META
 from gsgen.formats.sog.sog import read_sog
+from gsgen.formats.sog.write import sog_order, write_sog
 from gsgen.formats.splat import looks_like_splat, read_splat, write_splat
 from gsgen.formats.spz import container as spz_container
 from gsgen.formats.spz.spz import read_spz, write_spz
@@ -41,7 +42,7 @@ _JSON_MARKS = (b'{"', b"{\n", b"{ ", b"{\r", b"{\t")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Codec:
-    """One splat format.
+    """One file format of splats, with its reader and writer.
 
     Attributes:
         name: The name on a command line.
@@ -134,8 +135,15 @@ CODECS: Final = (
         contents="version 2, zipped or its `meta.json`",
         suffixes=(".sog", META),
         read=read_sog,
+        write=write_sog,
         marks=(ZIP_MAGIC, *_JSON_MARKS),
         member=META,
+        keeps_flags=frozenset({"antialiased"}),
+        most_degree=3,
+        order=sog_order,
+        loss="positions 1/65535 of the range of sgn(x) ln(1 + |x|), scales and colours one of 256 "
+        "numbers chosen for the scene, opacity 1/255, rotations 0.5°, harmonics one of up to "
+        "65,536 sets chosen for the scene; the order of the splats",
         source="playcanvas/splat-transform",
     ),
     Codec(
@@ -172,22 +180,18 @@ CODECS: Final = (
 
 
 def format_titles() -> str:
-    """Return the titles of all formats as an enumeration: ``PLY, …, SPLAT or NPZ``."""
+    """Return the titles of all splat formats as an enumeration: ``PLY, …, SPLAT or NPZ``."""
     *titles, last = (codec.title for codec in CODECS)
     return f"{', '.join(titles)} or {last}"
 
 
 def codec_named(name: str) -> Codec:
-    """Return the format ``name``.
-
-    Raises:
-        KeyError: No format has this name.
-    """
+    """Return the splat format called ``name``."""
     return {codec.name: codec for codec in CODECS}[name]
 
 
 def codec_of_suffix(path: FilePath) -> Codec | None:
-    """Return the format that the longest suffix of ``path`` names, or None."""
+    """Return the splat format of the longest matching suffix of ``path``, or None."""
     name = Path(path).name.lower()
     matches = [
         (len(suffix), codec.name)
@@ -199,15 +203,7 @@ def codec_of_suffix(path: FilePath) -> Codec | None:
 
 
 def recognised(path: FilePath, data: Data) -> Codec | None:
-    """Return the format that the content of a file shows, or None.
-
-    Args:
-        path: The file, through which the members of an archive are listed.
-        data: The bytes of the file.
-
-    Raises:
-        ArchiveDamaged: It is a zip archive whose members cannot be listed.
-    """
+    """Return the splat format that a file's content shows, or None."""
     marked = [codec for codec in CODECS if bytes(data[:6]).startswith(codec.marks)]
     if data[: len(ZIP_MAGIC)] == ZIP_MAGIC:
         with unpacking("archive"), zipfile.ZipFile(path) as archive:

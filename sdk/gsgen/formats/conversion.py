@@ -15,6 +15,7 @@ from gsgen.formats.ply.ply import write_ply
 from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.files import FilePath, make_folder
 from gsgen.formats.shared.splats import SH_COUNTS, PackedRows, PointCloud, Splats
+from gsgen.formats.sog.sog import written_bytes
 
 __all__ = ["Conversion", "convert"]
 
@@ -22,7 +23,7 @@ __all__ = ["Conversion", "convert"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conversion:
-    """The result of a conversion, with its losses.
+    """The paths, formats, number of splats and losses of a converted file.
 
     Attributes:
         source: The file that was read.
@@ -55,7 +56,7 @@ def convert(
     write: Callable[[FilePath, Splats], None] | None = None,
     step: Callable[[str], None] = lambda words: None,
 ) -> Conversion:
-    """Convert ``source`` to ``target``, then compare the written file with the source.
+    """Convert a splat file to another format, then compare the written file with the source.
 
     Args:
         source: A file that ``open_splats`` reads. Packed rows become splats.
@@ -79,7 +80,7 @@ def convert(
             path=str(target),
         )
     step(f"reading {source}")
-    before = Path(source).stat().st_size if Path(source).is_file() else 0
+    before = written_bytes(source) if Path(source).is_file() else 0
     content = open_splats(source, drop_invalid=drop_invalid)
     if isinstance(content, PointCloud):
         return _convert_points(source, target, codec, content, before)
@@ -98,7 +99,7 @@ def convert(
         format=codec.name,
         count=len(reduced),
         degree=(splats.degree, reduced.degree),
-        sizes=(before, Path(target).stat().st_size),
+        sizes=(before, written_bytes(target)),
         lost=_losses(splats, reduced, codec),
         differences=differences(_ordered(reduced, order), back),
     )
@@ -109,7 +110,7 @@ def _convert_points(
 ) -> Conversion:
     if codec.name != "ply":
         raise NotSupported(
-            "holds coloured points, which have no size, rotation or opacity",
+            "the file holds coloured points, which have no size, rotation or opacity",
             expected=f"splats, which {codec.title} needs",
             hint="write a PLY file; `gsgen export static` makes a generator of them",
             path=str(source),

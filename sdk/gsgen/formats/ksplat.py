@@ -38,7 +38,7 @@ _MOST_DEGREE = 2
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Section:
-    """The header of a section.
+    """The header of a section of a KSPLAT file: its counts, sizes and quantisation.
 
     Attributes:
         start: The byte where the section's data begin.
@@ -63,7 +63,7 @@ class _Section:
 
 
 def read_ksplat(path: FilePath) -> Splats:
-    """Read the KSPLAT file at ``path``; sections of different degrees become the highest.
+    """Read the KSPLAT file at ``path``; the result has the highest SH degree of its sections.
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
@@ -80,7 +80,7 @@ def read_ksplat(path: FilePath) -> Splats:
 
 
 def looks_like_ksplat(data: Data) -> bool:
-    """Return whether ``data`` begins like a KSPLAT file: a known version, and sections that fit."""
+    """Return whether ``data`` begins like a KSPLAT file, with a known version and valid sizes."""
     if len(data) < HEADER:
         return False
     major, minor, sections, _, _, _, level, *_ = _MAIN.unpack_from(data)
@@ -90,7 +90,7 @@ def looks_like_ksplat(data: Data) -> bool:
 
 
 def decode_ksplat(data: Data) -> Splats:
-    """Return the splats of the KSPLAT file ``data``; values are not checked."""
+    """Return the splats of the KSPLAT file ``data``, without a check of their values."""
     require_room(data, 0, HEADER, "header")
     fields = _MAIN.unpack_from(data)
     major, minor, sections, _, _, _, level, _, _, _, sh_low, sh_high = fields
@@ -115,7 +115,7 @@ def decode_ksplat(data: Data) -> Splats:
 
 
 def _sections(data: Data, count: int, start: int, level: int) -> Iterator[_Section]:
-    """Yield the sections that are not empty; each begins at the end of the previous one."""
+    """Yield the non-empty sections of a KSPLAT file in order."""
     for index in range(count):
         section = _section(data, index, start, level)
         start = section.end
@@ -194,7 +194,7 @@ def _positions(
 
 
 def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
-    """Return the centre of the bucket of each splat; full buckets come first."""
+    """Return the centre of each splat's bucket in a KSPLAT section; full buckets come first."""
     lengths = take(data, "<u4", (section.partial,), section.start, "bucket lengths")
     if (lengths > section.bucket_size).any():
         raise HeaderMalformed(
@@ -225,7 +225,7 @@ def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
 def _harmonics(
     stored: Shaped[np.ndarray, "n m"], level: int, sh_range: tuple[float, float]
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Return the harmonics above degree 0; each degree is stored channel by channel."""
+    """Return the KSPLAT harmonics above degree 0; each degree is stored channel by channel."""
     values = stored.astype(np.float32)
     if level == 2:
         low, high = sh_range

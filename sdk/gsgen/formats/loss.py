@@ -1,4 +1,4 @@
-"""Measures the loss of a format: splats before writing against the splats read back."""
+"""Measures the loss of a file format: source splats against the splats read back."""
 
 import math
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ _CHUNK = 1 << 16
 @final
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The error of one quantity.
+    """The error of one quantity, such as position, between two sets of splats.
 
     Attributes:
         name: The name of the quantity.
@@ -36,13 +36,10 @@ class Difference:
 
 
 def differences(before: Splats, after: Splats) -> tuple[Difference, ...]:
-    """Compare splats row by row, after activation.
+    """Compare two sets of splats row by row, after activation.
 
     Positions are in scene units, rotations in degrees, scales in percent (flat axes aside),
     opacities and constant colours from 0 to 1, harmonics unscaled up to the lower degree.
-
-    Raises:
-        ValueInvalid: ``before`` and ``after`` have different lengths.
     """
     if len(before) != len(after):
         raise ValueInvalid(
@@ -88,7 +85,7 @@ def _minus(
 def _degrees(
     before: Float[np.ndarray, "n 4"], after: Float[np.ndarray, "n 4"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return the angles between rotations: 4 asin(|p − q| / 2), with the nearer of q and −q."""
+    """Return the angles between rotations in degrees: 4 asin(|p − q| / 2) of the nearer ±q."""
     p, q = (unit(turns).astype(np.float64) for turns in (before, after))
     distances = [np.linalg.norm(p - sign * q, axis=1) for sign in (1, -1)]
     return np.asarray(np.degrees(4 * np.arcsin(np.minimum(np.minimum(*distances) / 2, 1))))

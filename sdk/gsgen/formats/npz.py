@@ -1,4 +1,4 @@
-"""Reads packed Gaussians or coloured points from NumPy archives."""
+"""Reads packed Gaussians or coloured points from NumPy .npz archives."""
 
 import zipfile
 from typing import Final
@@ -29,7 +29,7 @@ _COLORS = "colors"
 
 
 def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | PackedRows:
-    """Read the packed rows, or else the coloured points, of the archive at ``path``.
+    """Read the packed rows, or else the coloured points, of the .npz archive at ``path``.
 
     Packed rows are ``gaussians`` [n, 10] and ``appearance`` [n, c] in float16 or float32, which
     is kept. Points are ``colors`` [n, 3] in uint8 or in floats from 0 to 1, and one of
@@ -63,7 +63,7 @@ def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | Pack
 
 
 def _choose(names: list[str]) -> tuple[str, str]:
-    """Return the names of the two arrays to read."""
+    """Return the names of the two arrays to read from an .npz archive."""
     if set(_PACKED) <= set(names):
         return _PACKED
     positions = [name for name in _POINTS if name in names]
@@ -114,7 +114,7 @@ def _cloud(
 def _triples(
     array: Shaped[np.ndarray, "..."], key: str, *, also: type[np.uint8] | None = None
 ) -> Float32[np.ndarray, "n 3"]:
-    """Convert ``array`` to float32; raise unless it is floats, or ``also``, of shape [n, 3]."""
+    """Convert an [n, 3] array of floats (or of the dtype ``also``) to float32; raise otherwise."""
     typed = array.dtype.kind == "f" or array.dtype == also
     if not typed or array.shape[1:] != (3,):
         dtypes = f"{np.dtype(also).name} or float" if also else "float"

@@ -1,4 +1,4 @@
-"""Opens a file of splats of any format."""
+"""Opens a splat file of any supported format."""
 
 __all__ = ["open_splats"]
 
@@ -14,19 +14,19 @@ from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 
 
 class SplatReader(Protocol):
-    """Reads splats of many files: a module of the entry point group ``gsgen.splat_readers``."""
+    """Plug-in that reads splats of many files (entry point group ``gsgen.splat_readers``)."""
 
     def recognises(self, path: FilePath) -> bool:
-        """Return whether ``path`` names a set of files of this kind."""
+        """Return whether ``path`` names a set of files that this plug-in reads."""
         ...
 
     def read_leaves(self, source: FilePath) -> Splats:
-        """Return all splats at the finest level."""
+        """Return all splats of a set of files at the finest level of detail."""
         ...
 
 
 def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointCloud | PackedRows:
-    """Read the splats of a file whose format its content shows, not its name.
+    """Read a splat file whose format is detected from its content, not from its name.
 
     ``CODECS`` lists the formats. SPLAT has no header: it is a number of plausible records that
     no other format recognises. If no format fits, the suffix chooses the reader that explains

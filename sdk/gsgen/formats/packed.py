@@ -16,9 +16,6 @@ def splats_of_rows(rows: PackedRows) -> Splats:
 
     The axes are the eigenvectors of the covariance, the scales the roots of its eigenvalues (0
     if rounding made one negative). Three or four channels are raw colour.
-
-    Raises:
-        ValueInvalid: The number of channels has no meaning, or a value is not finite.
     """
     rows64 = rows.gaussians.astype(np.float64)
     if not np.isfinite(rows64).all():

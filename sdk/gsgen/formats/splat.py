@@ -40,7 +40,7 @@ def read_splat(path: FilePath) -> Splats:
 
 
 def decode_splat(data: Data) -> Splats:
-    """Return the splats of the records ``data``; values are not checked."""
+    """Return the splats of SPLAT records, without a check of their values."""
     count, remainder = divmod(len(data), RECORD.itemsize)
     if remainder:
         raise FileTruncated(

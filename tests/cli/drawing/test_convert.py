@@ -59,7 +59,11 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (("a.sog",), 2, "a.sog: SOG can only be read\n  Use one of .ply, .compressed.ply, "),
+        (
+            ("a.ksplat",),
+            2,
+            "a.ksplat: KSPLAT can only be read\n  Use one of .ply, .compressed.ply, ",
+        ),
         (("a",), 2, "a: has the unknown suffix (none)\n"),
         (("a", "--format", "splt"), 2, "--format: unknown format 'splt'\n  Did you mean 'splat'?"),
         (

@@ -1,3 +1,4 @@
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 
 import pytest
@@ -8,8 +9,17 @@ from gsgen.cli.app import build
 from gsgen.contract._extensions import Command
 
 
+@dataclass(frozen=True, slots=True)
+class IncompleteCommand(Command):
+    absent: tuple[str, ...] = ()
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        return self.absent
+
+
 def command(value: str, missing: tuple[str, ...] = ()) -> Command:
-    return Command("thing", EntryPoint("thing", value, "gsgen.commands"), missing)
+    return IncompleteCommand("thing", EntryPoint("thing", value, "gsgen.commands"), missing)
 
 
 def test_a_command_that_cannot_be_imported_spoils_only_itself() -> None:

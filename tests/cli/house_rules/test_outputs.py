@@ -114,7 +114,7 @@ def _left() -> list[str]:
     return sorted(result)
 
 
-@pytest.mark.parametrize("name", ["validate", "export", "render pictures", "convert"])
+@pytest.mark.parametrize("name", ["export", "render pictures", "convert"])
 def test_folders_on_the_way_are_made(name: str) -> None:
     code, message = trouble(name, "new/and/deep")
     assert (code, message) == (0, [])

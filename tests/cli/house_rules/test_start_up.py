@@ -29,7 +29,9 @@ def test_light_commands_import_nothing_heavy(words: tuple[str, ...]) -> None:
 def test_static_validation_imports_nothing_heavy(good: Path) -> None:
     names = imported("validate", "--level", "static", str(good))
     assert "onnx" in names  # the measure works
-    assert names & (HEAVY | {"onnxruntime"}) == set()
+    assert names & (HEAVY | {"onnxruntime", "jsonschema", "jaxtyping", "multiprocessing"}) == set()
+    whole = imported("validate", "--level", "static", str(good), whole=True)
+    assert not [name for name in whole if name.startswith(("gsgen.tiles", "gsgen.formats"))]
 
 
 def test_running_a_model_keeps_onnx_runtime_out_of_the_parent(good: Path) -> None:

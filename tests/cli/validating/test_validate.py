@@ -33,7 +33,8 @@ def test_json_has_the_same_verdict(nan: Path) -> None:
 
 
 def test_output_goes_to_a_file_whole(nan: Path, tmp_path: Path) -> None:
-    target = tmp_path / "deep" / "report.json"
+    target = tmp_path / "reports" / "report.json"
+    target.parent.mkdir()
     ran = gsgen_here("validate", nan, "--format", "json", "-o", target)
     assert ran.code == 1
     assert ran.out == ""

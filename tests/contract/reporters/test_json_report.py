@@ -16,13 +16,14 @@ from support.reports.judged import MODELS
 def without_the_hour(document):
     """Replace what differs from run to run and from one installation to the next."""
     document["tool"] |= {"version": "0", "rules_digest": "0"}
-    document["seconds"] = 0
+    assert "seconds" not in document
     document["environment"] = dict.fromkeys(document["environment"], "0")
     for finding in document["findings"]:
         finding["why"] = "Because."  # the rules' own tests are for that
     for rule in document["rules"]:
-        if "ms" in rule:
-            rule |= {"ms": 0, "items": min(rule["items"], 1)}  # runs may be planned anew
+        assert "ms" not in rule
+        if "items" in rule:
+            rule["items"] = min(rule["items"], 1)  # runs may be planned anew
     return document
 
 

@@ -37,9 +37,11 @@ def test_a_log_is_what_it_was(reports, name):
 
 
 def test_rules_are_described_by_their_declarations(reports):
-    rules = run_of(reports["good"])["tool"]["driver"]["rules"]
-    declared = [outcome.rule for outcome in reports["good"].outcomes]
-    assert [rule["id"] for rule in rules] == [rule.id for rule in declared]
+    rules = run_of(reports["broken"])["tool"]["driver"]["rules"]
+    found = {finding.rule for finding in reports["broken"].findings}
+    declared = [o.rule for o in reports["broken"].outcomes if o.rule.id in found]
+    assert [rule["id"] for rule in rules] == [rule.id for rule in declared]  # and no others
+    assert run_of(reports["good"])["tool"]["driver"]["rules"] == []
     opacity = next(rule for rule in rules if rule["id"] == "GV003")
     assert opacity["name"] == "OpacityRange"
     assert opacity["shortDescription"]["text"].startswith("Opacity lies in [0, 1]")

@@ -156,7 +156,7 @@ def test_what_cannot_be_meant_is_an_error_with_its_place(read, tmp_path, text, e
 
 
 def test_a_time_that_is_no_number_is_refused(read):
-    with pytest.raises(ConfigInvalid, match=r"nan s and .* expected more than 0 of each"):
+    with pytest.raises(ConfigInvalid, match=r"nan s and .* expected limits above 0"):
         read("[validate]\ntimeout = nan\n")
 
 

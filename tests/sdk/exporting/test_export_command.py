@@ -308,7 +308,7 @@ def test_a_plugin_that_cannot_be_used_spoils_only_itself(
 ) -> None:
     values = {"absent": "no_such_module:PLUGIN", "clashing": f"{__name__}:CLASHING"}
     points = {
-        name: Command(name, EntryPoint(name, value, "gsgen.generators"), ())
+        name: Command(name, EntryPoint(name, value, "gsgen.generators"))
         for name, value in values.items()
     }
     monkeypatch.setitem(sys.modules, __name__, sys.modules[clashing.__module__])

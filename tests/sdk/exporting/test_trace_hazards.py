@@ -9,7 +9,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs
 from gsgen.sdk import ExportFailed, GeneratorInvalid, ParityFailed, export
-from gsgen.sdk.exporting.eager_reference import run_eager
+from gsgen.sdk.exporting.eager_reference import EagerRuns
 from gsgen.sdk.exporting.parity_diagnosis import Suspects, diagnose
 from gsgen.sdk.exporting.trace_hazards import Watch
 from gsgen.sdk.parity import ModelOutput
@@ -123,7 +123,7 @@ def explained(module: Drift, *, frozen: bool = False, rewritten: bool = True) ->
         return [ModelOutput(np.full((3, 10), t), np.zeros((3, 48)), 3) for t in moments]
 
     module = module.eval()
-    references = [run_eager(module, probe) for probe in PROBES]
+    references = EagerRuns(module, PROBES)
     suspects = Suspects(module, PROBES[0], (), rewritten)
     return diagnose(suspects, MANIFEST, references, run)
 

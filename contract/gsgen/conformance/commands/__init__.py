@@ -1,1 +1,1 @@
-"""The commands that come with the conformance suite, one module each."""
+"""The commands of the conformance suite: `gsgen conformance` and `gsgen repro`."""

@@ -1,4 +1,4 @@
-"""`gsgen conformance`: test models suite by suite, as the pytest plugin does, without pytest."""
+"""The command `gsgen conformance`: tests models suite by suite, without pytest."""
 
 __all__ = ["conformance"]
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Format(StrEnum):
-    """How the result is printed."""
+    """Output formats of a conformance run."""
 
     TEXT = "text"
     JSON = "json"
@@ -106,7 +106,7 @@ def _print(entries: "list[Entry]", format: Format) -> None:
 def _refuse_strangers(
     entries: "list[Entry]", settings: "Settings", expected: "Sequence[ExpectedFailure]"
 ) -> None:
-    """Raise if an expected failure matches no tested rule; the results are printed before."""
+    """Raise if an expected failure matches no tested rule, after the results are printed."""
     from gsgen.conformance.expected import unmatched_entries
     from gsgen.conformance.run import ModelRun, suites_of
 

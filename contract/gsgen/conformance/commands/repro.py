@@ -1,4 +1,4 @@
-"""`gsgen repro`: reproduce one failure."""
+"""The command `gsgen repro`, which reproduces one failure of a rule."""
 
 __all__ = ["repro"]
 

@@ -1,1 +1,1 @@
-"""How does pytest run the conformance suites?"""
+"""How does pytest run the conformance suites? The pytest plugin, its items and base class."""

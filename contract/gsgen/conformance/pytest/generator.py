@@ -1,4 +1,4 @@
-"""A base class for tests of one model: every rule is a test, and fixtures select the model."""
+"""A pytest base class for tests of one model: every rule is a test."""
 
 __all__ = ["GeneratorConformance"]
 
@@ -22,7 +22,7 @@ _OTHER_KINDS = (POST_PROCESS, "trajectory")
 
 
 class GeneratorConformance:
-    """Tests of one model, rule by rule; inherit and override the fixture ``model``.
+    """Base class of pytest classes that test one model by rules; override the fixture ``model``.
 
     Such as::
 
@@ -39,29 +39,29 @@ class GeneratorConformance:
 
     @pytest.fixture
     def model(self) -> Path:
-        """The ONNX file; a file is validated once as long as it is unchanged."""
+        """Pytest fixture: the path of the tested ONNX file; unchanged files are validated once."""
         pytest.fail(f"{type(self).__name__} must override the fixture `model`")
 
     @pytest.fixture
     def target(self) -> str | None:
-        """The target of the validation; None takes the option or the default."""
+        """Pytest fixture: the target of the validation; None selects the option or the default."""
         return None
 
     @pytest.fixture
     def level(self) -> str | None:
-        """The level of the validation; None takes the option or the default."""
+        """Pytest fixture: the level of the validation; None selects the option or the default."""
         return None
 
     @pytest.fixture
     def settings(
         self, target: str | None, level: str | None, pytestconfig: pytest.Config
     ) -> Settings:
-        """The settings of the validation."""
+        """Pytest fixture: the settings of the validation."""
         return ConformanceSession.of(pytestconfig).make_settings(target=target, level=level)
 
     @pytest.fixture
     def expected_failures(self, pytestconfig: pytest.Config) -> Iterable[ExpectedFailure]:
-        """The rules that the model is known to break; one that holds is a failure too."""
+        """Pytest fixture: rules that the model is known to break; a kept rule is a failure."""
         return ConformanceSession.of(pytestconfig).expected
 
     @pytest.fixture
@@ -72,7 +72,7 @@ class GeneratorConformance:
         expected_failures: Iterable[ExpectedFailure],
         pytestconfig: pytest.Config,
     ) -> ModelRun:
-        """The validation of the model."""
+        """Pytest fixture: the results of validating the model."""
         bench, path = ConformanceSession.of(pytestconfig), Path(model)
         expected = tuple(expected_failures)
         try:
@@ -84,14 +84,14 @@ class GeneratorConformance:
 
     @pytest.fixture
     def _ready(self, rule: Rule, conformance: ModelRun, request: pytest.FixtureRequest) -> None:
-        """Record the case of the rule; a crashed rule is an error, not a failure."""
+        """Prepare the test of a rule; a crashed rule is a test error, not a failure."""
         for case in conformance.cases:
             if case.rule.id == rule.id:
                 request.node.user_properties += properties(conformance, case)
                 prepare(conformance, case)
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """Parametrize the test of each suite by the rules of the suite."""
+        """Parametrize the test of each conformance suite by the rules of the suite."""
         rules = getattr(metafunc.function, "rules", None)
         if rules is not None:
             ids = [f"{rule.id}-{rule.slug}" for rule in rules]
@@ -99,14 +99,14 @@ class GeneratorConformance:
 
 
 def _home(rule: Rule) -> str:
-    """Return the suite of a rule for a generator that declares all features."""
+    """Return the suite of a rule for a generator that declares all optional features."""
     is_generator = GENERATOR in rule.kinds
     suites = [suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
     return next(suite.name for suite in suites if suite.claims(rule))
 
 
 def _test_of(suite: Suite, rules: list[Rule]) -> Callable[..., None]:
-    """Return the test function of a suite, which takes one of its rules."""
+    """Return the test function of a conformance suite, which takes one of its rules."""
 
     @pytest.mark.usefixtures("_ready")
     def test(self: GeneratorConformance, rule: Rule, conformance: ModelRun) -> None:
@@ -130,7 +130,7 @@ def _name(suite: Suite) -> str:
 
 
 def _add_tests() -> None:
-    """Add a test for each suite to the class, so that an author can override or drop it."""
+    """Add a test for each conformance suite to a class, so that an author can override it."""
     for suite in SUITES:
         rules = [r for r in installed_rules().rules.values() if _home(r) == suite.name]
         if rules:

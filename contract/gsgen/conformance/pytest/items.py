@@ -16,10 +16,10 @@ from gsgen.contract.validation.rule import Rule
 
 
 class ModelFile(pytest.File):
-    """An ONNX file named with ``--gsgen``."""
+    """A pytest node for an ONNX file named with ``--gsgen``."""
 
     def collect(self) -> "Iterator[SuiteNode]":
-        """Yield the chosen suites that apply to the model."""
+        """Yield a pytest node for each chosen conformance suite that applies to the model."""
         bench = ConformanceSession.of(self.config)
         try:
             planned = bench.plan(self.path, bench.settings)
@@ -30,27 +30,27 @@ class ModelFile(pytest.File):
                 yield SuiteNode.from_parent(self, name=name, rules=rules)
 
     def run_model(self) -> ModelRun:
-        """Validate the model once, and return the result."""
+        """Validate the ONNX file once per session, and return the result."""
         bench = ConformanceSession.of(self.config)
         return bench.run(self.path, bench.settings, bench.expected)
 
 
 class SuiteNode(pytest.Collector):
-    """A suite of one model."""
+    """A pytest node for one conformance suite of one model."""
 
     def __init__(self, *, rules: tuple[Rule, ...], **options: Any) -> None:
         super().__init__(**options)
         self.rules = rules
 
     def collect(self) -> "Iterator[RuleItem]":
-        """Yield a test for each rule."""
+        """Yield a pytest item for each rule of the suite."""
         for rule in self.rules:
             name = f"{rule.id}-{rule.slug}"
             yield RuleItem.from_parent(self, name=name, rule=rule)
 
 
 class RuleItem(pytest.Item):
-    """One rule, tested on one model."""
+    """A pytest item that tests one rule on one model."""
 
     def __init__(self, *, rule: Rule, **options: Any) -> None:
         super().__init__(**options)
@@ -58,47 +58,47 @@ class RuleItem(pytest.Item):
 
     @property
     def file(self) -> ModelFile:
-        """The model."""
+        """The pytest node of the tested ONNX file."""
         parent = self.getparent(ModelFile)
         assert parent is not None
         return parent
 
     def setup(self) -> None:
-        """Validate the model; a crashed rule is an error."""
+        """Validate the model before the test; a crashed rule is a test error."""
         run = self.file.run_model()
         case = run.case(self.rule.id)
         self.user_properties += properties(run, case)
         prepare(run, case)
 
     def runtest(self) -> None:
-        """Pass, fail, skip, warn or xfail, by the case of the rule."""
+        """Pass, fail, skip, warn or xfail the test, by the status of the rule."""
         run = self.file.run_model()
         act(run, run.case(self.rule.id))
 
     def reportinfo(self) -> tuple[Path, None, str]:
-        """Return the location for the headings of failures."""
+        """Return the location of the test for the headings of pytest's failure reports."""
         assert self.parent is not None
         return self.path, None, f"{self.path.name}: {self.parent.name}: {self.name}"
 
 
 class StaleEntry(pytest.Item):
-    """An expected failure that matches no tested rule: always an error."""
+    """A pytest item that always fails: an expected failure that matches no tested rule."""
 
     def __init__(self, *, entry: ExpectedFailure, **options: Any) -> None:
         super().__init__(**options)
         self.entry = entry
 
     def setup(self) -> None:
-        """Raise with the entry."""
+        """Raise UsageError with the expected failure that matches no tested rule."""
         text = f"matches no rule of any tested model: remove or correct the entry\n  {self.entry}"
         pytest.fail(text, pytrace=False)
 
     def runtest(self) -> None:
-        """Do nothing: the set-up has failed before."""
+        """Do nothing, because the set-up of this test always raises."""
 
 
 def stale_entries(session: pytest.Session) -> Iterator[StaleEntry]:
-    """Yield an error for each entry of ``--gsgen-xfails`` that matches no collected model."""
+    """Yield a failing item for each entry of ``--gsgen-xfails`` that matches no collected model."""
     bench = ConformanceSession.of(session.config)
     if bench.tested:
         for number, entry in enumerate(unmatched_entries(bench.expected, bench.tested), start=1):

@@ -22,7 +22,7 @@ _SUFFIX = ".onnx"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Declare the options; all of them start with ``--gsgen``."""
+    """Add the command-line options of the plugin; all of them start with ``--gsgen``."""
     group = parser.getgroup("gsgen", "conformance of Gaussian Generators")
     group.addoption(
         "--gsgen",
@@ -57,7 +57,7 @@ _OPTIONS = (
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Add the models to the collected paths; without other paths, only they are collected."""
+    """Add the models to the collected paths; without other paths, only models are collected."""
     config.addinivalue_line("markers", f"{_MARK}(request): give a test each rule of some models")
     models = [str(Path(name)) for name in config.getoption("--gsgen")]
     if not models:
@@ -71,7 +71,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "pytest.Collector | None":
-    """Collect the models that `--gsgen` names."""
+    """Collect the ONNX files that ``--gsgen`` names."""
     if file_path.suffix != _SUFFIX and not parent.config.getoption("--gsgen"):
         return None
     paths = {Path(name).resolve() for name in parent.config.getoption("--gsgen")}
@@ -84,7 +84,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "pytest.Co
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Parametrize a test that requests rules by a `check` for each."""
+    """Parametrize a test that requests rules by a ``check`` argument for each rule."""
     marker = metafunc.definition.get_closest_marker(_MARK)
     if marker is not None:
         from gsgen.conformance.pytest.session import ConformanceSession
@@ -97,7 +97,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(session: pytest.Session, items: "list[pytest.Item]") -> None:
-    """Add an error for each expected failure that matches no tested rule."""
+    """Add a test error for each expected failure that matches no tested rule."""
     if session.config.getoption("--gsgen-xfails"):
         from gsgen.conformance.pytest.items import stale_entries
 

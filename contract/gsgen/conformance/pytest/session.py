@@ -1,4 +1,4 @@
-"""The state that the tests of one pytest session share: options, and validated models."""
+"""The state that the tests of one pytest session share: options and validated models."""
 
 __all__ = ["ConformanceSession", "RuleWarning", "act", "prepare", "properties"]
 
@@ -28,11 +28,11 @@ _MOST_UNASKED = 64 << 20
 
 
 class RuleWarning(UserWarning):
-    """A rule is broken below the severity that fails (see ``--gsgen-fail-on``)."""
+    """Warning for a rule that is broken below the severity that fails (``--gsgen-fail-on``)."""
 
 
 class ConformanceSession:
-    """The options of a session, and the models that it has validated.
+    """The options of a pytest session, and the models that it has validated.
 
     Attributes:
         tested: Model → ids of its collected rules.
@@ -45,11 +45,7 @@ class ConformanceSession:
 
     @classmethod
     def of(cls, config: pytest.Config) -> "ConformanceSession":
-        """Return the conformance session of a pytest session.
-
-        Raises:
-            UsageError: An option has an invalid value.
-        """
+        """Return the conformance session that belongs to a pytest session."""
         if _BENCH not in config.stash:
             bench = config.stash[_BENCH] = cls(config)
             try:
@@ -60,16 +56,16 @@ class ConformanceSession:
         return config.stash[_BENCH]
 
     def option(self, name: str) -> Any:
-        """Return the value of ``--gsgen-NAME``, or None."""
+        """Return the value of the option ``--gsgen-NAME``, or None."""
         return self.config.getoption(f"--gsgen-{name}")
 
     @cached_property
     def settings(self) -> Settings:
-        """The settings by the options."""
+        """The validation settings that the pytest options define."""
         return self.make_settings()
 
     def make_settings(self, *, target: str | None = None, level: str | None = None) -> Settings:
-        """Return settings by the options; arguments replace the options."""
+        """Return validation settings from pytest options; arguments replace options."""
         config = self.option("config")
         return make_settings(
             installed_rules(),
@@ -82,18 +78,18 @@ class ConformanceSession:
 
     @cached_property
     def suites(self) -> tuple[str, ...]:
-        """The names of the chosen suites; empty for all."""
+        """The names of the chosen conformance suites; empty for all."""
         return tuple(find_suite(name, "--gsgen-suite").name for name in self.option("suite"))
 
     @cached_property
     def expected(self) -> tuple[ExpectedFailure, ...]:
-        """The expected failures of ``--gsgen-xfails``."""
+        """The expected failures in the file of ``--gsgen-xfails``."""
         file = self.option("xfails")
         return read_expected(Path(file), installed_rules()) if file else ()
 
     @cached_property
     def dumps(self) -> Dumps:
-        """The folder for inputs and outputs of failing probes; pytest's tmp takes small ones only."""
+        """The folder for inputs and outputs of failing probes; pytest's takes small ones only."""
         folder = self.option("dump")
         if folder:
             return Dumps(Path(folder))
@@ -101,14 +97,14 @@ class ConformanceSession:
         return Dumps(factory.mktemp("gsgen-dumps"), _MOST_UNASKED)
 
     def plan(self, path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
-        """Return the suites of a model with their rules, and record them as tested."""
+        """Return a model's conformance suites with their rules, and record the rules as tested."""
         planned = suites_of(path, settings)
         rules = self.tested.setdefault(path, set())
         rules |= {rule.id for suite_rules in planned.values() for rule in suite_rules}
         return planned
 
     def run(self, path: Path, settings: Settings, expected: Iterable[ExpectedFailure]) -> ModelRun:
-        """Validate a model once, and return the result."""
+        """Validate a model once per session, and return the result."""
         entries = tuple(expected)
         stat = path.stat() if path.is_file() else None
         version = (stat.st_mtime_ns, stat.st_size) if stat else ()
@@ -123,7 +119,7 @@ class ConformanceSession:
     def _judge(
         self, path: Path, settings: Settings, expected: tuple[ExpectedFailure, ...]
     ) -> ModelRun | Exception:
-        """Validate a model, or return the error, which every rule of the model would raise again."""
+        """Validate a model; return an error as a value, so that every rule can raise it."""
         try:
             return run_model(path, settings, expected=expected, dumps=self.dumps)
         except Exception as error:
@@ -134,13 +130,13 @@ _BENCH = pytest.StashKey[ConformanceSession]()
 
 
 def prepare(run: ModelRun, case: Case) -> None:
-    """Raise during a test's set-up if the rule crashed: an error, not a failure."""
+    """Raise during a test's set-up if the rule crashed: a test error, not a failure."""
     if case.status == "crashed":
         pytest.fail(run.text(case), pytrace=False)
 
 
 def act(run: ModelRun, case: Case) -> None:
-    """Pass, fail, skip, warn or xfail, by the status of the case."""
+    """Pass, fail, skip, warn or xfail the running test, by the status of the rule."""
     __tracebackhide__ = True
     if case.status == "failed":
         pytest.fail(run.text(case).lstrip(), pytrace=False)
@@ -153,7 +149,7 @@ def act(run: ModelRun, case: Case) -> None:
 
 
 def properties(run: ModelRun, case: Case) -> list[tuple[str, object]]:
-    """Return the properties of a case for a test report: rule, status, and findings as JSON."""
+    """Return the properties of a rule's test report: rule, status, and findings as JSON."""
     entries: list[tuple[str, object]] = [("gsgen.rule", case.rule.id)]
     entries.append(("gsgen.status", case.status))
     if case.findings:

@@ -33,14 +33,14 @@ def wants_model(item: pytest.Item) -> bool:
 
 
 def skip_if_noted(item: pytest.Item) -> None:
-    """Skip a test if an earlier one has recorded that its model cannot be validated."""
+    """Skip a test if an earlier test has recorded that its model cannot be validated."""
     first = item.session.stash.get(_NOTED, {}).get(_subject(item))
     if first is not None:
         pytest.skip(f"the model cannot be validated: see the error of {first}")
 
 
 def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> None:
-    """Record that a model cannot be validated, and reduce the report to its author's lines."""
+    """Record that a model cannot be validated, and reduce the test report to its author's lines."""
     assert call.excinfo is not None
     if "conformance" in getattr(item, "funcargs", {}):
         return  # the model was validated, and the rule crashed
@@ -53,7 +53,7 @@ def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestRepo
 
 
 def _subject(item: pytest.Item) -> object:
-    """Return the identity of a model: its class and the parameters of its fixtures."""
+    """Return the identity of a test's model: the class and the parameters of its fixtures."""
     indices = getattr(getattr(item, "callspec", None), "indices", {})
     remaining = sorted((name, index) for name, index in indices.items() if name != "rule")
     return getattr(item, "cls", None), tuple(remaining)
@@ -66,7 +66,7 @@ def _quiet(head: str, text: str) -> str:
 
 
 def _lines(item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]) -> Iterator[str]:
-    """Yield the author's own lines in the traceback of the error, the outermost first."""
+    """Yield the author's own lines in an error's traceback, the outermost first."""
     root = item.config.rootpath
     for entry in excinfo.traceback:
         name = str(entry.frame.f_globals.get("__name__", ""))

@@ -1,4 +1,4 @@
-"""The decorator and the base class that plugin authors use in their tests.
+"""The decorator and the ``check`` object for authors of pytest tests of plugins.
 
 Needs pytest: ``pip install 'gsgen[conformance]'``.
 """
@@ -28,7 +28,7 @@ Models = Iterable[PathLike] | Callable[[], Iterable[PathLike]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """The arguments of :func:`parametrize_with_rules`."""
+    """The arguments of :func:`parametrize_with_rules`, attached to a test."""
 
     models: Models
     target: str | None
@@ -79,14 +79,7 @@ def parametrize_with_rules(
 
 
 class Check:
-    """The check of one rule on one model; a test calls it once.
-
-    Attributes:
-        model: The ONNX file.
-        suite: The name of the suite that holds the rule.
-        rule: The rule.
-        called: Whether the test has called it.
-    """
+    """The check of one rule on one model, which a test calls once."""
 
     def __init__(self, model: Path, suite: str, rule: Rule, judge: Callable[[], ModelRun]) -> None:
         self.model = model
@@ -102,16 +95,16 @@ class Check:
 
     @property
     def run(self) -> ModelRun:
-        """The results of the model, which is validated once a session."""
+        """The results of validating the model, once per pytest session."""
         return self._judge()
 
     @property
     def case(self) -> Case:
-        """The case of the rule."""
+        """The outcome of the rule on the model, as a test case."""
         return self.run.case(self.rule.id)
 
     def prepare(self) -> None:
-        """Validate the model; a crashed rule is an error."""
+        """Validate the model before the test; a crashed rule is a test error."""
         prepare(self.run, self.case)
 
     def __call__(self) -> None:
@@ -122,13 +115,7 @@ class Check:
 
 
 def checks_for(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
-    """Return a check for each rule of each model that a test requests.
-
-    Args:
-        request: The arguments of the test's decorator.
-        bench: The conformance session.
-        folder: The base of relative paths.
-    """
+    """Return a check for each rule of each model that a test requests."""
     try:
         return _checks(request, bench, folder)
     except GsgenError as error:
@@ -170,12 +157,12 @@ def _expected(
 def refuse_strangers(
     expected: Iterable[ExpectedFailure], plans: dict[Path, dict[str, tuple[Rule, ...]]]
 ) -> None:
-    """Raise UsageError if an entry matches no rule of any of the models."""
+    """Raise UsageError if an expected failure matches no rule of any tested model."""
     tested = {
         path: [rule.id for rules in planned.values() for rule in rules]
         for path, planned in plans.items()
     }
     for entry in unmatched_entries(expected, tested):
         raise pytest.UsageError(
-            f"gsgen: matches no rule of any tested model: remove or correct the entry\n  {entry}"
+            f"gsgen: an expected failure matches no rule of any tested model: remove or correct it\n  {entry}"
         )

@@ -1,1 +1,1 @@
-"""Which commands come with the contract? One module per command."""
+"""The contract package's commands: validate, inspect, diff, rules, explain, vectors, doctor."""

@@ -1,4 +1,4 @@
-"""`gsgen diff`: compare two models."""
+"""The command `gsgen diff`, which compares two models."""
 
 __all__ = ["diff"]
 
@@ -62,5 +62,5 @@ def diff(
 
 
 def _finite(number: float) -> float | None:
-    """Return ``number``, or None if it is infinite, as where shapes differ: JSON has no infinity."""
+    """Return ``number``, or None if it is infinite, since JSON cannot represent infinity."""
     return number if math.isfinite(number) else None

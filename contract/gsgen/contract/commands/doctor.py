@@ -1,4 +1,4 @@
-"""`gsgen doctor`: check the installation, and name the command that repairs it."""
+"""The command `gsgen doctor`: checks the installation and names the commands that repair it."""
 
 __all__ = ["doctor"]
 
@@ -48,7 +48,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON."
 
 
 def _rooms() -> list[EntryPoint]:
-    """Return the registered checks of every package, those of gsgen first."""
+    """Return the installation checks that packages register, those of gsgen first."""
 
     def rank(point: EntryPoint) -> tuple[int, str]:
         is_known = point.name in _ORDER

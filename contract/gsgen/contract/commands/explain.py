@@ -1,4 +1,4 @@
-"""`gsgen explain`: print the pages of rules."""
+"""The command `gsgen explain`, which prints the documentation pages of rules."""
 
 __all__ = ["explain"]
 

@@ -1,4 +1,4 @@
-"""`gsgen inspect`: show the declarations of a model, or derive a missing manifest."""
+"""The command `gsgen inspect`: shows a model's declarations, or infers a missing manifest."""
 
 __all__ = ["inspect"]
 

@@ -1,4 +1,4 @@
-"""Options that several commands share, with one name, default and help text each."""
+"""Command-line options that several commands share, with one name, default and help text each."""
 
 __all__ = ["AsJson", "Config", "FailOn", "LevelName", "Memory", "Seed", "TargetName", "Timeout"]
 
@@ -25,7 +25,10 @@ FailOn = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print as JSON: the same as --format json.")]
 Config = Annotated[
-    Path | None, typer.Option(help="Configuration file.", show_default="./gsgen.toml, if it exists")
+    Path | None,
+    typer.Option(
+        help="Configuration file.", show_default="./gsgen.toml, or [tool.gsgen] of ./pyproject.toml"
+    ),
 ]
 Timeout = Annotated[
     float | None,

@@ -1,4 +1,4 @@
-"""Print reports, styled on a terminal, and write complete files only."""
+"""Prints reports, styled on a terminal, and writes report files atomically."""
 
 __all__ = ["append_text", "show", "write_text"]
 
@@ -16,7 +16,7 @@ from gsgen.contract.reporters.text import Line
 
 
 def show(lines: Iterable[Line]) -> None:
-    """Print lines to stdout, in colour on a terminal unless NO_COLOR is set."""
+    """Print styled lines to stdout, in colour on a terminal unless NO_COLOR is set."""
     if not sys.stdout.isatty() or "NO_COLOR" in os.environ:
         for line in lines:
             typer.echo(line.text)
@@ -30,11 +30,7 @@ def show(lines: Iterable[Line]) -> None:
 
 
 def append_text(path: Path, text: str) -> None:
-    """Append to a file that other programs may write to as well.
-
-    Raises:
-        ConfigInvalid: The file cannot be written.
-    """
+    """Append text to a file to which other programs may write as well."""
     try:
         with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text)
@@ -43,12 +39,9 @@ def append_text(path: Path, text: str) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a temporary file and rename it, so that a failure keeps the previous file.
+    """Write a text file atomically: under a temporary name, then renamed.
 
     A device such as /dev/stdout is written to directly.
-
-    Raises:
-        ConfigInvalid: The file cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

@@ -1,4 +1,4 @@
-"""Progress of a long command: one line on stderr, on terminals only."""
+"""Shows the progress of a long command in one line on stderr, on terminals only."""
 
 __all__ = ["clear", "progress"]
 
@@ -10,12 +10,12 @@ _LINE = "\r\x1b[2K"
 
 
 def progress(words: str) -> None:
-    """Replace the progress line by ``words``."""
+    """Replace the text of the progress line on stderr."""
     if sys.stderr.isatty():
         typer.echo(f"{_LINE}{words} …", err=True, nl=False)
 
 
 def clear() -> None:
-    """Erase the progress line."""
+    """Erase the progress line on stderr."""
     if sys.stderr.isatty():
         typer.echo(_LINE, err=True, nl=False)

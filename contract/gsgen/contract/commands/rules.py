@@ -1,4 +1,4 @@
-"""`gsgen rules`: list the installed rules."""
+"""The command `gsgen rules`, which lists the installed rules."""
 
 __all__ = ["rules"]
 
@@ -55,11 +55,7 @@ def rules(
 
 
 def _selected(registry: "Registry", words: list[str]) -> "list[Rule]":
-    """Return the rules that match any of ``words``, in catalogue order.
-
-    Raises:
-        UnknownName: No rule matches one of ``words``.
-    """
+    """Return the rules that match any of the search ``words``, in catalogue order."""
     selected_ids: set[str] = set()
     for word in words:
         ids = [rule.id for rule in registry.rules.values() if _matches(word, rule)]

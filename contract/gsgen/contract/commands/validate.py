@@ -1,4 +1,4 @@
-"""`gsgen validate`: check models against the contract."""
+"""The command `gsgen validate`, which checks models against the contract."""
 
 __all__ = ["validate"]
 
@@ -6,7 +6,7 @@ import os
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,7 +19,19 @@ from gsgen.contract.commands.options import (
     TargetName,
     Timeout,
 )
-from gsgen.contract.errors import ExitCode, InputUnreadable
+from gsgen.contract.commands.validate_options import (
+    BaselineFile,
+    Ignore,
+    Jobs,
+    Only,
+    Output,
+    Paths,
+    RequireRules,
+    SeverityOf,
+    Strict,
+    Times,
+)
+from gsgen.contract.errors import ExitCode, UnknownName
 
 if TYPE_CHECKING:
     from gsgen.contract.validation.baseline import Baseline
@@ -29,7 +41,7 @@ if TYPE_CHECKING:
 
 
 class Format(StrEnum):
-    """Output formats of a report."""
+    """Output formats of a validation report: text, JSON, SARIF, JUnit, Markdown, GitHub."""
 
     TEXT = "text"
     JSON = "json"
@@ -52,40 +64,22 @@ _REPORTERS = {
 
 
 def validate(
-    models: Annotated[
-        list[Path],
-        typer.Argument(
-            help="ONNX files; tilesets (.json, .3tz) and their contents (.glb, .gltf).",
-            show_default=False,
-        ),
-    ],
+    paths: Paths,
     level: LevelName = None,
     target: TargetName = None,
     format: Annotated[Format, typer.Option(help="How to print the report.")] = Format.TEXT,
     as_json: AsJson = False,
     fail_on: FailOn = None,
-    ignore: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Rule (id or name) whose findings do not count; repeat or separate by commas."
-        ),
-    ] = None,
-    severity: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="RULE=SEVERITY, in place of the rule's own severity; repeatable.",
-            metavar="ID=LEVEL",
-        ),
-    ] = None,
+    ignore: Ignore = None,
+    only: Only = None,
+    require_rules: RequireRules = None,
+    severity: SeverityOf = None,
     config: Config = None,
-    baseline: Annotated[
-        Path | None,
-        typer.Option(help="An earlier JSON report, whose findings do not fail the model."),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the report to a file instead.")
-    ] = None,
-    strict: Annotated[bool, typer.Option(help="A missing manifest is an error.")] = False,
+    baseline: BaselineFile = None,
+    output: Output = None,
+    jobs: Jobs = 1,
+    strict: Strict = False,
+    times: Times = False,
     timeout: Timeout = None,
     memory: Memory = None,
     verbose: Annotated[
@@ -95,35 +89,52 @@ def validate(
         bool, typer.Option("-q", "--quiet", help="Print one line per model: the verdict.")
     ] = False,
 ) -> None:
-    """Check whether each MODEL conforms to the contract.
+    """Check whether each model conforms to the contract.
 
-    Exits 0 if all conform, 1 if one is invalid, 2 for wrong options, 3 if a rule crashed, 4 if a
-    file is not an ONNX model.
+    Exits 0 if all conform, 1 if one is invalid or a required rule was not checked, 2 for wrong
+    options, 3 if a rule crashed, 4 if a file is not an ONNX model.
     """
-    from gsgen.contract.process.atomic_files import refuse_model
+    from gsgen.contract.commands.progress import progress
+    from gsgen.contract.process.atomic_files import refuse_missing_folder, refuse_model
+    from gsgen.contract.tools.batch import registry_for, validate_all
+    from gsgen.contract.tools.model_paths import expand_paths
+
+    files = expand_paths(paths)
+    if output:
+        refuse_model(output, files)
+        refuse_missing_folder(output)
+    options = {
+        "level": level,
+        "target": target,
+        "fail_on": fail_on,
+        "ignore": ignore or (),
+        "severity": severity or (),
+        "only": only or (),
+        "require": require_rules or (),
+        "config": config,
+        "timeout": timeout,
+        "memory": memory,
+        "strict": strict,
+        "timings": times,
+    }
+    settings = _settings(registry_for(files), options)
+    known = _baseline(baseline) if baseline else None
+    entries = validate_all(files, settings, jobs=jobs, progress=progress)
+    if known:
+        entries = [_against(known, entry) for entry in entries]
+    _print(entries, Format.JSON if as_json else format, output, verbose=verbose, quiet=quiet)
+    raise typer.Exit(_exit_code(entries))
+
+
+def _settings(registry: "Registry", options: dict[str, Any]) -> "Settings":
+    """Return the settings; a name that no rule of models has may be that of a tileset's rule."""
     from gsgen.contract.rules.catalogue import installed_rules
     from gsgen.contract.validation.settings_from_options import make_settings
 
-    if output:
-        refuse_model(output, models)
-    registry = installed_rules()
-    settings = make_settings(
-        registry,
-        level=level,
-        target=target,
-        fail_on=fail_on,
-        ignore=ignore or (),
-        severity=severity or (),
-        config=config,
-        timeout=timeout,
-        memory=memory,
-        strict=strict,
-    )
-    format = Format.JSON if as_json else format
-    known = _baseline(baseline) if baseline else None
-    entries = [_validated(model, settings, registry, known) for model in models]
-    _print(entries, format, output, verbose=verbose, quiet=quiet)
-    raise typer.Exit(_exit_code(entries))
+    try:
+        return make_settings(registry, **options)
+    except UnknownName:
+        return make_settings(installed_rules(), **options)
 
 
 def _baseline(path: Path) -> "Baseline":
@@ -132,18 +143,10 @@ def _baseline(path: Path) -> "Baseline":
     return read_baseline(path)
 
 
-def _validated(
-    model: Path, settings: "Settings", registry: "Registry", known: "Baseline | None"
-) -> "Entry":
-    from gsgen.contract.commands.progress import progress
-    from gsgen.contract.validation.report import Unreadable
-    from gsgen.contract.validator import validate as validate_model
+def _against(known: "Baseline", entry: "Entry") -> "Entry":
+    from gsgen.contract.validation.report import Report
 
-    try:
-        report = validate_model(model, settings, registry=registry, progress=progress)
-    except InputUnreadable as error:
-        return Unreadable(str(model), error)
-    return known.apply(report) if known else report
+    return known.apply(entry) if isinstance(entry, Report) else entry
 
 
 def _print(
@@ -173,7 +176,7 @@ def _print(
 
 
 def _rendered(entries: "list[Entry]", format: Format) -> str:
-    """Return the report in a machine-readable format; only that reporter is imported."""
+    """Return a validation report in a machine-readable format; only that reporter is imported."""
     module, name = _REPORTERS[format]
     reporter = getattr(import_module(f"gsgen.contract.reporters.{module}"), name)
     text: str = reporter(entries)
@@ -181,7 +184,7 @@ def _rendered(entries: "list[Entry]", format: Format) -> str:
 
 
 def _summarise(entries: "list[Entry]") -> None:
-    """Append the reports to the summary page of a GitHub Actions job."""
+    """Append the validation reports to the summary page of a GitHub Actions job."""
     path = os.environ.get("GITHUB_STEP_SUMMARY")
     if path:
         from gsgen.contract.commands.output import append_text

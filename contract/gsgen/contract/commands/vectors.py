@@ -1,4 +1,4 @@
-"""`gsgen vectors`: record the outputs of a model, to be reproduced elsewhere."""
+"""The command `gsgen vectors`, which records a model's outputs as test vectors."""
 
 __all__ = ["vectors"]
 
@@ -51,7 +51,7 @@ def vectors(
     memory: Memory = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Write test vectors of MODEL, and a copy of it that promises them.
+    """Write test vectors of MODEL, and a copy of MODEL whose manifest lists them.
 
     `gsgen validate` runs them again (rule GM012). Exits 0 if they were written, 2 if they cannot
     be written or an option is wrong, 4 if MODEL is not an ONNX model.

@@ -1,1 +1,1 @@
-"""What does a model file hold, before it is run?"""
+"""What does an ONNX file hold before it runs: structure, manifest, graph, predicted placement?"""

@@ -1,4 +1,4 @@
-"""Operators that a GPU provider runs as a buffer copy, without a kernel.
+"""Lists the ONNX operators that a GPU provider runs as a buffer copy, without a kernel.
 
 Graph capture records only kernels, so the output of a copy keeps the values of the first run.
 Measured with ONNX Runtime's WebGPU provider: views, and operators that have nothing to do.

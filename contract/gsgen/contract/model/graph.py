@@ -60,7 +60,7 @@ class Conflict:
 
 @dataclass(slots=True)
 class _Facts:
-    """Results of ``onnx.checker`` and of shape inference."""
+    """Mutable results of ``onnx.checker`` and of ONNX shape inference for one model."""
 
     tensors: dict[str, Tensor]
     conflicts: tuple[Conflict, ...] = ()
@@ -70,7 +70,7 @@ class _Facts:
 
 @dataclass(frozen=True, kw_only=True)
 class Graph:
-    """The main graph of a model.
+    """The main graph of a model, with inferred tensor shapes, for static rules.
 
     Attributes:
         inputs: The inputs that a runtime feeds, in order, without listed initialisers.
@@ -95,12 +95,12 @@ class Graph:
 
     @cached_property
     def producers(self) -> dict[str, NodeProto]:
-        """Tensor name → the node of the main graph that produces it."""
+        """Map each tensor name to the main-graph node that produces the tensor."""
         return {name: node for node in self.nodes for name in node.output if name}
 
     @cached_property
     def uses(self) -> dict[str, int]:
-        """Tensor name → the number of nodes and outputs of the main graph that read it."""
+        """Map each tensor name to the number of main-graph nodes and outputs that read it."""
         count: dict[str, int] = {}
         for names in self._reads.values():
             for name in names:
@@ -111,19 +111,19 @@ class Graph:
 
     @cached_property
     def _reads(self) -> dict[int, list[str]]:
-        """Node, by its identity → the names that it reads."""
+        """Map the identity (``id``) of each node to the tensor names that the node reads."""
         return {id(node): reads(node) for node in self.nodes}
 
     def output(self, name: str) -> Tensor | None:
-        """Return the output called ``name``, or None."""
+        """Return the graph output called ``name``, or None."""
         return next((tensor for tensor in self.outputs if tensor.name == name), None)
 
     def input(self, name: str) -> Tensor | None:
-        """Return the input called ``name``, or None."""
+        """Return the graph input called ``name``, or None."""
         return next((tensor for tensor in self.inputs if tensor.name == name), None)
 
     def ancestors(self, name: str) -> tuple[set[str], list[NodeProto]]:
-        """Return every tensor and every node that ``name`` is computed from, itself included.
+        """Return all tensors and nodes that the tensor ``name`` is computed from, itself included.
 
         The result is cached: do not modify it.
         """
@@ -152,12 +152,12 @@ class Graph:
         return names, nodes
 
     def varies(self, name: str) -> bool:
-        """Return whether ``name`` depends on an input that is fed every frame."""
+        """Return whether the tensor ``name`` depends on an input that is fed every frame."""
         names, _ = self.ancestors(name)
         return any(tensor.name in names for tensor in self.inputs)
 
     def all_nodes(self) -> Iterator[NodeProto]:
-        """Yield every node, those inside If, Loop and Scan bodies included."""
+        """Yield every node of the model, including the bodies of If, Loop and Scan."""
         return iter(self._all_nodes)
 
     @cached_property
@@ -166,7 +166,7 @@ class Graph:
 
 
 def reads(node: NodeProto) -> list[str]:
-    """Return the names that ``node`` reads, from inside its subgraphs too."""
+    """Return the tensor names that ``node`` reads, including reads inside its subgraphs."""
     names = list(filter(None, node.input))
     for attribute in node.attribute:
         for graph in subgraphs(attribute):
@@ -177,7 +177,7 @@ def reads(node: NodeProto) -> list[str]:
 
 
 def read_graph(file: ModelFile) -> Graph:
-    """Read the main graph: infer shapes, check well-formedness, and note contradictions.
+    """Read a model's main graph: infer shapes, check well-formedness, record contradictions.
 
     Weights are not needed: a tensor without its payload becomes an input of the copy that
     ONNX's own library checks.
@@ -235,7 +235,7 @@ def _values(proto: ModelProto) -> dict[str, Tensor]:
 
 
 def _is_open(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
-    """Return whether the size of any node output is still unknown."""
+    """Return whether the shape of any node output in the model is still unknown."""
     sizes = (tensor.dims for tensor in tensors.values())
     if any(dims is None or any(type(d) is not int for d in dims) for dims in sizes):
         return True
@@ -244,7 +244,7 @@ def _is_open(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
 
 
 def _without_stubs(file: ModelFile) -> ModelProto:
-    """Return a copy that ONNX's library accepts although its weights were not read.
+    """Return a copy of the model that ONNX's checker accepts although the weights were not read.
 
     Weights of the main graph become inputs of the same type. Weights of subgraphs become
     sparse constants without entries, which have a type and a shape but no payload.
@@ -271,7 +271,7 @@ def _is_stub(tensor: TensorProto) -> bool:
 
 
 def _take_stubs(graph: GraphProto) -> list[TensorProto]:
-    """Remove the weights of ``graph`` that are stubs, and return them.
+    """Remove and return the graph's weights whose payload was replaced by a stub.
 
     Sparse weights too: a runtime makes them dense, but shape inference ignores that.
     """
@@ -304,7 +304,7 @@ def _constant(tensor: TensorProto) -> NodeProto:
 
 
 def _fill_nodes(body: GraphProto | FunctionProto) -> None:
-    """Replace the stubs in the attributes of all nodes of ``body``."""
+    """Replace stub payloads in the attributes of all nodes of ``body`` by valid tensors."""
     for index in reversed(range(len(body.node))):
         node = body.node[index]
         for attribute in node.attribute:
@@ -320,7 +320,7 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
 
 
 def _squeeze(node: NodeProto) -> NodeProto:
-    """Change ``node`` to produce a vector, and return the Squeeze that makes it a scalar."""
+    """Make ``node`` produce a vector, and return the Squeeze node that turns it into a scalar."""
     name = node.output[0]
     node.output[0] = f"{name}/stub"
     return NodeProto(op_type="Squeeze", input=node.output, output=[name])
@@ -371,7 +371,7 @@ def _of_value(value: ValueInfoProto) -> Tensor:
 
 
 def _best(declared: Tensor | None, inferred: Tensor | None) -> Tensor:
-    """Merge the declared with the inferred type; a number wins over a symbol."""
+    """Merge a tensor's declared type with its inferred type; a number wins over a symbol."""
     if declared is None or inferred is None:
         known = declared or inferred
         assert known is not None

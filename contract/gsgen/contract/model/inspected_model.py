@@ -1,4 +1,4 @@
-"""The subject of static rules: a model's graph together with its manifest."""
+"""The input of static rules: a model's graph together with its manifest."""
 
 __all__ = ["InspectedModel", "inspect_model"]
 
@@ -50,56 +50,56 @@ class InspectedModel:
 
     @property
     def manifest(self) -> Manifest | None:
-        """The embedded manifest, else the inferred one, else None."""
+        """The embedded manifest, or else the inferred manifest, or None."""
         if self.parsed is not None:
             return self.parsed.manifest
         return self.candidate.manifest if self.candidate else None
 
     @cached_property
     def granted(self) -> Limits:
-        """The limits plus the memory that its weights need."""
+        """The limits for running the model, plus the memory that its weights need."""
         return self.limits.for_model(self.file.weight_bytes)
 
     @property
     def declared_version(self) -> str:
-        """The contract version that the manifest declares, before upgrades; empty without one."""
+        """The contract version that the manifest declares, before upgrades; empty if missing."""
         version = self.parsed.version if self.parsed else None
         return f"{version[0]}.{version[1]}" if version else ""
 
     @property
     def kind(self) -> str:
-        """The kind of model; without a manifest, the inferred kind."""
+        """The model's kind, such as gaussian-generator; inferred if the manifest is missing."""
         manifest = self.manifest
         return manifest.kind if manifest else ""
 
     @property
     def generator(self) -> GeneratorManifest | None:
-        """The manifest if it is of kind gaussian-generator, else None."""
+        """The manifest of a Gaussian Generator; None for other kinds of model."""
         return self.manifest if isinstance(self.manifest, GeneratorManifest) else None
 
     @cached_property
     def declared_gaussians(self) -> GaussiansOutput | None:
-        """The declaration of the packed rows."""
+        """The manifest's declaration of the packed Gaussians."""
         return self.generator.outputs.gaussians if self.generator else None
 
     @cached_property
     def declared_appearance(self) -> AppearanceOutput | None:
-        """The declaration of the appearance."""
+        """The manifest's declaration of the appearance output."""
         return self.generator.outputs.appearance if self.generator else None
 
     @cached_property
     def declared_count(self) -> CountOutput | None:
-        """The declaration of the row count."""
+        """The manifest's declaration of the row count output."""
         return self.generator.outputs.count if self.generator else None
 
     @cached_property
     def declared_cells(self) -> CellsOutput | None:
-        """The declaration of the cells of a weighted sum."""
+        """The manifest's declaration of the cells output of a weighted sum."""
         return self.generator.outputs.cells if self.generator else None
 
     @property
     def gaussians(self) -> Tensor | None:
-        """The graph output that holds the packed rows."""
+        """The graph output that holds the packed Gaussians."""
         return self._output(self.declared_gaussians)
 
     @property
@@ -114,12 +114,12 @@ class InspectedModel:
 
     @property
     def cells(self) -> Tensor | None:
-        """The graph output that holds the cells."""
+        """The graph output that holds the cells of a weighted sum."""
         return self._output(self.declared_cells)
 
     @cached_property
     def output_names(self) -> tuple[str, ...]:
-        """Names of all declared outputs, in the order of the manifest."""
+        """The names of all outputs that the manifest declares, in its order."""
         manifest = self.manifest
         parts = (
             (getattr(manifest.outputs, name) for name in _output_fields(manifest))
@@ -130,12 +130,12 @@ class InspectedModel:
 
     @cached_property
     def placements(self) -> list[Placement]:
-        """Where the target's WebGPU provider runs each node of the frame, by operator tables."""
+        """The predicted placement of each frame node on the target's WebGPU provider."""
         tables = [operator_table(name) for name in self.target.operators]
         return placements(self.graph, self.file.proto, tables)
 
     def inputs_of(self, role: str) -> list[tuple[Input, Tensor]]:
-        """Return the inputs declared with ``role`` that exist in the graph."""
+        """Return the inputs that the manifest declares with ``role`` and the graph has."""
         manifest = self.manifest
         pairs = [(i, self.graph.input(i.name)) for i in (manifest.inputs if manifest else ())]
         return [(i, tensor) for i, tensor in pairs if tensor is not None and i.role == role]
@@ -151,7 +151,7 @@ def _output_fields(manifest: Manifest) -> tuple[str, ...]:
 def inspect_model(
     file: ModelFile, target: Target, limits: Limits, tolerances: Mapping[str, float] | None = None
 ) -> InspectedModel:
-    """Read the graph and the manifest of ``file``; a missing manifest is inferred."""
+    """Read the graph and the manifest of a model file; a missing manifest is inferred."""
     graph = read_graph(file)
     text = file.manifest_text
     parsed = parse(text) if text is not None else None

@@ -55,19 +55,14 @@ _PLACEHOLDER_CAPACITY = 1
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """An inferred manifest.
-
-    Attributes:
-        manifest: The inferred manifest.
-        guesses: One sentence for each fact that was guessed, for its author to confirm.
-    """
+    """An inferred manifest, with the guesses that its author should confirm."""
 
     manifest: GeneratorManifest
     guesses: tuple[str, ...]
 
 
 def infer_manifest(graph: Graph, name: str) -> Candidate:
-    """Infer the manifest of ``graph`` from whole tensor names and shapes."""
+    """Infer a model's manifest from the names and shapes of its graph's tensors."""
     guesses: list[str] = []
     inputs = tuple(_input(tensor, guesses) for tensor in graph.inputs if _role_of(tensor))
     unknown = [tensor.name for tensor in graph.inputs if not _role_of(tensor)]

@@ -68,7 +68,7 @@ _LOOKALIKES = (
 
 @dataclass(frozen=True, slots=True)
 class ExternalRef:
-    """A tensor whose payload lies in another file.
+    """A tensor whose payload lies in another file (ONNX external data).
 
     Attributes:
         tensor: Its name.
@@ -85,7 +85,7 @@ class ExternalRef:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelFile:
-    """A model's structure. Its weights stay in the file.
+    """The structure of an ONNX model; the weights stay in the file.
 
     Attributes:
         path: The file.
@@ -105,12 +105,12 @@ class ModelFile:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """The model-level ``metadata_props``; a repeated key keeps its last value."""
+        """The model's ``metadata_props`` as a mapping; a repeated key keeps its last value."""
         return {entry.key: entry.value for entry in self.proto.metadata_props}
 
     @property
     def weight_bytes(self) -> int:
-        """Bytes of the file and of its external weights, each byte counted once.
+        """The bytes of the model file and of its external weights, each byte counted once.
 
         Declared lengths count only as far as the external files reach.
         """
@@ -123,12 +123,12 @@ class ModelFile:
 
     @property
     def manifest_text(self) -> str | None:
-        """The embedded manifest as JSON text, or None."""
+        """The JSON text of the manifest embedded in the model, or None."""
         return self.metadata.get(MANIFEST_KEY)
 
 
 def _covered(folder: Path, location: str, ranges: list[tuple[int, int]]) -> int:
-    """Return how many bytes of a file lie in any of ``ranges``; 0 if it does not exist."""
+    """Return how many bytes of a file lie in any of the byte ranges; 0 if the file is missing."""
     try:
         entry = (folder / location).stat()
         size = entry.st_size if stat.S_ISREG(entry.st_mode) else 0
@@ -224,7 +224,7 @@ def _not_onnx(path: Path, message: str, head: bytes) -> ModelUnreadable:
 
 
 def _is_text(head: bytes) -> bool:
-    """Return whether a file begins like text; a model begins with a one-byte tag."""
+    """Return whether a file begins like text; an ONNX model begins with a one-byte tag."""
     written = head.decode("utf-8", errors="ignore")
     return len(written) >= len(head) - 3 and all(
         sign.isprintable() or sign in "\t\r\n" for sign in written
@@ -232,7 +232,7 @@ def _is_text(head: bytes) -> bool:
 
 
 def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:
-    """Replace every external payload by a stub, and yield its location."""
+    """Replace every external tensor payload by a stub, and yield the payload's location."""
     for tensor in _tensors(parts):
         if tensor.data_location != TensorProto.EXTERNAL:
             continue
@@ -249,7 +249,7 @@ def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:
 
 
 def _whole(text: str | None) -> int | None:
-    """Parse a non-negative decimal number; None if ``text`` is not one or is None."""
+    """Parse a non-negative decimal number; return None if ``text`` is None or not a number."""
     if text is None or not (text.isascii() and text.isdigit()):
         return None
     return min(int(text), _LONGEST) if len(text) <= _DIGITS else _LONGEST
@@ -268,7 +268,7 @@ def bodies(proto: ModelProto) -> Iterator[Body]:
 
 
 def subgraphs(attribute: AttributeProto) -> list[GraphProto]:
-    """Return the graphs that an attribute holds."""
+    """Return the subgraphs that a node attribute holds."""
     return [*([attribute.g] if attribute.HasField("g") else ()), *attribute.graphs]
 
 
@@ -280,7 +280,7 @@ def _attributes(body: Body) -> Iterator[AttributeProto]:
 
 
 def _tensors(parts: list[Body]) -> Iterator[TensorProto]:
-    """Yield every tensor of a model, including subgraphs and functions."""
+    """Yield every tensor of a model, including those in subgraphs and functions."""
     for body in parts:
         if isinstance(body, GraphProto):
             yield from body.initializer
@@ -301,7 +301,7 @@ def _attribute_tensors(attribute: AttributeProto) -> Iterator[TensorProto]:
 
 
 def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
-    """Yield every name and text that rules read."""
+    """Yield every name and every text of a model that rules read."""
     for entry in proto.metadata_props:
         yield from (entry.key, entry.value)
     for opset in proto.opset_import:
@@ -338,7 +338,7 @@ def write_manifest(
 
 
 def write_manifest_text(source: Path, text: str, target: Path) -> None:
-    """Embed a manifest that is JSON text already; see :func:`write_manifest`."""
+    """Copy a model and embed a manifest that is JSON text already; see :func:`write_manifest`."""
     entry = StringStringEntryProto(key=MANIFEST_KEY, value=text)
     appended = ModelProto(metadata_props=[entry]).SerializeToString()
     open_model(source)  # raises if the source is not a model
@@ -359,7 +359,7 @@ def write_manifest_text(source: Path, text: str, target: Path) -> None:
 
 
 def _without_manifest(descriptor: int) -> list[tuple[int, int]]:
-    """Return the byte ranges of a model that are not its manifest, in order."""
+    """Return the byte ranges of a model file that do not hold the embedded manifest, in order."""
     ranges: list[tuple[int, int]] = []
     with mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ) as view, memoryview(view) as data:
         for field in scan(data, 0, len(data)):

@@ -41,7 +41,7 @@ _MAX_KEPT = 256 << 20
 
 
 class WireFault(ValueError):
-    """The bytes are not a well-formed protobuf message."""
+    """Raised if the bytes are not a well-formed protobuf message."""
 
     def __init__(self, offset: int, message: str) -> None:
         self.offset = offset
@@ -50,7 +50,7 @@ class WireFault(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
-    """One field of a message: where its tag starts, and where its value lies."""
+    """One field of a protobuf message: its tag's offset and its value's byte range."""
 
     number: int
     wire: int
@@ -61,19 +61,14 @@ class Field:
 
 @dataclass(slots=True)
 class StrippedModel:
-    """A model without the payload of its large tensors.
-
-    Attributes:
-        data: The remaining protobuf bytes.
-        stripped: Number of payload bytes left out.
-    """
+    """A serialised model without the payload of its large tensors."""
 
     data: bytes = b""
     stripped: int = 0
 
 
 def varint(data: Buffer, offset: int, end: int) -> tuple[int, int]:
-    """Return the base-128 number at ``offset`` and the offset behind it."""
+    """Return the base-128 number at ``offset`` and the offset behind the number."""
     value = shift = 0
     while offset < end:
         byte = data[offset]
@@ -88,7 +83,7 @@ def varint(data: Buffer, offset: int, end: int) -> tuple[int, int]:
 
 
 def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
-    """Yield the fields of the message in ``data[start:end]``, without copying.
+    """Yield the fields of the protobuf message in ``data[start:end]``, without copying.
 
     Raises:
         WireFault: A field is malformed or reaches beyond ``end``.
@@ -118,11 +113,7 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
 
 
 def skeleton(data: Buffer) -> StrippedModel:
-    """Return the model in ``data`` without the payload of its large tensors.
-
-    Raises:
-        WireFault: The bytes are not a protobuf message, or the structure is too large.
-    """
+    """Return the serialised model in ``data`` without the payload of its large tensors."""
     builder = _Builder(data)
     stripped = builder.result
     stripped.data = b"".join(builder.message("Model", 0, len(data), 0))
@@ -130,7 +121,7 @@ def skeleton(data: Buffer) -> StrippedModel:
 
 
 class _Builder:
-    """Copies a message field by field, within bounds on work and memory."""
+    """Copies a protobuf message field by field, within bounds on work and memory."""
 
     def __init__(self, data: Buffer) -> None:
         self.data = data

@@ -56,7 +56,7 @@ _KERNEL_ARGUMENT = {"OneHot": 2, "Where": 1}
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """The predicted placement of one node of the frame.
+    """The predicted placement of one node: captured by the WebGPU provider, or the reason why not.
 
     Attributes:
         node: The node.
@@ -72,7 +72,7 @@ class Placement:
 
 
 def frame_nodes(graph: Graph) -> list[NodeProto]:
-    """Return the nodes that run every frame; all others are folded or dropped at loading."""
+    """Return the nodes that run every frame; other nodes are folded or dropped at loading."""
     varying = {tensor.name for tensor in graph.inputs}
     running: list[NodeProto] = []
     for node in graph.nodes:
@@ -91,13 +91,13 @@ def frame_nodes(graph: Graph) -> list[NodeProto]:
 
 
 def shape_arguments(node: NodeProto) -> list[str]:
-    """Return the names of the arguments that determine the output shape of ``node``."""
+    """Return the names of the node's arguments that determine its output shape."""
     positions = _SHAPE_ARGUMENTS.get(node.op_type, ())
     return [node.input[k] for k in positions if k < len(node.input) and node.input[k]]
 
 
 def placements(graph: Graph, proto: ModelProto, tables: Sequence[OperatorTable]) -> list[Placement]:
-    """Predict the placement of every node of the frame."""
+    """Predict for every frame node whether WebGPU providers capture it, from operator tables."""
     nodes = frame_nodes(graph)
     varying = {tensor.name for tensor in graph.inputs}
     varying.update(name for node in nodes for name in node.output)
@@ -165,7 +165,7 @@ def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
 
 
 def _variant(graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]) -> str:
-    """Return the measured variant of the operator that ``node`` uses; empty for the default."""
+    """Return the variant of the operator (as in operator tables) that ``node`` uses, or ""."""
     ranks = [_rank(graph, name) for name in node.input]
     attributes = {attribute.name: attribute for attribute in node.attribute}
     match node.op_type:
@@ -196,7 +196,7 @@ def _rank(graph: Graph, name: str) -> int | None:
 
 
 def _negative_weights(proto: ModelProto) -> frozenset[str]:
-    """Return the names of small weights that hold a negative whole number, such as a step of −1."""
+    """Return the names of small integer weights with a negative entry, such as a step of −1."""
     whole = (TensorProto.INT32, TensorProto.INT64)
     small = {w.name: small_array(w) for w in proto.graph.initializer if w.data_type in whole}
     return frozenset(name for name, a in small.items() if a is not None and (a < 0).any())

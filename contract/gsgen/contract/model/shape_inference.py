@@ -34,7 +34,7 @@ _SECONDS, _MEMORY = 5.0, 1 << 30
 
 
 def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
-    """Return ``proto`` with inferred types, and the complaint of ONNX (empty if none).
+    """Return ``proto`` with inferred types, and ONNX's error message (empty if inference succeeds).
 
     No data is propagated: where sizes are unknown, :func:`propagate` may find them.
     """
@@ -44,7 +44,7 @@ def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
 
 
 def propagate(proto: ModelProto, inferred: ModelProto) -> tuple[ModelProto, str]:
-    """Infer ``proto`` with data propagation; ``inferred`` is the result without it."""
+    """Run ONNX shape inference with data propagation; ``inferred`` is the result without it."""
     if _may_be_long(inferred):
         return _propagated_elsewhere(proto) or inferred, ""
     try:
@@ -71,7 +71,7 @@ def _propagated(proto: ModelProto, *, strict: bool) -> ModelProto:
 
 
 def _expanded(proto: ModelProto) -> int:
-    """Return the number of nodes after every function call is inlined."""
+    """Return the number of nodes in a model after every function call is inlined."""
     if not proto.functions:
         return 0
     functions = {(function.domain, function.name): function for function in proto.functions}
@@ -92,7 +92,7 @@ def _expanded(proto: ModelProto) -> int:
 
 
 def _may_be_long(proto: ModelProto) -> bool:
-    """Return whether data propagation may meet a vector of many elements."""
+    """Return whether ONNX's data propagation may meet a vector of many elements."""
     graph = proto.graph
     if proto.functions or any(subgraphs(a) for node in graph.node for a in node.attribute):
         return True  # its elements are unknown
@@ -115,7 +115,7 @@ def _is_long(value: ValueInfoProto) -> bool:
 
 
 def _propagated_elsewhere(proto: ModelProto) -> ModelProto | None:
-    """Propagate data in a child process; None if it failed or exceeded its limits."""
+    """Run data propagation in a child process; return None if it fails or exceeds its limits."""
     try:
         completed = subprocess.run(
             [sys.executable, "-P", "-m", "gsgen.contract.model.shape_inference"],

@@ -1,4 +1,4 @@
-"""Weights that are small enough to have been read with the model's structure."""
+"""Reads weights that are small enough to have been read with the model's structure."""
 
 __all__ = ["small_array"]
 
@@ -9,7 +9,7 @@ from gsgen.contract.model.model_file import STUB
 
 
 def small_array(weight: TensorProto) -> np.ndarray | None:
-    """Return the numbers of ``weight``; None if they were not read or are not numeric."""
+    """Return the array of a small weight; None if the weight was not read or is not numeric."""
     if weight.raw_data == STUB:
         return None
     try:

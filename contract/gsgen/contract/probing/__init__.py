@@ -1,1 +1,1 @@
-"""What does a model compute? Probes, the sandbox that runs them, and the outputs."""
+"""What does a model compute? Probe inputs, the sandbox that runs the model, and its outputs."""

@@ -1,4 +1,4 @@
-"""Probes for single behaviour rules: range ends, flipped axes, loops, frames, other orders."""
+"""Probes of behaviour rules: range ends, flipped axes, loops, frames, and the order of runs."""
 
 __all__ = ["REPEATED", "trial_probes"]
 
@@ -29,7 +29,7 @@ _REFRESH = 60.0
 def trial_probes(
     manifest: Manifest, base: Probe, first: tuple[Probe, ...]
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield (name of the group, probes) for every behaviour rule that needs its own probes.
+    """Yield (group name, probes) for every behaviour rule that needs probes of its own.
 
     Args:
         manifest: Declares the role of each input.
@@ -61,7 +61,7 @@ def _of_role(manifest: Manifest, role: str) -> list[Input]:
 
 
 def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """The camera unchanged, moved, and moved in the other matrix memory order."""
+    """Yield probes of the camera unchanged, moved, and moved in the other matrix order."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "view")[:1]:
         view = base.inputs[entry.name]
@@ -75,7 +75,7 @@ def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _flipped(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """The projection unchanged, and with its second row negated."""
+    """Yield probes with the projection unchanged, and with its second row negated."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "projection")[:1]:
         lens = base.inputs[entry.name]
@@ -85,7 +85,7 @@ def _flipped(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _edges(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """One role zero at a time, then all inputs at the ends of their ranges."""
+    """Yield probes with one role zero at a time, then all inputs at the ends of their ranges."""
     for role in dict.fromkeys(entry.role for entry in manifest.inputs):
         names = [entry.name for entry in _of_role(manifest, role)]
         zeros = {name: np.zeros_like(base.inputs[name]) for name in names}
@@ -101,7 +101,7 @@ def _edges(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _span(entry: Input, value: Array) -> tuple[float, float] | None:
-    """Return the ends of an input's range; poses are limited to ±π."""
+    """Return the ends of an input's range; rotation angles of poses are limited to ±π."""
     angles = entry.role in ("pose", "root_rotation") and value.shape[-1:] == (3,)
     if entry.range is None and angles and value.shape != (3, 3):
         return -math.pi, math.pi
@@ -109,7 +109,7 @@ def _span(entry: Input, value: Array) -> tuple[float, float] | None:
 
 
 def _outside(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """All inputs with a range: just below it, then just above it."""
+    """Yield probes with all ranged inputs just below their range, then just above it."""
     ranged = [
         (entry, entry.range)
         for entry in manifest.inputs
@@ -142,7 +142,7 @@ def _at(entry: Input, base: Probe, along: float) -> Probe:
 
 
 def _loop(entry: Input, base: Probe) -> Iterator[Probe]:
-    """The first two and the last two instants of a time that loops."""
+    """Yield probes at the first two and the last two instants of a looping time range."""
     if entry.loop:
         step = 1 / (entry.frames or _STEPS)
         for along in (0.0, step, 1 - step, 1.0):
@@ -150,7 +150,7 @@ def _loop(entry: Input, base: Probe) -> Iterator[Probe]:
 
 
 def _paces(entry: Input, base: Probe) -> Iterator[Probe]:
-    """Pairs of instants one screen refresh apart."""
+    """Yield probes at pairs of instants that are one screen refresh apart."""
     if entry.frames and entry.fps:
         step = min(1.0, entry.fps / entry.frames / _REFRESH)
         for start in (0.0, (1 - step) / 2, 0.5, 1 - step):
@@ -160,7 +160,7 @@ def _paces(entry: Input, base: Probe) -> Iterator[Probe]:
 
 
 def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
-    """An instant within each frame, or of runs of frames where there are many.
+    """Yield probes at one instant in each frame, or in groups of frames if there are many.
 
     A model that rounds time down to one frame too few shows one frame twice, near the middle
     of the range.

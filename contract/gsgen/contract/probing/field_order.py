@@ -1,4 +1,4 @@
-"""Infers from the numbers the layout of packed rows: which column holds which field."""
+"""Infers from the numbers of packed rows which column holds which field."""
 
 __all__ = ["FieldOrder", "suspect_order"]
 
@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.spec.geometry import smallest_eigenvalue
 
 # Minimum number of rows for a statement.
@@ -42,7 +42,7 @@ Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 @dataclass(frozen=True, slots=True)
 class FieldOrder:
-    """A layout that fits the rows better than the declared one.
+    """A column layout that fits the packed rows better than the declared one.
 
     Attributes:
         name: The fields in that order.
@@ -62,7 +62,7 @@ def suspect_order(
     bounds: Box | None = None,
     planes: Float[np.ndarray, "n 10"] | None = None,
 ) -> FieldOrder | None:
-    """Return the layout that nearly all rows fit, if many do not fit the declared one.
+    """Return the layout that nearly all packed rows fit, if many do not fit the declared layout.
 
     Args:
         rows: Packed rows as stored, [n, 10], float64.
@@ -83,7 +83,7 @@ def suspect_order(
 def _layouts(
     rows: Float[np.ndarray, "n 10"], bounds: Box | None, planes: Float[np.ndarray, "n 10"] | None
 ) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
-    """Yield each other layout, and which rows do not fit it; the likelier ones first."""
+    """Yield every other layout with the mask of rows that do not fit it, likelier layouts first."""
     for name, columns in _PERMUTATIONS.items():
         yield name, _unfit(rows[:, columns], bounds)
     yield from _with_quaternions(rows).items()
@@ -97,7 +97,7 @@ def _layouts(
 
 
 def _filled(rows: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, "m 10"]:
-    """Return the finite rows that are not padding."""
+    """Return the finite packed rows that are not padding."""
     rows = rows[np.isfinite(rows).all(axis=1)]
     return np.asarray(rows[np.abs(rows[:, 3:]).sum(axis=1) > 0])
 
@@ -109,7 +109,7 @@ def _share(is_invalid: Bool[np.ndarray, " n"]) -> float:
 def _unfit(
     rows: Float[np.ndarray, "n 10"], bounds: Box | None, *, is_guess: bool = True
 ) -> Bool[np.ndarray, " n"]:
-    """Return which rows have an opacity, a covariance or a centre that no Gaussian has."""
+    """Return the mask of rows whose opacity, covariance or centre is impossible for a Gaussian."""
     opacity, upper = rows[:, 3], rows[:, 4:]
     is_opacity = (opacity >= -_UNIT) & (opacity <= 1 + _UNIT)
     size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
@@ -129,7 +129,7 @@ def _unfit(
 
 
 def _with_quaternions(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.ndarray, " n"]]:
-    """Return which rows are not a position with scales and a unit quaternion."""
+    """Return the mask of rows that are not a position with scales and a unit quaternion."""
 
     def unfit(scale: slice, quaternion: slice, *, log: bool) -> Bool[np.ndarray, " n"]:
         length = np.linalg.norm(rows[:, quaternion], axis=1)
@@ -147,7 +147,7 @@ def _with_quaternions(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.ndar
 
 
 def _squared_factor(rows: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, "n 10"]:
-    """Return rows whose covariance is L Lᵀ of the factor that they hold, row by row."""
+    """Return rows with the covariance L Lᵀ in place of their Cholesky factor L."""
     lower = np.zeros((len(rows), 3, 3))
     lower[:, [0, 1, 1, 2, 2, 2], [0, 0, 1, 0, 1, 2]] = rows[:, 4:]
     sigma = lower @ lower.transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""The subject of value rules: the outputs of one probe, whole or in chunks of rows."""
+"""The input of value rules: a model's outputs at one probe, whole or in chunks of rows."""
 
 __all__ = ["CHUNK", "ModelOutputs", "Rows", "chunks", "read_outputs"]
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt
 
+from gsgen.contract._array_types import Bool, Float, UInt
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.field_order import FieldOrder, suspect_order
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, ROW
@@ -26,7 +26,7 @@ _WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOutputs:
-    """The outputs of one probe.
+    """The model outputs at one probe: packed rows, appearance, count and cells.
 
     Attributes:
         probe: The probe's label.
@@ -52,24 +52,24 @@ class ModelOutputs:
 
     @property
     def rows_place(self) -> str:
-        """Name of the packed rows in reports."""
+        """The location of the packed rows in reports, such as ``gaussian``."""
         declared = self.subject.declared_gaussians
         return f"output {declared.name if declared else '?'}"
 
     @property
     def color_place(self) -> str:
-        """Name of the appearance in reports."""
+        """The location of the appearance in reports, such as ``color``."""
         return f"output {self.declared.name if self.declared else '?'}"
 
     @property
     def cells_place(self) -> str:
-        """Name of the cells in reports."""
+        """The location of the cells in reports, such as ``cells``."""
         declared = self.subject.declared_cells
         return f"output {declared.name if declared else '?'}"
 
     @property
     def is_sh(self) -> bool:
-        """Whether the appearance is declared as SH."""
+        """Whether the manifest declares the appearance as SH coefficients."""
         return self.declared is not None and self.declared.space == "sh"
 
     @cached_property
@@ -86,7 +86,7 @@ class ModelOutputs:
 
     @cached_property
     def field_order(self) -> FieldOrder | None:
-        """The inferred field order, if it clearly differs from the packed layout."""
+        """The inferred order of the columns, if it clearly differs from the packed layout."""
         if self.gaussians is None or self.zeros:
             return None
         step = max(1, self.count // _ORDER_SAMPLE)
@@ -103,7 +103,7 @@ class ModelOutputs:
 def read_outputs(
     subject: InspectedModel, probe: str, outputs: dict[str, np.ndarray], *, zeros: bool = False
 ) -> ModelOutputs:
-    """Assign the outputs of a run to the roles that the manifest declares.
+    """Assign the outputs of a model run to the roles that the manifest declares.
 
     Args:
         subject: The model.
@@ -150,7 +150,7 @@ def _float_rows(array: np.ndarray | None, columns: int | None) -> np.ndarray | N
 
 @dataclass(frozen=True)
 class Rows:
-    """A chunk of rows of one probe, unpacked on first access.
+    """A chunk of packed rows at one probe, unpacked to float32 on first access.
 
     Attributes:
         emission: The outputs that contain the chunk.
@@ -174,32 +174,32 @@ class Rows:
 
     @property
     def position(self) -> Float[np.ndarray, "3 n"]:
-        """Centres, one row per axis."""
+        """The centres of the chunk's Gaussians, one array per axis."""
         return np.asarray(self.wide[POSITION])
 
     @property
     def opacity(self) -> Float[np.ndarray, " n"]:
-        """Opacity of each row."""
+        """The opacity of each packed row."""
         return np.asarray(self.wide[OPACITY])
 
     @property
     def covariance(self) -> Float[np.ndarray, "6 n"]:
-        """Upper triangles, one row per entry."""
+        """The upper triangles of the covariances, one array per entry."""
         return np.asarray(self.wide[COVARIANCE])
 
     @cached_property
     def live_rows(self) -> int:
-        """Number of rows of the chunk below the live count."""
+        """The number of rows of the chunk below the live count."""
         return int(np.clip(self.emission.count - self.start, 0, len(self)))
 
     @cached_property
     def counted(self) -> Bool[np.ndarray, " n"]:
-        """Mask of the rows below the live count."""
+        """The mask of the rows below the live count."""
         return np.arange(len(self)) < self.live_rows
 
     @cached_property
     def finite(self) -> Bool[np.ndarray, " n"]:
-        """Mask of the rows whose packed values and colours are all finite."""
+        """The mask of the rows whose packed values and colours are all finite."""
         is_finite: Bool[np.ndarray, " n"] = np.isfinite(self.wide).all(axis=0)
         if self.color is not None:
             is_finite &= self.color_peak < _EXPONENT[self.color.itemsize]
@@ -219,40 +219,40 @@ class Rows:
 
     @cached_property
     def drawn(self) -> Bool[np.ndarray, " n"]:
-        """Mask of the finite live rows that are opaque enough to change a pixel."""
+        """The mask of the finite live rows that are opaque enough to change a pixel."""
         return np.asarray(self.counted & self.finite & (self.opacity >= CULL_OPACITY))
 
     @cached_property
     def drawn_count(self) -> int:
-        """Number of drawn rows."""
+        """The number of drawn rows: finite, live and opaque enough to change a pixel."""
         return int(np.count_nonzero(self.drawn))
 
     @cached_property
     def trace(self) -> Float[np.ndarray, " n"]:
-        """Sum of the variances along the axes."""
+        """The sum of each Gaussian's variances along the axes."""
         xx, _, _, yy, _, zz = self.covariance
         return np.asarray(xx + yy + zz)
 
     @cached_property
     def corners(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """The box around all centres, padding included; NaN if a centre is NaN."""
+        """The box around all centres of the chunk, padding included; NaN if a centre is NaN."""
         return self.position.min(axis=1), self.position.max(axis=1)
 
     @cached_property
     def widest(self) -> Float[np.ndarray, " n"]:
-        """The largest variance along an axis."""
+        """The largest variance of each Gaussian along an axis."""
         xx, _, _, yy, _, zz = self.covariance
         return np.asarray(np.maximum(np.maximum(xx, yy), zz))
 
 
 def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:
-    """Return the bits of ``array`` without signs: ordered as the magnitudes, NaN and Inf on top."""
+    """Return float bits without the sign, which sort like magnitudes, NaN and infinity on top."""
     word = _WORD[array.itemsize]
     return np.asarray(np.ascontiguousarray(array).view(word) & word(_MAGNITUDE[array.itemsize]))
 
 
 def chunks(emission: ModelOutputs) -> Iterator[Rows]:
-    """Yield the rows in chunks of :data:`CHUNK`."""
+    """Yield the packed rows of the outputs in chunks of :data:`CHUNK`."""
     packed = emission.gaussians
     for start in range(0, 0 if packed is None else len(packed), CHUNK):
         assert packed is not None

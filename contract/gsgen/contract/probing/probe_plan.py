@@ -30,7 +30,7 @@ _FETCHABLE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The probes in order, and the purpose of each.
+    """The ordered probes of one session, and the rules' purpose of each run.
 
     Attributes:
         probes: One set of inputs per run.
@@ -52,7 +52,7 @@ class Plan:
 
 
 def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
-    """Plan the runs that ``level`` needs."""
+    """Plan the model runs that a validation up to ``level`` needs."""
     manifest = subject.manifest
     assert manifest is not None
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
@@ -92,7 +92,7 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
 
 
 def fetched_outputs(subject: InspectedModel) -> list[str]:
-    """Return the outputs to fetch: the declared ones, or all; numpy cannot hold every dtype."""
+    """Return the names of the declared outputs, or else of all, whose dtype NumPy can hold."""
     graph = subject.graph
     declared = [graph.output(name) for name in subject.output_names]
     tensors = [tensor for tensor in declared if tensor] or graph.outputs
@@ -100,7 +100,7 @@ def fetched_outputs(subject: InspectedModel) -> list[str]:
 
 
 def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
-    """Return the shape to feed; the manifest gives open dimensions of the graph."""
+    """Return the input shape to feed; the manifest fills dimensions that the graph leaves open."""
     dims = tensor.dims if tensor.dims is not None else entry.shape or ()
     declared = entry.shape if entry.shape and len(entry.shape) == len(dims) else None
     return tuple(
@@ -110,20 +110,20 @@ def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
 
 
 def probed_shapes(subject: InspectedModel) -> dict[str, tuple[int, ...]]:
-    """Return the shape to feed for each input, open dimensions filled in."""
+    """Return the shape to feed for each input by name, with open dimensions filled in."""
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
     entries = subject.manifest.inputs if subject.manifest else ()
     return {i.name: _probed_shape(i, tensors[i.name]) for i in entries if i.name in tensors}
 
 
 def probed_bytes(subject: InspectedModel) -> int:
-    """Return the size of the inputs of one probe."""
+    """Return the size in bytes of the inputs of one probe."""
     shapes = probed_shapes(subject).values()
     return sum(_WIDEST * math.prod(max(0, dim) for dim in shape) for shape in shapes)
 
 
 def _affordable(subject: InspectedModel) -> int:
-    """Return the number of probes whose inputs and outputs fit the budget."""
+    """Return the number of probes whose inputs and outputs fit the memory budget."""
     total = probed_bytes(subject)
     for tensor in (subject.gaussians, subject.appearance, subject.cells):
         dims = static_dims(tensor) if tensor else None

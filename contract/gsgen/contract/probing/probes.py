@@ -1,4 +1,4 @@
-"""Probes: the inputs that a model is run with, the same on every machine.
+"""Probes: the deterministic inputs that a model is run with, the same on every machine.
 
 Cameras orbit the declared bounds, times cover the declared range with both ends, and every
 other input is sampled within its range. The first probe is all zeros, which is what runtimes
@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.contract.spec.manifest import Bounds, GeneratorManifest, Input, Manifest
 from gsgen.contract.spec.roles import ROLES
@@ -31,7 +31,7 @@ _UP = {"x": 0, "y": 1, "z": 2}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Probe:
-    """One set of inputs.
+    """One set of model inputs, with a label.
 
     Attributes:
         label: Its name in reports, such as ``camera 3, time=0.5``.
@@ -99,7 +99,7 @@ def dependency_probes(
 
 
 def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray, "4 4"]:
-    """Store a matrix in its [4,4] tensor: ``column`` stores Mᵀ, ``row`` stores M."""
+    """Return a matrix as [4, 4] tensor data: ``column`` stores Mᵀ, ``row`` stores M."""
     tensor = matrix.T if order == "column" else matrix
     return np.ascontiguousarray(tensor, np.float32)
 
@@ -133,12 +133,12 @@ def _sample(
 
 
 def _between(low: float, high: float, along: Array) -> Array:
-    """Interpolate linearly without an overflow of ``high - low``."""
+    """Interpolate linearly between ``low`` and ``high`` without overflow of their difference."""
     return np.asarray(low * (1 - along) + high * along)
 
 
 def _cast(values: Array, dtype: str) -> Array:
-    """Convert to ``dtype``, clamping to its range."""
+    """Convert numbers to ``dtype``, clamped to its range."""
     kind = np.dtype(dtype)
     if kind.kind in "iuf":
         limits = np.finfo(kind) if kind.kind == "f" else np.iinfo(kind)
@@ -156,14 +156,14 @@ def _viewport(along: float) -> tuple[float, float]:
 
 
 def _lens(along: float) -> Float[np.ndarray, "4 4"]:
-    """Return the projection of the camera ``along`` (0..1) the spiral, for its viewport."""
+    """Return the projection of the camera at ``along`` (0..1) on the probe spiral, per viewport."""
     narrowest, widest = _FOV
     width, height = _viewport(along)
     return perspective(narrowest + (widest - narrowest) * along, width / height, _NEAR, _FAR)
 
 
 def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:
-    """Return the view matrix of the camera ``along`` (0..1) a spiral around the bounds."""
+    """Return the view matrix of the camera at ``along`` (0..1) on a spiral around the bounds."""
     bounds = getattr(manifest, "bounds", None) or Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
     low, high = np.clip([bounds.min, bounds.max], -_FARTHEST, _FARTHEST)
     center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)

@@ -1,4 +1,4 @@
-"""The subject of behaviour rules: several runs of one session, compared output by output."""
+"""The input of behaviour rules: several model runs of one session, compared output by output."""
 
 __all__ = ["Behaviour", "Comparison", "ProbeRun", "ProbeRuns", "difference", "read_behaviour"]
 
@@ -25,7 +25,7 @@ class ProbeRuns:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two runs: their probes, and the difference of each output.
+    """Two model runs: their probes, and the difference of each output.
 
     Attributes:
         first: Label of the first run's probe.
@@ -40,7 +40,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class ProbeRun:
-    """One run that a rule requested.
+    """One model run that a behaviour rule requested.
 
     Attributes:
         probe: Its inputs.
@@ -54,19 +54,19 @@ class ProbeRun:
 
     @property
     def outputs(self) -> dict[str, np.ndarray]:
-        """Its outputs, or a sample of the rows where there are many; empty if it failed."""
+        """The run's outputs, sampled if they have many rows; empty if the run failed."""
         if self.sample is None:
             return {}
         return {name: thinned(value) for name, value in self.sample.outputs.items()}
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all its outputs; empty if it failed."""
+        """The SHA-256 of all outputs of the run; empty if the run failed."""
         return self.sample.digest if self.sample is not None else ""
 
     @property
     def not_finite(self) -> tuple[str, ...]:
-        """Outputs with a value that is NaN or infinite."""
+        """The names of the run's outputs with a value that is NaN or infinite."""
         if self.sample is None or self.sample.thin:
             return self.sample.not_finite if self.sample else ()
         floats = {n: v for n, v in self.sample.outputs.items() if v.dtype.kind == "f"}
@@ -75,7 +75,7 @@ class ProbeRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Behaviour:
-    """Comparisons between runs.
+    """Comparisons between model runs, the input of behaviour rules.
 
     Attributes:
         subject: The model.
@@ -94,38 +94,38 @@ class Behaviour:
     unfinished_probes: list[str] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
-        """Return the same runs with an empty list of unfinished probes."""
+        """Return the same runs with an empty list of unfinished probes, for the next rule."""
         return replace(self, unfinished_probes=[])
 
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The probes of value rules except all-zero ones, with their outputs."""
+        """The outputs at the value rules' probes, all-zero probes excluded."""
         return [runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The base probe and those that differ from it in the inputs of ``role`` alone."""
+        """The base probe and the probes that differ from it in the inputs of ``role`` alone."""
         base, variants = self.trial.plan.variants.get(role, (0, ()))
         return self._of((base, *variants)) if variants else []
 
     @property
     def values(self) -> list[ProbeRun]:
-        """The runs of value rules, in order."""
+        """The runs at the value rules' probes, in order."""
         return [self._visit(index) for index in range(self.trial.plan.values)]
 
     @property
     def base(self) -> ProbeRun:
-        """The run that most others are compared with."""
+        """The run that most other runs are compared with."""
         repeated = self.trial.plan.repeated
         assert repeated is not None
         return self._visit(repeated[0])
 
     @property
     def seconds(self) -> list[float]:
-        """Duration of each run of the value probes, in seconds."""
+        """The duration of each run at the value rules' probes, in seconds."""
         return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
 
     def visits(self, trial: str) -> list[ProbeRun]:
-        """Return the extra runs of one name that finished, and record those that did not."""
+        """Return the finished extra runs of a probe group, and record the unfinished ones."""
         probe_indices = self.trial.plan.trials.get(trial, ())
         missed = (index for index in probe_indices if not self._ran(index))
         self.unfinished_probes.extend(self.trial.plan.probes[index].label for index in missed)
@@ -146,7 +146,7 @@ class Behaviour:
 
 
 def read_behaviour(trial: ProbeRuns) -> Behaviour:
-    """Compare the runs that the plan made for it."""
+    """Compare the model runs that were planned for behaviour rules."""
     plan = trial.plan
     assert plan.repeated is not None
     varied = {
@@ -176,7 +176,7 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest absolute difference; infinite where shapes or finiteness differ."""
+    """Return the largest absolute difference of two outputs; infinite if their shapes differ."""
     if a.shape != b.shape:
         return float("inf")
     x, y = a.astype(np.float64), b.astype(np.float64)

@@ -1,4 +1,4 @@
-"""Run a model in ONNX Runtime without trusting it: a child process with limits on time and memory.
+"""Runs a model in ONNX Runtime in a child process with limits on time and memory.
 
 The child (:mod:`gsgen.contract.probing.sandbox_worker`) may hang, crash or be killed; the parent reads what it
 managed to write and says what happened.
@@ -33,7 +33,7 @@ FaultStage = Literal["load", "run", "time", "memory", "crash"]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Why the model did not run to the end."""
+    """The reason why a sandboxed model did not run to the end."""
 
     stage: FaultStage
     message: str
@@ -42,7 +42,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
-    """One distinct set of outputs; runs that gave the same bytes share it.
+    """One distinct set of outputs, shared by all runs that gave the same bytes.
 
     Attributes:
         index: Its number, counted in order of appearance.
@@ -61,7 +61,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One inference: which probe, which sample it gave, and how long it took.
+    """One inference: its probe, the number of its output sample, and its duration.
 
     An extra probe may give none: then ``sample`` is −1, and ``error`` says why, or is empty where
     there was no time left.
@@ -75,7 +75,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Execution:
-    """All runs of one child.
+    """All model runs of one sandbox process.
 
     Attributes:
         runs: Completed runs, in order.
@@ -95,7 +95,7 @@ class Execution:
 
     @property
     def inside(self) -> float:
-        """Seconds within ONNX Runtime itself: making sessions and running them."""
+        """The seconds spent within ONNX Runtime itself: creating sessions and running them."""
         loading = (e["seconds"] for e in self.events if e["event"] == "loaded")
         return float(sum(loading)) + sum(run.seconds for run in self.runs)
 
@@ -109,7 +109,7 @@ def execute(
     worker: str = _WORKER,
     **options: object,
 ) -> Iterator[Execution]:
-    """Run ``model`` once for each probe, in order, in one session; results live as long as the block.
+    """Run ``model`` once for each probe, in order, in one sandboxed session.
 
     Args:
         model: The ONNX file.
@@ -161,7 +161,7 @@ def _write_job(
 
 
 def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
-    """Return the child's exit status, or None where it was stopped for taking too long."""
+    """Return the child's exit status, or None if the child was stopped at its time limit."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
         child = subprocess.Popen(
@@ -220,7 +220,7 @@ def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -
 
 
 def _events(path: Path) -> list[dict[str, Any]]:
-    """Read what the child wrote; a half-written last line is its end, not an error."""
+    """Read the events that a sandbox process wrote; a half-written last line ends the list."""
     events: list[dict[str, Any]] = []
     if path.exists():
         for line in path.read_text().splitlines():

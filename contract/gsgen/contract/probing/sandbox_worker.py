@@ -1,4 +1,4 @@
-"""The child of :mod:`gsgen.contract.probing.sandbox`: run one model for a list of probes, then exit.
+"""The sandbox's child process: runs one model for a list of probes, then exits.
 
 It writes one JSON line an event, and every distinct output once as an ``.npy`` file, so that
 an abort leaves everything that was done before. Other workers are made of the same parts.
@@ -46,12 +46,12 @@ Emit = Callable[..., None]
 
 
 def main(folder: Path) -> int:
-    """Do the job described in ``folder/job.json``."""
+    """Run the sandbox job described in ``folder/job.json``."""
     return serve(folder, _work)
 
 
 def serve(folder: Path, work: Callable[[Path, dict[str, Any], Emit], int]) -> int:
-    """Read the job in ``folder``, do its ``work``, and return the exit status."""
+    """Read the sandbox job in ``folder``, do its ``work``, and return the exit status."""
     job = json.loads((folder / "job.json").read_text())
     with (folder / "events.jsonl").open("w", buffering=1) as log:
 
@@ -118,7 +118,7 @@ def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
 
 
 def read_inputs(path: Path, names: list[str]) -> dict[str, np.ndarray]:
-    """Return the arrays of a probe, by the names of the inputs."""
+    """Return the input arrays of a probe, by the names of the inputs."""
     with np.load(path, allow_pickle=False) as arrays:
         return {name: arrays[f"input_{index}"] for index, name in enumerate(names)}
 
@@ -131,7 +131,7 @@ def keep_outputs(
     *,
     thin: bool = False,
 ) -> int:
-    """Store outputs that were not seen before; return the number of the sample they are.
+    """Store a set of outputs unless an equal one is stored; return the number of the stored set.
 
     Where ``thin``, a part of the rows is stored, and which outputs are not finite is noted.
     """
@@ -149,7 +149,7 @@ def keep_outputs(
 
 
 def digest_of(outputs: dict[str, np.ndarray]) -> str:
-    """Return SHA-256 over a line "name dtype shape" and the bytes of each output, in order."""
+    """Return the SHA-256 over a line "name dtype shape" and the bytes of each output, in order."""
     digest = hashlib.sha256()
     for name, value in outputs.items():
         if not isinstance(value, np.ndarray) or value.dtype.hasobject:
@@ -161,7 +161,7 @@ def digest_of(outputs: dict[str, np.ndarray]) -> str:
 
 
 def thinned(value: np.ndarray) -> np.ndarray:
-    """Return every so many rows of ``value``, some 16,384 of them; all where there are fewer."""
+    """Return about 16,384 evenly spaced rows of ``value``, or all rows if it has fewer."""
     step = max(1, len(value) // _THIN_ROWS) if value.ndim else 1
     return value[::step] if step > 1 else value
 
@@ -171,14 +171,14 @@ def _finite(value: np.ndarray) -> bool:
 
 
 def stage_of(error: Exception, probe: int | None) -> str:
-    """Say which limit an error is about, or else when it happened."""
+    """Return the limit that an error is about, or else the stage in which it happened."""
     if isinstance(error, MemoryError) or any(word in str(error) for word in _OUT_OF_MEMORY):
         return "memory"
     return "load" if probe is None else "run"
 
 
 def one_line(error: Exception) -> str:
-    """Return the message of an error without line breaks, cut where it is long."""
+    """Return an error's message without line breaks, truncated if it is long."""
     text = " ".join(str(error).split())
     return text[:500] or type(error).__name__
 

@@ -1,4 +1,4 @@
-"""Test vectors: probes whose outputs a manifest promises, and how they are found again."""
+"""Test vectors: probes whose outputs a manifest promises, and the search for these probes."""
 
 __all__ = ["MOST_SEEDS", "probed_seeds", "vector_label", "vector_probes"]
 
@@ -13,12 +13,12 @@ MOST_SEEDS = 4
 
 
 def vector_label(label: str, seed: int) -> str:
-    """Return what the probe ``label`` of another seed than the usual one is called."""
+    """Return the label of the probe ``label`` when it is generated with a non-default seed."""
     return f"{label}, seed {seed}"
 
 
 def probed_seeds(manifest: Manifest, seed: int) -> tuple[int, ...]:
-    """Return the seeds, other than ``seed``, whose test vectors are run."""
+    """Return the seeds of test vectors to run, other than the validation's ``seed``."""
     seeds = dict.fromkeys(vector.seed for vector in manifest.test_vectors if vector.seed != seed)
     return tuple(seeds)[:MOST_SEEDS]
 
@@ -30,7 +30,7 @@ def vector_probes(
     seed: int,
     count: int,
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield the probes of test vectors that were made with another seed than ``seed``.
+    """Yield the probes of test vectors that were recorded with another seed than ``seed``.
 
     Args:
         manifest: Holds the test vectors.

@@ -1,1 +1,1 @@
-"""How does a process stay within its limits, stop with its parent, and write whole files?"""
+"""How does a process keep its limits, end with its parent, and write files atomically?"""

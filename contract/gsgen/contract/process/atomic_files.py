@@ -1,4 +1,4 @@
-"""Write files to a temporary name, and rename them once they are complete."""
+"""Writes files under a temporary name, and renames them once they are complete."""
 
 __all__ = [
     "MODEL_SUFFIX",
@@ -7,6 +7,7 @@ __all__ = [
     "refuse_device",
     "refuse_folder",
     "refuse_itself",
+    "refuse_missing_folder",
     "refuse_model",
 ]
 
@@ -23,7 +24,7 @@ MODEL_SUFFIX = ".onnx"
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path; the file written there is renamed to ``path`` when the block ends.
+    """Yield a temporary path; the file written there is renamed to ``path`` after the block.
 
     Files beside it (external weights), also in subfolders, are moved first, so that a model never
     refers to a missing file. If the block raises, nothing is moved and the temporary files are
@@ -60,15 +61,22 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def refuse_folder(path: Path) -> None:
-    """Raise if the output path is a folder; call it before any work is done.
-
-    Raises:
-        ConfigInvalid: ``path`` is a folder.
-    """
+    """Raise if the output path is a folder; call this before any work is done."""
     if path.is_dir():
         name = path.name if path.suffix else "model.onnx"
         hint = f"Name a file in it, such as {path / name}."
         raise ConfigInvalid("is a folder, expected a file to write", where=str(path), hint=hint)
+
+
+def refuse_missing_folder(path: Path) -> None:
+    """Raise if the folder of an output path does not exist; call it before any work is done.
+
+    Raises:
+        ConfigInvalid: There is no such folder.
+    """
+    if not path.parent.exists():
+        hint = f"Create it: mkdir -p {path.parent}"
+        raise ConfigInvalid("is in a folder that does not exist", where=str(path), hint=hint)
 
 
 def is_device(path: Path) -> bool:
@@ -84,22 +92,14 @@ def is_device(path: Path) -> bool:
 
 
 def refuse_device(path: Path) -> None:
-    """Raise if the output path is a device or a pipe, which a rename would replace.
-
-    Raises:
-        ConfigInvalid: ``path`` is a device or a pipe.
-    """
+    """Raise if the output path is a device or a pipe, which a rename would replace."""
     if is_device(path):
         message = "is a device or a pipe, expected a file to write"
         raise ConfigInvalid(message, where=str(path), hint="Name a file.")
 
 
 def refuse_itself(path: Path, sources: Iterable[Path], hint: str = "Name another file.") -> None:
-    """Raise if the output would overwrite one of the files that are read.
-
-    Raises:
-        ConfigInvalid: ``path`` is one of ``sources``, which would be lost.
-    """
+    """Raise if the output would overwrite one of the input files."""
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
         message = "is also an input file, which would be overwritten"
         raise ConfigInvalid(message, where=str(path), hint=hint)
@@ -109,13 +109,6 @@ def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
     """Raise if a non-model output (e.g. a report) would overwrite a model file.
 
     `-o drift.onnx` for a report usually means that the user expected a copy of the model.
-
-    Args:
-        path: The output path.
-        models: The model files that are read.
-
-    Raises:
-        ConfigInvalid: ``path`` is one of the models, or has the suffix of models.
     """
     refuse_itself(path, models)
     if path.suffix.lower() == MODEL_SUFFIX:

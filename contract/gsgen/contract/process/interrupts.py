@@ -1,4 +1,4 @@
-"""Ctrl-C ends a command within seconds, even during a computation in C++.
+"""Lets Ctrl-C end a command within seconds, even during a computation in C++.
 
 Python raises KeyboardInterrupt between two of its own instructions: not while ONNX Runtime or a
 driver computes, nor while it waits at exit for a thread that never ends. A user who types Ctrl-C then
@@ -24,11 +24,7 @@ _OVER: Final = b"\0"  # no signal has this number
 @final
 @dataclass(slots=True)
 class Interrupts:
-    """Whether the user has asked the process to stop.
-
-    Attributes:
-        requested: Set by the first interrupt.
-    """
+    """Records whether the user has asked the process to stop."""
 
     requested: threading.Event = field(default_factory=threading.Event)
 

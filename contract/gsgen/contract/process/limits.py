@@ -13,7 +13,7 @@ _COPIES = 5
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Time and memory that a worker process may use.
+    """The time and memory that a worker process may use.
 
     Attributes:
         seconds: Wall-clock time for loading and all runs together.
@@ -26,7 +26,7 @@ class Limits:
     def __post_init__(self) -> None:
         if not (self.seconds > 0 and self.memory > 0):  # phrased so that NaN is refused
             actual = f"{self.seconds:g} s and {self.memory} bytes"
-            raise ConfigInvalid(f"{actual}, expected more than 0 of each", where="limits")
+            raise ConfigInvalid(f"{actual}, expected limits above 0", where="limits")
 
     def for_model(self, size: int) -> "Limits":
         """Return these limits plus the memory for loading ``size`` bytes of weights.

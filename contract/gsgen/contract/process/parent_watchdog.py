@@ -1,4 +1,4 @@
-"""Terminates a worker process when its parent dies.
+"""Terminates a worker process when its parent process dies.
 
 The parent kills a worker that takes too long; a parent that was killed cannot.
 """

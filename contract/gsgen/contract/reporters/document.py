@@ -1,4 +1,4 @@
-"""The JSON report as dataclasses, from which its published schema is derived.
+"""Dataclasses of the JSON report, from which its published schema is derived.
 
 Empty fields are omitted. A major version of the schema may gain fields, but no field changes its
 meaning.
@@ -24,7 +24,7 @@ Fingerprint = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """The validator that wrote the report."""
+    """The name and version of the validator that wrote the report."""
 
     name: str
     version: str
@@ -39,10 +39,13 @@ class Tool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SubjectEntry:
-    """The validated model."""
+    """The validated model: its path, digest, kind and contract version."""
 
     uri: Annotated[str, Hint(text="The model, as given on the command line.")]
     bytes: Annotated[int | None, Hint(text="Size of the file.", minimum=0)] = None
+    external_bytes: Annotated[
+        int | None, Hint(text="Size of its external data; absent without any.", minimum=0)
+    ] = None
     sha256: Annotated[
         str | None,
         Hint(
@@ -61,7 +64,7 @@ class SubjectEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counts:
-    """Findings that count, by severity; findings that do not count; rules by status."""
+    """Numbers of findings by severity, of waived and known findings, and of rules by status."""
 
     error: int
     warning: int
@@ -82,7 +85,7 @@ class LevelEntry:
 
 @dataclass(frozen=True, slots=True)
 class WhereEntry:
-    """The location of a finding."""
+    """The location of a finding: a tensor, node, manifest field or file."""
 
     subject: Annotated[str, Hint(text="Such as `output gaussians` or `manifest bounds`.")]
     field: Annotated[str | None, Hint(text="The field of a packed row.")] = None
@@ -90,7 +93,7 @@ class WhereEntry:
 
 @dataclass(frozen=True, slots=True)
 class ExampleEntry:
-    """One offending row or value."""
+    """One offending row or value of a finding."""
 
     value: str
     row: int | None = None
@@ -153,8 +156,19 @@ class RuleEntry:
     id: RuleId
     status: Literal["pass", "fail", "skipped", "not-applicable", "crashed"]
     reason: Annotated[str | None, Hint(text="Why it was not checked, or how it crashed.")] = None
-    ms: Annotated[float | None, Hint(text="Milliseconds spent in its check.")] = None
+    ms: Annotated[
+        float | None, Hint(text="Milliseconds spent in its check; only where times were asked for.")
+    ] = None
     items: Annotated[int | None, Hint(text="The number of checked rows or values.")] = None
+
+
+@dataclass(frozen=True, slots=True)
+class UncheckedEntry:
+    """A required rule that was not checked."""
+
+    rule: RuleId
+    status: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +194,7 @@ class GoneEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Document:
-    """The report of one model."""
+    """The JSON report of one model."""
 
     schema: SchemaName
     tool: Tool
@@ -205,7 +219,10 @@ class Document:
         dict[str, str], Hint(text="Versions of the libraries and drivers that ran.")
     ]
     truncated: Annotated[bool, Hint(text="A finding also counts violations at further locations.")]
-    seconds: float
+    seconds: Annotated[float | None, Hint(text="Duration; only where times were asked for.")] = None
+    unchecked: Annotated[
+        tuple[UncheckedEntry, ...], Hint(text="Required rules that were not checked.")
+    ] = ()
     baseline: Annotated[str | None, Hint(text="The report whose findings are known.")] = None
     gone: Annotated[
         tuple[GoneEntry, ...] | None,
@@ -217,7 +234,7 @@ class Document:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Why a file could not be read."""
+    """The reason why a file could not be read."""
 
     message: str
     where: str
@@ -226,7 +243,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class UnreadableDocument:
-    """The report of a model that could not be read."""
+    """The JSON report of a model that could not be read."""
 
     schema: SchemaName
     subject: SubjectEntry
@@ -236,7 +253,7 @@ class UnreadableDocument:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """The reports of several models."""
+    """The JSON reports of several models."""
 
     schema: SchemaName
     reports: tuple[Document | UnreadableDocument, ...]

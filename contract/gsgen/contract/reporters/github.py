@@ -23,6 +23,11 @@ def to_github(entries: Sequence[Entry]) -> str:
             if outcome.status == "crashed":
                 title = f"{outcome.rule.id} crashed"
                 lines.append(_command("error", entry.path, title, outcome.reason))
+        for outcome in entry.unchecked:
+            title = f"{outcome.rule.id} {outcome.rule.slug} is required"
+            lines.append(
+                _command("error", entry.path, title, f"{outcome.status}: {outcome.reason}")
+            )
         for finding in entry.findings:
             if finding.counts:
                 lines.append(_annotation(entry.path, finding))
@@ -52,5 +57,5 @@ def _property(text: str) -> str:
 
 
 def _inert(text: str) -> str:
-    """Return a line that GitHub does not read as a command: old ones contain ``##[``."""
+    """Return the text as a line that GitHub does not read as a workflow command such as ``##[``."""
     return printable(text).replace("##[", "## [")

@@ -22,6 +22,7 @@ from gsgen.contract.reporters.document import (
     SubjectEntry,
     ToleranceEntry,
     Tool,
+    UncheckedEntry,
     UnreadableDocument,
     WhereEntry,
 )
@@ -44,7 +45,7 @@ _STATUSES = ("pass", "fail", "skipped", "not-applicable", "crashed")
 
 
 def to_json(entries: Sequence[Entry]) -> str:
-    """Return one report as an object, or several as an object with a list of ``reports``."""
+    """Return one report as a JSON object, or several as an object with a list of ``reports``."""
     documents = [to_dict(entry) for entry in entries]
     document: Any = (
         documents[0] if len(documents) == 1 else {"schema": SCHEMA, "reports": documents}
@@ -55,14 +56,14 @@ def to_json(entries: Sequence[Entry]) -> str:
 
 
 def to_dict(entry: Entry) -> dict[str, Any]:
-    """Return the report of a model, or the error of an unreadable one, as JSON types."""
+    """Return the report of a model, or the error of an unreadable model, as JSON types."""
     document = _unreadable(entry) if isinstance(entry, Unreadable) else document_of(entry)
     data: dict[str, Any] = to_json_value(document)
     return data
 
 
 def document_of(report: Report) -> Document:
-    """Return a report as the dataclasses of its schema."""
+    """Return a validation report as the dataclasses of the JSON report's schema."""
     rules = {outcome.rule.id: outcome.rule for outcome in report.outcomes}
     return Document(
         schema="gsgen-report/1",
@@ -80,7 +81,7 @@ def document_of(report: Report) -> Document:
         ),
         findings=tuple(_finding(finding, rules[finding.rule]) for finding in report.findings),
         causes=tuple(_cause(cause, report) for cause in report.causes),
-        rules=tuple(_outcome(outcome) for outcome in report.outcomes),
+        rules=tuple(_outcome(outcome, timed=report.timed) for outcome in report.outcomes),
         tolerances=tuple(
             ToleranceEntry(tolerance.field, tolerance.value, tolerance.unit, tolerance.source)
             for tolerance in report.tolerances
@@ -88,7 +89,11 @@ def document_of(report: Report) -> Document:
         probes=report.probes,
         environment=report.environment,
         truncated=any(finding.truncated for finding in report.findings),
-        seconds=round(report.seconds, 4),
+        seconds=round(report.seconds, 4) if report.timed else None,
+        unchecked=tuple(
+            UncheckedEntry(outcome.rule.id, outcome.status, outcome.reason)
+            for outcome in report.unchecked
+        ),
         baseline=report.baseline or None,
         gone=tuple(_gone(finding) for finding in report.resolved) if report.baseline else None,
     )
@@ -105,6 +110,7 @@ def _subject(report: Report) -> SubjectEntry:
     return SubjectEntry(
         uri=report.path,
         bytes=report.size,
+        external_bytes=report.external_size or None,
         sha256=report.sha256 or None,
         kind=report.kind or None,
         name=report.name or None,
@@ -177,11 +183,11 @@ def _cause(cause: Cause, report: Report) -> CauseEntry:
     return CauseEntry(id, cause.outcome.status, fingerprints, blocked)
 
 
-def _outcome(outcome: Outcome) -> RuleEntry:
+def _outcome(outcome: Outcome, *, timed: bool) -> RuleEntry:
     entry = RuleEntry(id=outcome.rule.id, status=outcome.status, reason=outcome.reason or None)
     if outcome.status not in ("pass", "fail"):
         return entry
-    milliseconds = round(outcome.milliseconds, 3)
+    milliseconds = round(outcome.milliseconds, 3) if timed else None
     return RuleEntry(
         id=entry.id, status=entry.status, reason=entry.reason, ms=milliseconds, items=outcome.items
     )

@@ -16,7 +16,7 @@ _COUNTED = ("failure", "error", "skipped")
 
 
 def to_junit(entries: Sequence[Entry]) -> str:
-    """Return all reports as one JUnit document."""
+    """Return all validation reports as one JUnit XML document."""
     root = Element("testsuites", name="gsgen")
     for entry in entries:
         suite = SubElement(root, "testsuite", name=printable(entry.path))
@@ -32,7 +32,7 @@ def to_junit(entries: Sequence[Entry]) -> str:
 
 
 def _count(parent: Element) -> None:
-    """Set the numbers of tests, failures, errors and skips below ``parent``."""
+    """Set the numbers of tests, failures, errors and skips of the JUnit element ``parent``."""
     parent.set("tests", str(len(list(parent.iter("testcase")))))
     for tag in _COUNTED:
         name = tag if tag == "skipped" else f"{tag}s"
@@ -47,14 +47,16 @@ def _unreadable(suite: Element, entry: Unreadable) -> None:
 
 
 def _suite(suite: Element, report: Report) -> None:
-    suite.set("time", f"{report.seconds:.3f}")
+    if report.timed:
+        suite.set("time", f"{report.seconds:.3f}")
     findings_by_rule: dict[str, list[Finding]] = {}
     for finding in report.findings:
         findings_by_rule.setdefault(finding.rule, []).append(finding)
     for outcome in report.outcomes:
         case = SubElement(suite, "testcase", classname=printable(report.path))
         case.set("name", f"{outcome.rule.id} {outcome.rule.slug}")
-        case.set("time", f"{outcome.milliseconds / 1000:.6f}")
+        if report.timed:
+            case.set("time", f"{outcome.milliseconds / 1000:.6f}")
         _add_result(case, report, outcome, findings_by_rule.get(outcome.rule.id, []))
 
 
@@ -66,8 +68,11 @@ def _add_result(
         error = SubElement(case, "error", message=printable(last), type="crashed")
         error.text = printable(outcome.reason, keep="\n")
     elif outcome.status in ("skipped", "not-applicable"):
-        reason = f"{outcome.status}: {outcome.reason}"
-        SubElement(case, "skipped", message=printable(reason))
+        reason = printable(f"{outcome.status}: {outcome.reason}")
+        if outcome in report.unchecked:
+            SubElement(case, "failure", message=reason, type="required")
+        else:
+            SubElement(case, "skipped", message=reason)
     failing = [finding for finding in findings if report.fails_by(finding)]
     remaining = [finding for finding in findings if not report.fails_by(finding)]
     if failing and outcome.status != "crashed":

@@ -24,7 +24,7 @@ _UNREADABLE = "⛔"
 
 
 def to_markdown(entries: Sequence[Entry]) -> str:
-    """Return all reports as one page; with several models, it starts with a table of verdicts."""
+    """Return all reports as one Markdown page; several models get a table of verdicts first."""
     parts = [_table(entries)] if len(entries) != 1 else []
     parts += [_section(entry) for entry in entries]
     return "\n\n".join(parts)
@@ -77,7 +77,10 @@ def _finding(finding: Finding) -> str:
 
 
 def _details(report: Report) -> list[str]:
-    parts = []
+    parts = [
+        f"🚫 **{outcome.rule.id}** is required, but {outcome.status}: {code(outcome.reason)}"
+        for outcome in report.unchecked
+    ]
     for outcome in report.outcomes:
         if outcome.status == "crashed":
             last = outcome.reason.splitlines()[-1]
@@ -94,7 +97,7 @@ def _details(report: Report) -> list[str]:
 
 
 def code(text: str) -> str:
-    """Return ``text`` as a code span whose fence does not occur in it."""
+    """Return ``text`` as a Markdown code span whose fence does not occur in the text."""
     printable_text = printable(text)
     longest = max((len(run) for run in re.findall("`+", printable_text)), default=0)
     fence = "`" * (longest + 1)
@@ -103,5 +106,5 @@ def code(text: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Escape the punctuation of ``text`` for use outside a code span."""
+    """Escape Markdown punctuation in ``text`` for use outside a code span."""
     return re.sub(r"([\\`*_\[\]<>|~@&#])", r"\\\1", printable(text))

@@ -1,7 +1,9 @@
-"""Documentation of a rule from its declaration: its page, its list entry, its JSON."""
+"""Renders the documentation of a rule from its declaration: page, list entry, JSON."""
 
-__all__ = ["help_path", "index", "page", "to_dict"]
+__all__ = ["help_path", "help_url", "index", "page", "to_dict"]
 
+from functools import cache
+from importlib.metadata import metadata
 from typing import Any
 
 from gsgen.contract.validation.rule import Registry, Rule
@@ -26,8 +28,29 @@ def help_path(rule: Rule) -> str:
     return "" if "/" in rule.id else f"rules/{rule.id}.md"
 
 
+def help_url(rule: Rule, docs_url: str = "") -> str:
+    """Return the address of the page of ``rule``; empty where no documentation is published.
+
+    Args:
+        rule: The rule.
+        docs_url: Root of the documentation; by default, the one that the package names.
+    """
+    root, path = docs_url or _published_docs(), help_path(rule)
+    return f"{root.rstrip('/')}/{path.removesuffix('.md')}/" if root and path else ""
+
+
+@cache
+def _published_docs() -> str:
+    """Return the address under ``Documentation`` in the package's metadata."""
+    for line in metadata("gsgen").get_all("Project-URL") or ():
+        label, _, url = line.partition(",")
+        if label.strip().lower() == "documentation":
+            return str(url).strip()
+    return ""
+
+
 def page(rule: Rule, registry: Registry) -> str:
-    """Return the Markdown page of ``rule``."""
+    """Return the Markdown documentation page of ``rule``."""
     facts = [
         ("severity", rule.severity.word),
         ("level", rule.level.word),

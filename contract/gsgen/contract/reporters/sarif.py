@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from gsgen.contract.reporters.rule_pages import help_url
 from gsgen.contract.reporters.summary import printable
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Finding
-from gsgen.contract.validation.report import Entry, Report, Unreadable
+from gsgen.contract.validation.report import Entry, Outcome, Report, Unreadable
 from gsgen.contract.validation.rule import Rule
 
 _SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
@@ -29,16 +30,20 @@ Json = dict[str, Any]
 
 
 def to_sarif(entries: Sequence[Entry]) -> str:
-    """Return all reports as one SARIF log."""
+    """Return all validation reports as one SARIF log."""
     reports = {number: entry for number, entry in enumerate(entries) if isinstance(entry, Report)}
     rules = {
-        outcome.rule.id: outcome.rule for report in reports.values() for outcome in report.outcomes
+        outcome.rule.id: outcome.rule
+        for report in reports.values()
+        for outcome in report.outcomes
+        if outcome.rule.id in _speaking(report)
     }
+    docs_url = next((report.docs_url for report in reports.values()), "")
     numbers = {id: number for number, id in enumerate(rules)}
     driver = {
         "name": "gsgen",
         "version": version("gsgen"),
-        "rules": [_rule(rule) for rule in rules.values()],
+        "rules": [_rule(rule, docs_url) for rule in rules.values()],
     }
     results = [
         _result(report, finding, numbers[finding.rule], number)
@@ -57,8 +62,20 @@ def to_sarif(entries: Sequence[Entry]) -> str:
     )  # in ASCII: a path may hold characters that UTF-8 cannot encode
 
 
-def _rule(rule: Rule) -> Json:
-    return {
+def _speaking(report: Report) -> set[str]:
+    """Return the ids of the rules that the log mentions; readers need no others."""
+    silent_failures = [*_crashed(report), *report.unchecked]
+    found = {finding.rule for finding in report.findings}
+    return found | {outcome.rule.id for outcome in silent_failures}
+
+
+def _crashed(report: Report) -> list[Outcome]:
+    return [outcome for outcome in report.outcomes if outcome.status == "crashed"]
+
+
+def _rule(rule: Rule, docs_url: str) -> Json:
+    url = help_url(rule, docs_url)
+    return ({"helpUri": url} if url else {}) | {
         "id": rule.id,
         "name": "".join(word.capitalize() for word in rule.slug.split("-")),
         "shortDescription": {"text": rule.statement},
@@ -82,7 +99,7 @@ def _artifact(entry: Entry) -> Json:
 
 
 def _uri(path: str) -> str:
-    """Return a URI reference; it is relative for a relative path, so it is valid anywhere."""
+    """Return a path as a URI reference, relative for a relative path."""
     quoted = quote(os.fsencode(Path(path).as_posix()))
     return f"file://{quoted}" if Path(path).is_absolute() else quoted
 
@@ -95,16 +112,18 @@ def _invocation(entries: Iterable[Entry]) -> Json:
 
 
 def _failures(entry: Entry, number: int) -> list[Json]:
-    """Return notifications of an unreadable file or of crashed rules."""
+    """Return SARIF notifications of an unreadable file or of crashed rules."""
     if isinstance(entry, Unreadable):
         return [_failure_notification(entry.path, number, str(entry.error))]
-    return [
-        _failure_notification(
-            entry.path, number, f"{outcome.rule.id} crashed: {outcome.reason}", outcome.rule
-        )
-        for outcome in entry.outcomes
-        if outcome.status == "crashed"
+    messages = [
+        (outcome.rule, f"{outcome.rule.id} crashed: {outcome.reason}")
+        for outcome in _crashed(entry)
     ]
+    messages += [
+        (outcome.rule, f"{outcome.rule.id} is required, but {outcome.status}: {outcome.reason}")
+        for outcome in entry.unchecked
+    ]
+    return [_failure_notification(entry.path, number, text, rule) for rule, text in messages]
 
 
 def _failure_notification(path: str, number: int, text: str, rule: Rule | None = None) -> Json:

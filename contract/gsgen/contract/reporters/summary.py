@@ -1,4 +1,4 @@
-"""Texts that all reporters share: the verdict of a model, the summary of several."""
+"""Texts that all reporters share: a model's verdict, the summary of several models."""
 
 __all__ = ["plural", "printable", "summary_line", "verdict_line", "verdict_word"]
 
@@ -12,17 +12,17 @@ _CRASHED = "a rule crashed, no verdict"
 
 
 def printable(text: str, *, keep: str = "") -> str:
-    """Escape control characters: a tensor's name must not control a terminal."""
+    """Escape control characters, since a tensor's name must not control a terminal."""
     return "".join(c if c.isprintable() or c in keep else ascii(c)[1:-1] for c in text)
 
 
 def plural(count: int, noun: str) -> str:
-    """Return ``1 rule``, ``2 rules``."""
+    """Return a count with its noun in the right number: ``1 rule``, ``2 rules``."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def verdict_line(report: Report) -> str:
-    """Return the verdict with the numbers of rules and findings, in one line."""
+    """Return a model's verdict with the numbers of rules and findings, in one line."""
     counted = report.statuses
     parts = [f"{counted['pass']} rules hold"]
     for severity in reversed(Severity):
@@ -30,6 +30,8 @@ def verdict_line(report: Report) -> str:
         if count:
             counted_noun = plural(count, severity.word)
             parts.append(f"{count} info" if severity is Severity.INFO else counted_noun)
+    if report.unchecked:
+        parts.append(f"required but not checked: {', '.join(o.rule.id for o in report.unchecked)}")
     parts += _uncounted(report)
     for status, words in (("not-applicable", "not applicable"), ("skipped", "skipped")):
         if counted[status]:
@@ -38,7 +40,7 @@ def verdict_line(report: Report) -> str:
 
 
 def verdict_word(report: Report) -> str:
-    """Return the verdict in words."""
+    """Return a model's verdict in words, such as ``conforms``."""
     return _CRASHED if report.verdict == "internal-error" else report.verdict
 
 

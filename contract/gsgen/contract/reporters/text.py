@@ -14,7 +14,7 @@ from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Cause, Entry, Report
 
 _STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
-_VERDICT_STYLE = {"conforms": "bold green"}
+_PASS_STYLE = "bold green"
 _FAILURE_STYLE = "bold red"
 _WIDTH = 96
 _MOST_LOCATIONS = 5
@@ -23,7 +23,7 @@ _MOST_BLOCKED = 12
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of text and its terminal style."""
+    """One line of a text report and its terminal style."""
 
     text: str
     style: str = ""
@@ -32,7 +32,7 @@ class Line:
 def render_all(
     entries: Sequence[Entry], *, verbose: bool = False, quiet: bool = False
 ) -> list[Line]:
-    """Return all reports line by line; for several models, the last line sums up."""
+    """Return all reports as lines of text; with several models, the last line sums up."""
     lines: list[Line] = []
     for entry in entries:
         if isinstance(entry, Report):
@@ -46,7 +46,7 @@ def brief_line(report: Report) -> Line:
 
 
 def render(report: Report, *, verbose: bool = False) -> list[Line]:
-    """Return a report line by line.
+    """Return one model's report as lines of text.
 
     Args:
         report: The report of one model.
@@ -66,9 +66,18 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
         rule, status = cause.outcome.rule, cause.outcome.status
         lines.append(Line(f"  {rule.id} {status}: {rule.slug}"))
         lines += _consequence(cause, verbose=verbose)
-    lines += _not_run(report) + _skipped(report) + _waived(report) + _resolved(report)
+    lines += (
+        _unchecked(report)
+        + _not_run(report)
+        + _skipped(report)
+        + _waived(report)
+        + _resolved(report)
+    )
     if verbose:
         lines += _details(report)
+    if report.timed:
+        inner = f"{report.runtime_seconds:.2f} s in ONNX Runtime's process"
+        lines.append(Line(f"  took {report.seconds:.2f} s, of which {inner}"))
     lines.append(_verdict(report))
     return [Line(printable(line.text), line.style) for line in lines]
 
@@ -79,14 +88,20 @@ def _head(report: Report) -> list[Line]:
         facts.append(f"{report.name!r}, contract {report.contract}")
     if report.capacity:
         facts.append(f"{report.capacity:,} rows")
-    facts.append(format_mebibytes(report.size) if report.size >= MEBIBYTE else f"{report.size:,} B")
+    facts.append(_size(report.size))
+    if report.external_size:
+        facts.append(f"{_size(report.external_size)} external data")
     scope = f"validated for {report.target.label} at level {report.level.word}"
     settings = "" if report.settings == "defaults" else f", settings from {report.settings}"
     return [Line(f"{report.path}: {', '.join(facts)}", "bold"), Line(f"  {scope}{settings}")]
 
 
+def _size(size: int) -> str:
+    return format_mebibytes(size) if size >= MEBIBYTE else f"{size:,} B"
+
+
 def finding_lines(findings: Iterable[Finding], *, verbose: bool = False) -> list[Line]:
-    """Return findings line by line: rule, locations, numbers and hint.
+    """Return findings as lines of text: rule, locations, numbers and hint.
 
     Consecutive findings of the same rule share their heading and their hint.
 
@@ -157,6 +172,15 @@ def _crashes(report: Report) -> list[Line]:
     return lines
 
 
+def _unchecked(report: Report) -> list[Line]:
+    lines: list[Line] = []
+    for outcome in report.unchecked:
+        head = f"  {outcome.rule.id} required, but {outcome.status}: {outcome.rule.slug}"
+        lines.append(Line(head, _FAILURE_STYLE))
+        lines += _wrapped(outcome.reason)
+    return lines
+
+
 def _not_run(report: Report) -> list[Line]:
     return [
         Line(f"  level {outcome.level.word} did not run: {outcome.reason}", "yellow")
@@ -166,7 +190,7 @@ def _not_run(report: Report) -> list[Line]:
 
 
 def _skipped(report: Report) -> list[Line]:
-    """List the rules that were skipped although their level ran."""
+    """Return lines that list the rules that were skipped although their level ran."""
     ran = {outcome.level for outcome in report.levels if outcome.ran}
     lines: list[Line] = []
     for outcome in report.outcomes:
@@ -197,7 +221,8 @@ def _details(report: Report) -> list[Line]:
     lines = [Line("  rules:")]
     for outcome in report.outcomes:
         if outcome.status in ("pass", "fail"):
-            detail = f"{outcome.milliseconds:.1f} ms, {outcome.items:,} checked"
+            took = f"{outcome.milliseconds:.1f} ms, " if report.timed else ""
+            detail = f"{took}{outcome.items:,} checked"
         else:
             detail = outcome.reason.splitlines()[-1]
         lines.append(
@@ -212,11 +237,9 @@ def _details(report: Report) -> list[Line]:
         )
     lines += [Line("  probes:")] if report.probes else []
     lines += [Line(f"    {label}") for label in report.probes]
-    took = (
-        f"{report.seconds:.2f} s, of which {report.runtime_seconds:.2f} s in ONNX Runtime's process"
-    )
-    return [*lines, Line(f"  took {took}")]
+    return lines
 
 
 def _verdict(report: Report) -> Line:
-    return Line(verdict_line(report), _VERDICT_STYLE.get(report.verdict, _FAILURE_STYLE))
+    passes = report.verdict == "conforms" and not report.unchecked
+    return Line(verdict_line(report), _PASS_STYLE if passes else _FAILURE_STYLE)

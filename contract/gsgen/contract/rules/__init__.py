@@ -1,1 +1,1 @@
-"""Which statements does the contract check? One module per subject; the catalogue lists all."""
+"""Which statements does the contract check on a model? One module of rules per subject."""

@@ -1,6 +1,6 @@
 """The installed rules: those of the contract, and those that other packages register."""
 
-__all__ = ["FAMILIES", "builtin_rules", "installed_rules"]
+__all__ = ["FAMILIES", "builtin_rules", "installed_rules", "model_rules"]
 
 import re
 from collections.abc import Iterator
@@ -62,16 +62,32 @@ def builtin_rules() -> list[Rule]:
     return sorted(rules, key=lambda entry: (order.index(entry.family), entry.id))
 
 
+# The group of rules of models, and that of files of other kinds, such as tilesets.
+_MODEL_GROUP = "gsgen.rules"
+_FILE_GROUP = "gsgen.file_rules"
+
+
 @cache
 def installed_rules() -> Registry:
-    """Return the built-in rules and those registered in the entry point group ``gsgen.rules``.
+    """Return the built-in rules and those that packages register as entry points.
 
+    The group ``gsgen.rules`` is for rules of models, ``gsgen.file_rules`` for those of other files.
     An entry point names a module that defines rules and level backends, or a list of them. An
     entry point that does not load becomes a crashed rule in every report.
     """
+    return _registry(_MODEL_GROUP, _FILE_GROUP)
+
+
+@cache
+def model_rules() -> Registry:
+    """Return the installed rules without those of other files, which take time to import."""
+    return _registry(_MODEL_GROUP)
+
+
+def _registry(*groups: str) -> Registry:
     rules = builtin_rules()
     backends: list[LevelBackend] = []
-    points = registered_entry_points("gsgen.rules")
+    points = [point for group in groups for point in registered_entry_points(group)]
     for number, point in enumerate(points):
         try:
             loaded, loaded_backends = _load(point)
@@ -85,7 +101,7 @@ def installed_rules() -> Registry:
 
 
 def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
-    """Return a rule that always crashes, in place of a plugin's rules that do not load."""
+    """Return a rule that always crashes, in place of a plugin's rules that cannot be loaded."""
     letters = re.sub("[^a-z0-9]+", "-", point.name.lower()).lstrip("-0123456789")
 
     @rule(
@@ -97,7 +113,7 @@ def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
         kinds=KINDS,
     )
     def plugin_loads(_: object) -> Iterator[Violation]:
-        """The rules of an installed plugin can be loaded.
+        """The rules of every installed plugin can be loaded.
 
         Why:
             Rules that do not load would be left out, and the report would look better than it is.

@@ -1,4 +1,4 @@
-"""GS rules: a model reads no files outside its folder and stays within its limits."""
+"""Rules of safety (GS): a model reads no files outside its folder and respects limits."""
 
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -31,7 +31,7 @@ _PROBES = 4
     kinds=KINDS,
 )
 def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
-    """External weights lie in files beside or below the model, and are complete.
+    """External weights lie in files in or below the model's folder, and are complete.
 
     Why:
         A path that leads out of the folder makes the machine that loads the model read files of the
@@ -52,7 +52,7 @@ def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None:
-    """Return the fault of a reference to ``payload`` bytes and the expectation, or None."""
+    """Return what is wrong with an external weight reference and the expectation, or None."""
     windows, posix = PureWindowsPath(ref.location), PurePosixPath(ref.location)
     if not ref.location or "\0" in ref.location:
         return "no file name", "a file beside the model"
@@ -79,7 +79,7 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
 
 @rule("GS002", "sizes-sane", Severity.ERROR, over="model", fixture="huge_dimension", kinds=KINDS)
 def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
-    """Declared sizes fit the memory that running the model may take.
+    """Tensors of the declared sizes fit into the memory that running the model may use.
 
     Why:
         A few bytes of a file can ask for terabytes of memory, or for more axes than an array has.

@@ -1,4 +1,4 @@
-"""GW rules: every waiver in the settings still matches a finding."""
+"""Rules of waivers (GW): every waiver in the settings still matches a finding."""
 
 from collections.abc import Iterator
 
@@ -34,6 +34,6 @@ def waiver_matches(review: Review) -> Iterator[Violation]:
         matches_finding = any(waiver.covers(finding) for finding in review.findings)
         location = f"waiver of {waiver}"
         if not matches_finding:
-            yield Violation.at(location, "no matching finding", "a finding that it covers")
+            yield Violation.at(location, "no matching finding", "a finding that the waiver covers")
         elif not waiver.is_valid_on(review.today):
-            yield Violation.at(location, f"expired on {waiver.until}", "a day that is not past")
+            yield Violation.at(location, f"expired on {waiver.until}", "a last day in the future")

@@ -1,1 +1,1 @@
-"""What does the contract say: manifest, roles, layout, conventions, targets?"""
+"""What does the contract define: manifest, roles, packed layout, conventions, targets?"""

@@ -1,4 +1,4 @@
-"""Rotations and covariances in float64: the oracle that every other room is tested against."""
+"""Rotations and covariances of Gaussians in float64: the oracle for all other implementations."""
 
 __all__ = [
     "COVARIANCE_INDEX",
@@ -11,14 +11,15 @@ __all__ = [
 ]
 
 import numpy as np
-from jaxtyping import Float
+
+from gsgen.contract._array_types import Float
 
 # The upper triangle xx xy xz yy yz zz, as (row, column) of the 3×3 matrix.
 COVARIANCE_INDEX = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 
 
 def rotation_matrix(quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
-    """Turn quaternions (w, x, y, z), normalised here, into rotation matrices.
+    """Return the rotation matrices of quaternions (w, x, y, z), which are normalised first.
 
     A zero quaternion has no direction; it gives the identity, as w = 1 would. One that holds
     NaN gives NaN.

@@ -1,4 +1,4 @@
-"""From dataclasses to JSON Schema 2020-12 and back: one truth, three uses.
+"""Converts dataclasses to JSON Schema 2020-12, and their instances to and from JSON.
 
 :func:`schema_of` writes the published schema of a dataclass, :func:`to_json` and
 :func:`from_json` convert its instances.
@@ -90,7 +90,7 @@ def _type_schema(hint: Any, definitions: dict[str, object]) -> dict[str, object]
 
 
 def _constrain(entry: dict[str, object], hint: Hint) -> dict[str, object]:
-    """Add a hint's keywords; a text for a reference follows it, as 2020-12 allows."""
+    """Add a field's constraints to its JSON Schema; descriptions may follow a ``$ref``."""
     return entry | hint.keywords()
 
 
@@ -103,7 +103,7 @@ def _tuple_schema(args: tuple[Any, ...], definitions: dict[str, object]) -> dict
 
 
 def to_json(value: Any) -> Any:
-    """Turn a dataclass (or a part of one) into what ``json.dumps`` takes, without absent fields."""
+    """Convert a dataclass instance to JSON types, without absent fields."""
     if is_dataclass(value) and not isinstance(value, type):
         members = ((f, getattr(value, f.name)) for f in fields(value))
         return {f.name: to_json(entry) for f, entry in members if not _is_absent(f, entry)}
@@ -115,7 +115,7 @@ def to_json(value: Any) -> Any:
 
 
 def _is_absent(field: "Field[Any]", value: Any) -> bool:
-    """Return whether leaving ``field`` out means ``value``: it is None, or empty by default."""
+    """Return whether ``value`` is written by leaving ``field`` out: None, or an empty default."""
     if value is None:
         return True
     default = field.default
@@ -125,7 +125,7 @@ def _is_absent(field: "Field[Any]", value: Any) -> bool:
 
 
 def from_json(hint: Any, value: Any) -> Any:
-    """Build ``hint`` from a JSON value that its schema accepts; fields not ours are left out."""
+    """Build a value of type ``hint`` from JSON that fits its schema; unknown fields are ignored."""
     origin = get_origin(hint)
     if origin is Annotated:
         return from_json(get_args(hint)[0], value)

@@ -1,4 +1,4 @@
-"""The packed layout: what a Gaussian is, byte for byte, between a model and a renderer."""
+"""The packed layout: the tensor columns that represent a Gaussian, from model to renderer."""
 
 __all__ = [
     "APPEARANCE_CHANNELS",
@@ -26,8 +26,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.errors import LayoutMismatch
 from gsgen.contract.spec.spherical_harmonics import COEFFICIENTS, coefficients, degree_of
 
@@ -66,7 +66,7 @@ APPEARANCE_CHANNELS: dict[str, tuple[int, ...]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedGaussians:
-    """N Gaussians, unpacked, in the model's local space.
+    """N unpacked Gaussians in the model's local space.
 
     Exactly one of ``sh`` and ``rgb`` is given.
 
@@ -104,7 +104,7 @@ class DecodedGaussians:
 
     @property
     def degree(self) -> int | None:
-        """The SH degree, or None where the appearance is raw RGB."""
+        """The SH degree of the colours; None if they are raw RGB."""
         return None if self.sh is None else degree_of(self.sh.shape[1])
 
     def __len__(self) -> int:
@@ -113,7 +113,7 @@ class DecodedGaussians:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """C cells, unpacked, in the model's local space.
+    """C unpacked cells of a weighted sum, in the model's local space.
 
     Attributes:
         position: Centres, [C, 3].
@@ -130,7 +130,7 @@ class Cells:
 
 
 def appearance_channels(space: Literal["sh", "rgb"], degree: int | None, itemsize: int) -> int:
-    """Return how many channels an appearance row has.
+    """Return the number of channels of an appearance row for raw RGB or an SH degree.
 
     Three float16 colours fill a word and a half, so they are padded to four.
     """
@@ -142,7 +142,7 @@ def appearance_channels(space: Literal["sh", "rgb"], degree: int | None, itemsiz
 def encode(
     gaussians: DecodedGaussians, dtype: type[np.float32] | type[np.float16] = np.float32
 ) -> tuple[Float[np.ndarray, "n 10"], Float[np.ndarray, "n c"]]:
-    """Pack Gaussians into rows: ``(gaussians [N, 10], appearance [N, C])`` of ``dtype``.
+    """Pack Gaussians into tensors of ``dtype``: ``(gaussians [N, 10], appearance [N, C])``.
 
     SH rows are ``[k0R k0G k0B k1R …]``; a fourth channel that float16 RGB needs is 1.
     """
@@ -162,7 +162,7 @@ def decode(
     appearance: Float[np.ndarray, "n c"],
     space: Literal["sh", "rgb"],
 ) -> DecodedGaussians:
-    """Unpack rows into float32 Gaussians; the inverse of :func:`encode`.
+    """Unpack packed rows into float32 Gaussians; the inverse of :func:`encode`.
 
     Raises:
         LayoutMismatch: The arrays are not [N, 10] and [N, C] with a C that ``space`` has.
@@ -188,7 +188,7 @@ def decode(
 
 
 def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
-    """Unpack rows of cells into float32.
+    """Unpack rows of cells into float32 cells.
 
     Raises:
         LayoutMismatch: The array is not [C, 10].

@@ -35,8 +35,8 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.roles import ROLES
 from gsgen.contract.spec.schema_text import Hint
@@ -53,7 +53,7 @@ AboveZero = Annotated[float, Hint(above=0)]
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """The coordinate frame that Gaussians, cameras and bounds are given in."""
+    """The coordinate frame of Gaussians, cameras and bounds."""
 
     handedness: Literal["right"] = "right"
     up: Annotated[
@@ -98,7 +98,7 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class Producer:
-    """Who made the model, from what, and under which licence."""
+    """The author of the model, its sources, and its licence."""
 
     tool: Annotated[str, Hint(text="Program and version.")]
     source: str | None = None
@@ -108,7 +108,7 @@ class Producer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Input:
-    """One frame input."""
+    """One input of the model that a runtime feeds in every frame."""
 
     name: Name
     role: RoleName
@@ -138,7 +138,7 @@ class Input:
 
 @dataclass(frozen=True, slots=True)
 class GaussiansOutput:
-    """The packed rows, [capacity, 10]: x y z opacity xx xy xz yy yz zz."""
+    """The output of packed Gaussians, [capacity, 10]: x y z opacity xx xy xz yy yz zz."""
 
     name: Name
     capacity: Annotated[int, Hint(text="Rows of the tensor, padding included.", minimum=1)]
@@ -148,7 +148,7 @@ class GaussiansOutput:
 
 @dataclass(frozen=True, slots=True)
 class AppearanceOutput:
-    """What colour the Gaussians have, [capacity, channels]."""
+    """The output of the Gaussians' colours, [capacity, channels]."""
 
     name: Name
     space: Annotated[
@@ -163,7 +163,7 @@ class AppearanceOutput:
 
 @dataclass(frozen=True, slots=True)
 class CountOutput:
-    """How many rows are live, int32 [1]; the rows behind them are inert."""
+    """The output of the number of live rows, int32 [1]; rows behind it are inert."""
 
     name: Name
     semantics: Annotated[
@@ -176,7 +176,7 @@ class CountOutput:
 
 @dataclass(frozen=True, slots=True)
 class CellsOutput:
-    """The cells that a weighted sum is sorted by, [capacity / per_cell, 10].
+    """The output of the cells that a weighted sum is sorted by, [capacity / per_cell, 10].
 
     A row is x y z visibility xx xy xz yy yz zz; Gaussian r belongs to cell r // per_cell.
     """
@@ -188,7 +188,7 @@ class CellsOutput:
 
 @dataclass(frozen=True, slots=True)
 class GeneratorOutputs:
-    """What a Gaussian Generator puts out: GO001, GO005 and GO010 ask for three, GM017 for cells."""
+    """The outputs of a Gaussian Generator; GO001, GO005, GO010 require three, GM017 the cells."""
 
     gaussians: GaussiansOutput | None = None
     appearance: AppearanceOutput | None = None
@@ -198,7 +198,7 @@ class GeneratorOutputs:
 
 @dataclass(frozen=True, slots=True)
 class WeightedSum:
-    """How a renderer weighs Gaussians that it sums cell by cell; goes with `blend: wsr`."""
+    """The weights of Gaussians that a renderer sums cell by cell; required by `blend: wsr`."""
 
     background: Annotated[Fraction, Hint(text="Weight of the background.")]
     depth_range: Annotated[
@@ -231,7 +231,7 @@ class Tolerances:
 
 @dataclass(frozen=True, slots=True)
 class TestVector:
-    """Inputs and the digest of the outputs that they must give."""
+    """The probe label and the output digest that a model promises to reproduce."""
 
     inputs: Annotated[str, Hint(text="Which probe, by its label.")]
     expected_sha256: Sha256
@@ -240,9 +240,9 @@ class TestVector:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceImage:
-    """A picture beside the model, and from where the model must look like it; pixels from its corner.
+    """A picture beside the model that a render of the model must match, with its camera.
 
-    Its camera looks along +z, x is right and y down; colours are over black.
+    The camera looks along +z, x is right and y down; colours are over black.
     """
 
     path: Annotated[str, Hint(text="A PNG in the model's folder or below it.", min_length=1)]
@@ -253,13 +253,13 @@ class ReferenceImage:
         Hint(text="World to camera: the first three rows of the matrix."),
     ]
     focal: Annotated[tuple[float, float], Hint(text="Focal lengths in x and y, in pixels.")]
-    center: Annotated[tuple[float, float], Hint(text="Principal point, in pixels.")]
+    center: Annotated[tuple[float, float], Hint(text="Principal point, in pixels from the corner.")]
     psnr: Annotated[AboveZero, Hint(text="Least peak signal-to-noise ratio, in decibels.")] = 40.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Common:
-    """What a manifest of any kind says."""
+    """The manifest fields of every kind of model."""
 
     name: Annotated[str, Hint(text="What people call the model.", min_length=1)]
     inputs: tuple[Input, ...] = ()
@@ -274,7 +274,7 @@ class _Common:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeneratorManifest(_Common):
-    """A Gaussian Generator: frame inputs → packed Gaussians."""
+    """The manifest of a Gaussian Generator: frame inputs → packed Gaussians."""
 
     outputs: GeneratorOutputs
     space: Space | None = None
@@ -297,7 +297,7 @@ class GeneratorManifest(_Common):
 
 @dataclass(frozen=True, slots=True)
 class ImageOutput:
-    """An image, [1, 3 or 4, H, W], the same size as the input's."""
+    """An image output, [1, 3 or 4, H, W], of the size of the input image."""
 
     name: Name
     dtype: Literal["float32", "float16"] = "float32"
@@ -314,7 +314,7 @@ class PostProcessOutputs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PostProcessManifest(_Common):
-    """A post-process model: image (and conditioning) → image."""
+    """The manifest of a post-process model: image (and conditioning) → image."""
 
     outputs: PostProcessOutputs
     image_range: Annotated[
@@ -326,7 +326,7 @@ class PostProcessManifest(_Common):
 
 @dataclass(frozen=True, slots=True)
 class FutureOutput:
-    """Predicted camera states, [steps, S], nearest first."""
+    """The output of predicted camera states, [steps, S], nearest first."""
 
     name: Name
     steps: Positive
@@ -335,7 +335,7 @@ class FutureOutput:
 
 @dataclass(frozen=True, slots=True)
 class UncertaintyOutput:
-    """How sure the prediction is, one row a step."""
+    """The output of the prediction's uncertainty, one row per step."""
 
     name: Name
     semantics: Literal["standard-deviation", "covariance-upper"] = "standard-deviation"
@@ -351,7 +351,7 @@ class TrajectoryOutputs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryManifest(_Common):
-    """A trajectory predictor: past camera states → future ones, with uncertainty."""
+    """The manifest of a trajectory predictor: past camera states → future states, uncertainty."""
 
     outputs: TrajectoryOutputs
     step_seconds: Annotated[float, Hint(text="Time between two states, in seconds.", minimum=0)]
@@ -371,7 +371,7 @@ _TYPES = {
 def manifest_type(
     kind: str,
 ) -> type[GeneratorManifest] | type[PostProcessManifest] | type[TrajectoryManifest]:
-    """Return the dataclass of a manifest of ``kind``.
+    """Return the manifest's dataclass for a model of ``kind``.
 
     Raises:
         UnknownName: The kind does not exist.

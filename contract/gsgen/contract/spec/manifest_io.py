@@ -1,4 +1,4 @@
-"""Manifests as text: parse, check against the schema, upgrade, write."""
+"""Reads and writes manifests as text: parse, check against the schema, upgrade, write."""
 
 __all__ = ["Complaint", "Parsed", "dumps", "loads", "parse", "schema_name", "schemas"]
 
@@ -14,6 +14,7 @@ from gsgen.contract.errors import ManifestInvalid
 from gsgen.contract.spec.json_schema import from_json, schema_of, to_json
 from gsgen.contract.spec.manifest import Manifest, manifest_type
 from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.schema_check import accepts
 from gsgen.contract.spec.upgrades import CURRENT, Version, upgrade
 
 _MAX_BYTES = 4 << 20
@@ -21,7 +22,7 @@ _MAX_BYTES = 4 << 20
 
 @dataclass(frozen=True, slots=True)
 class Complaint:
-    """One fault of a manifest, as data.
+    """One fault of a manifest: its location, the actual and the expected value.
 
     Attributes:
         cause: ``syntax``, ``schema`` or ``version``.
@@ -38,7 +39,7 @@ class Complaint:
 
 @dataclass(frozen=True, slots=True)
 class Parsed:
-    """The result of parsing a manifest.
+    """The result of parsing a manifest: the manifest, its version, and its faults.
 
     Attributes:
         manifest: The manifest, or None where a complaint prevents reading it.
@@ -54,12 +55,12 @@ class Parsed:
 
 
 def schema_name(kind: str, version: Version = CURRENT) -> str:
-    """Return the file name of a published schema."""
+    """Return the file name of a published manifest schema."""
     return f"{kind}-{version[0]}.{version[1]}.schema.json"
 
 
 def schemas() -> dict[str, dict[str, object]]:
-    """Generate the schemas of the current version from the dataclasses: file name → document."""
+    """Return the manifest schemas of the current version by file name, from dataclasses."""
     documents: dict[str, dict[str, object]] = {}
     for kind in KINDS:
         body = schema_of(manifest_type(kind), title=f"gsgen manifest: {kind}")
@@ -74,19 +75,23 @@ def _required(body: dict[str, object]) -> list[object]:
 
 
 @cache
-def _validator(kind: str, version: Version) -> Any:
+def _published_schema(kind: str, version: Version) -> dict[str, Any]:
+    file = resources.files("gsgen.contract").joinpath("schemas", schema_name(kind, version))
+    document: dict[str, Any] = json.loads(file.read_text("utf-8"))
+    return document
+
+
+def _errors(document: dict[str, Any], schema: dict[str, Any]) -> list[Any]:
+    """Return every fault of ``document`` as jsonschema describes it."""
+    if accepts(schema, document):
+        return []
     from jsonschema import Draft202012Validator
 
-    text = (
-        resources.files("gsgen.contract")
-        .joinpath("schemas", schema_name(kind, version))
-        .read_text("utf-8")
-    )
-    return Draft202012Validator(json.loads(text))
+    return list(Draft202012Validator(schema).iter_errors(document))
 
 
 def parse(text: str) -> Parsed:
-    """Parse a manifest; faults are returned as data, never raised."""
+    """Parse the JSON text of a manifest; faults are returned as data, never raised."""
     if len(text) > _MAX_BYTES:
         return _failed("syntax", "", f"{len(text)} characters", f"at most {_MAX_BYTES}")
     try:
@@ -126,7 +131,7 @@ def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
     if kind not in KINDS:
         return _failed("schema", "kind", _short(kind), f"one of {', '.join(KINDS)}")
     newer = version > CURRENT
-    errors = list(_validator(kind, min(version, CURRENT)).iter_errors(document))
+    errors = _errors(document, _published_schema(kind, min(version, CURRENT)))
     if newer:  # a newer minor may have fields that this reader does not know
         errors = [error for error in errors if error.validator != "additionalProperties"]
     complaints = tuple(_complaint(error) for error in sorted(errors, key=_place))
@@ -137,7 +142,7 @@ def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
 
 
 def loads(text: str) -> Manifest:
-    """Parse a manifest that must be valid.
+    """Parse the JSON text of a manifest, and raise ManifestInvalid if it has a fault.
 
     Raises:
         ManifestInvalid: The manifest has faults; the message lists all of them.
@@ -152,7 +157,7 @@ def loads(text: str) -> Manifest:
 
 
 def dumps(manifest: Manifest, *, indent: int | None = 2) -> str:
-    """Write a manifest as JSON, contract version and kind first.
+    """Return a manifest as JSON text, contract version and kind first.
 
     Raises:
         ManifestInvalid: A value in it does not follow the schema.
@@ -169,7 +174,7 @@ def _failed(cause: str, where: str, actual: str, expected: str) -> Parsed:
 
 
 def _number(text: str) -> float:
-    """Parse a number; NaN, infinity and numbers beyond float64 are refused."""
+    """Parse a JSON number; raise for NaN, infinity and numbers beyond float64."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"{_short(text)} is not a finite number")
@@ -177,7 +182,7 @@ def _number(text: str) -> float:
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Build an object; a key that is repeated within it is refused."""
+    """Build a JSON object; raise if a key is repeated within it."""
     document = dict(pairs)
     if len(document) != len(pairs):
         keys = [key for key, _ in pairs]
@@ -219,7 +224,7 @@ def _is_unknown(name: str, error: Any) -> bool:
 
 
 def _complaint(error: Any) -> Complaint:
-    """Translate a jsonschema error into location, actual and expected."""
+    """Translate a jsonschema error into location, actual and expected value."""
     where = ".".join(str(part) for part in error.absolute_path)
     expected = error.schema.get("description") if isinstance(error.schema, dict) else None
     if error.validator == "required":

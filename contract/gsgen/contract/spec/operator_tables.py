@@ -1,4 +1,4 @@
-"""Operator tables: what a release of ONNX Runtime's WebGPU provider does with an operator.
+"""Operator tables: how releases of ONNX Runtime's WebGPU provider execute each ONNX operator.
 
 Measured, not read from its documentation, and written by ``scripts/write_operator_tables.py``.
 """
@@ -26,7 +26,7 @@ CAPTURE = "capture"
 
 @dataclass(frozen=True, slots=True)
 class OperatorTable:
-    """The outcome of each operator in one release.
+    """The measured outcome (captured, CPU fallback, …) of each ONNX operator in one release.
 
     Attributes:
         runtime: The release, as reports show it.
@@ -38,7 +38,7 @@ class OperatorTable:
     outcomes: dict[tuple[str, str], dict[int, str]]
 
     def outcome(self, operator: str, variant: str, dtype: str, opset: int) -> str:
-        """Return the outcome of an operator; empty if it was not measured."""
+        """Return the outcome of an operator in this runtime release; empty if not measured."""
         steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
         steps = steps or self.outcomes.get((operator, dtype))
         if not steps:
@@ -47,7 +47,7 @@ class OperatorTable:
         return steps[max(reached)]
 
     def opset_with_kernel(self, operator: str, variant: str, dtype: str) -> int | None:
-        """Return an operator set in which it is captured; None if no set captures it."""
+        """Return an operator set in which this runtime release captures the operator, or None."""
         steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
         steps = steps or self.outcomes.get((operator, dtype), {})
         return next((step for step, outcome in steps.items() if outcome == CAPTURE), None)
@@ -55,7 +55,7 @@ class OperatorTable:
 
 @cache
 def operator_table(name: str) -> OperatorTable:
-    """Return the table called ``name``, such as ``onnxruntime-web-1.22.0``.
+    """Return the operator table called ``name``, such as ``onnxruntime-web-1.22.0``.
 
     Raises:
         UnknownName: No table has that name.

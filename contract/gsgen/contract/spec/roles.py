@@ -1,4 +1,4 @@
-"""Input roles: what a frame input means, and the shape and dtype that this fixes."""
+"""Input roles: the meaning of a frame input, which fixes its shape and dtype."""
 
 __all__ = ["ROLES", "Role", "Shape", "matching_shape", "role"]
 
@@ -17,7 +17,7 @@ KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Role:
-    """The meaning of one kind of input.
+    """The meaning, shapes and dtype of one kind of frame input, such as ``view`` or ``time``.
 
     Attributes:
         name: The word the manifest uses.
@@ -163,7 +163,7 @@ ROLES: dict[str, Role] = {
 
 
 def role(name: str) -> Role:
-    """Return the role called ``name``.
+    """Return the input role called ``name``.
 
     Raises:
         UnknownName: No role has that name; the message names the nearest one.
@@ -174,7 +174,7 @@ def role(name: str) -> Role:
 
 
 def matching_shape(entry: Role, dims: Shape) -> Shape | None:
-    """Return the shape of ``entry`` that ``dims`` fits, or None.
+    """Return the shape of the role ``entry`` that ``dims`` fits, or None.
 
     A named size fits any positive number; ``*`` alone fits any shape.
     """

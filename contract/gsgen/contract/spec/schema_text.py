@@ -1,4 +1,4 @@
-"""Text and limits of a manifest field, for its JSON Schema."""
+"""Descriptions and limits of manifest fields for their JSON Schema."""
 
 __all__ = ["Hint"]
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hint:
-    """Metadata in ``Annotated[...]`` that the published JSON Schema repeats."""
+    """Field metadata in ``Annotated[...]`` that becomes JSON Schema keywords."""
 
     text: str = ""
     minimum: float | None = None
@@ -18,7 +18,7 @@ class Hint:
     enum: tuple[str, ...] = ()
 
     def keywords(self) -> dict[str, object]:
-        """Return the JSON Schema keywords that this hint stands for."""
+        """Return the field metadata as JSON Schema keywords."""
         by_keyword = {
             "description": self.text or None,
             "minimum": self.minimum,

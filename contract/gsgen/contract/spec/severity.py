@@ -1,4 +1,4 @@
-"""Severity of a rule, and the levels of a validation."""
+"""Severities of rules, and levels of a validation, as ordered enumerations."""
 
 __all__ = ["Level", "Severity"]
 
@@ -8,21 +8,21 @@ from gsgen.contract.errors import UnknownName
 
 
 class _Named(IntEnum):
-    """An ordered enumeration whose members are written in lower case."""
+    """Base of ordered enumerations whose member names are written in lower case."""
 
     @property
     def word(self) -> str:
-        """The name as people type it."""
+        """The member's name in lower case, as users type it."""
         return self.name.lower()
 
     @classmethod
     def words(cls) -> tuple[str, ...]:
-        """All names, lowest first."""
+        """The lower-case names of all members, lowest first."""
         return tuple(member.word for member in cls)
 
 
 class Severity(_Named):
-    """Severity of a violation."""
+    """The severity of a rule's violation, from info to error."""
 
     INFO = 1
     WARNING = 2
@@ -37,7 +37,7 @@ class Severity(_Named):
 
 
 class Level(_Named):
-    """Depth of a validation; each level includes the ones before it."""
+    """The depth of a validation; each level includes the lower ones."""
 
     STATIC = 1
     VALUES = 2
@@ -47,7 +47,7 @@ class Level(_Named):
 
     @classmethod
     def parse(cls, word: str, where: str = "") -> "Level":
-        """Return the level called ``word``; raise UnknownName if it is unknown."""
+        """Return the validation level called ``word``; raise UnknownName if it is unknown."""
         if word.lower() not in cls.words():
             raise UnknownName.among("level", word, cls.words(), where)
         return cls[word.upper()]

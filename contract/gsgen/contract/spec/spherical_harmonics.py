@@ -18,7 +18,8 @@ __all__ = [
 import math
 
 import numpy as np
-from jaxtyping import Float
+
+from gsgen.contract._array_types import Float
 
 MAX_DEGREE = 3
 COEFFICIENTS = tuple((degree + 1) ** 2 for degree in range(MAX_DEGREE + 1))
@@ -35,12 +36,12 @@ _C3 = (
 
 
 def coefficients(degree: int) -> int:
-    """Return K, the number of coefficients up to ``degree``: (degree + 1)²."""
+    """Return K, the number of SH coefficients up to ``degree``: (degree + 1)²."""
     return (degree + 1) ** 2
 
 
 def degree_of(count: int) -> int:
-    """Return the degree that has ``count`` coefficients.
+    """Return the SH degree that has ``count`` coefficients.
 
     Raises:
         ValueError: ``count`` is not 1, 4, 9 or 16.
@@ -55,7 +56,7 @@ def degree_of(count: int) -> int:
 def basis(
     directions: Float[np.ndarray, "... 3"], degree: int = MAX_DEGREE
 ) -> Float[np.ndarray, "... k"]:
-    """Evaluate the K = (degree + 1)² basis functions at unit ``directions``, in float64."""
+    """Evaluate the (degree + 1)² SH basis functions at unit ``directions``, in float64."""
     x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
     xx, yy, zz = x * x, y * y, z * z
     columns = [np.full_like(x, _C0)]
@@ -85,7 +86,7 @@ def basis(
 def largest_sum(
     weights: Float[np.ndarray, "d k"], sh: Float[np.ndarray, "n k c"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the largest |Σ Y_k c_k| of each Gaussian over directions and channels.
+    """Return the largest |Σ Y_k c_k| of each Gaussian over directions and colour channels.
 
     ``weights`` are values of :func:`basis`; one matrix product serves all rows.
     """
@@ -98,7 +99,7 @@ def largest_sum(
 def evaluate(
     sh: Float[np.ndarray, "n k 3"], directions: Float[np.ndarray, "d 3"]
 ) -> Float[np.ndarray, "n d 3"]:
-    """Return the colour of every Gaussian in every direction: max(0, 0.5 + Σ Y_k c_k).
+    """Return the SH colour of every Gaussian in every direction: max(0, 0.5 + Σ Y_k c_k).
 
     Args:
         sh: Coefficient-major coefficients, K = 1, 4, 9 or 16.

@@ -1,4 +1,4 @@
-"""Targets: versioned data files with the limits and quirks of one consumer of models."""
+"""Targets: versioned data files with the limits and quirks of runtimes and viewers."""
 
 __all__ = ["Target", "known_targets", "load_target", "target_from_json"]
 
@@ -16,7 +16,7 @@ from gsgen.contract.spec.severity import Severity
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """The limits of one consumer of models.
+    """The limits of one runtime or viewer that consumes models.
 
     Attributes:
         name: What ``--target`` takes.
@@ -43,12 +43,12 @@ class Target:
 
     @property
     def label(self) -> str:
-        """Name and version, as reports show it."""
+        """The target's name and version, as reports show them."""
         return f"{self.name}@{self.version}"
 
 
 def target_from_json(text: str, where: str) -> Target:
-    """Read a target's data file.
+    """Parse the JSON data file of a validation target.
 
     Raises:
         ConfigInvalid: It is not such a file.
@@ -72,7 +72,7 @@ def target_from_json(text: str, where: str) -> Target:
 
 @cache
 def _own_targets() -> dict[str, Target]:
-    """Return the targets that come with gsgen."""
+    """Return the validation targets that come with gsgen."""
     folder = resources.files("gsgen.contract").joinpath("targets_data")
     files = sorted(folder.iterdir(), key=lambda entry: entry.name)
     targets = [
@@ -85,7 +85,7 @@ def _own_targets() -> dict[str, Target]:
 
 @cache
 def known_targets() -> dict[str, Target]:
-    """Return every target that is installed, by name; third parties' come last.
+    """Return every installed validation target by name, third parties' last.
 
     A third party registers a :class:`Target`, or a function without arguments that returns one,
     under the entry point group ``gsgen.targets``. It may build on ours with :func:`load_target`.
@@ -113,7 +113,7 @@ def _loaded(point: EntryPoint) -> Target:
 
 
 def load_target(name: str, where: str = "--target") -> Target:
-    """Return the target called ``name`` or ``name@version``.
+    """Return the validation target called ``name`` or ``name@version``.
 
     Raises:
         UnknownName: No target has that name.

@@ -1,4 +1,4 @@
-"""Limits of float16, and sizes in bytes as text."""
+"""The limits of float16, and the formatting of byte counts."""
 
 __all__ = [
     "FLOAT16_EPSILON",
@@ -26,7 +26,7 @@ MEBIBYTE: Final = 1 << 20
 
 
 def format_bytes(size: int) -> str:
-    """Return a size with its unit: ``812 B``, ``12.4 KiB`` or ``3.1 MiB``."""
+    """Return a byte count with its unit: ``812 B``, ``12.4 KiB`` or ``3.1 MiB``."""
     if size < KIBIBYTE:
         return f"{size} B"
     if size < MEBIBYTE:
@@ -35,5 +35,5 @@ def format_bytes(size: int) -> str:
 
 
 def format_mebibytes(size: int, digits: int = 1) -> str:
-    """Return a size in MiB, with ``digits`` decimals."""
+    """Return a byte count in MiB, with ``digits`` decimals."""
     return f"{size / MEBIBYTE:.{digits}f} MiB"

@@ -1,4 +1,4 @@
-"""Upgrades of older manifests: one pure function for each minor version."""
+"""Upgrades of manifests of older contract versions: one pure function per minor version."""
 
 __all__ = ["CURRENT", "UPGRADES", "Step", "Version", "upgrade", "upgrade_1_0_to_1_1"]
 
@@ -12,7 +12,7 @@ CURRENT: Version = (1, 1)
 
 
 def upgrade_1_0_to_1_1(document: dict[str, Any]) -> dict[str, Any]:
-    """Lift a manifest to 1.1, in which ``blend: wsr`` goes with cells.
+    """Convert a manifest of contract 1.0 to 1.1, in which ``blend: wsr`` requires cells.
 
     1.0 had no field that describes cells, so a reader could only blend by sorting. The upgraded
     manifest says so: ``alpha``. Rule GM018 tells the user.
@@ -30,7 +30,7 @@ UPGRADES: dict[Version, Step] = {(1, 0): upgrade_1_0_to_1_1}
 def upgrade(
     document: dict[str, Any], version: Version, steps: Mapping[Version, Step] = UPGRADES
 ) -> dict[str, Any]:
-    """Return ``document`` lifted step by step as far as ``steps`` reach.
+    """Upgrade a manifest document version by version, as far as ``steps`` reach.
 
     The document given is not changed. Where no step starts at a version, it stays there.
     """
@@ -39,6 +39,8 @@ def upgrade(
         major, minor = document["contract"].split(".")
         reached = (int(major), int(minor))
         if reached <= version:
-            raise ValueError(f"the upgrade from {version} led to {reached}")
+            raise ValueError(
+                f"the upgrade from {version} led to {reached}: expected a newer version"
+            )
         version = reached
     return document

@@ -1,1 +1,1 @@
-"""What can be done with a model besides validation? Compare it, record test vectors."""
+"""Tools for models: compare two models, record test vectors; and checks of the installation."""

@@ -1,4 +1,4 @@
-"""Checks of the installation: versions, missing parts, and the command that installs them."""
+"""Checks the installation: versions, missing parts, and the commands that install them."""
 
 __all__ = ["Check", "check_package", "checks"]
 
@@ -15,7 +15,7 @@ State = Literal["ok", "missing", "broken"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """The state of one dependency of gsgen.
+    """The state of one dependency of gsgen, with the command that repairs it.
 
     Attributes:
         name: The package, device or process.
@@ -43,7 +43,7 @@ def check_package(name: str, remedy: str, *, purpose: str = "") -> Check:
 
 
 def checks() -> Iterator[Check]:
-    """Yield the state of the dependencies of validation."""
+    """Yield the states of the dependencies that validation needs."""
     yield Check(
         name="gsgen", state="ok", detail=f"{version('gsgen')} in {Path(__file__).parents[2]}"
     )
@@ -56,7 +56,7 @@ def checks() -> Iterator[Check]:
 
 
 def _sandbox() -> Check:
-    """Run a minimal model in the sandbox, as validation does."""
+    """Check the sandbox: run a minimal model in it, as validation does."""
     import tempfile
 
     from onnx import ModelProto, NodeProto, TensorProto

@@ -61,7 +61,7 @@ class OutputDifference:
 def compare_models(
     first: Path, second: Path, limits: Limits | None = None
 ) -> tuple[list[Difference], list[OutputDifference], str]:
-    """Compare two models.
+    """Compare the declarations, graphs and outputs of two models.
 
     Returns:
         The differences of contract and graph, those of outputs, and the reason why outputs
@@ -126,7 +126,7 @@ def _changes(kind: str, a: dict[str, str], b: dict[str, str]) -> Iterator[Differ
 
 
 def _incomparable(a: InspectedModel, b: InspectedModel) -> str:
-    """Return why outputs cannot be compared; empty if they can."""
+    """Return the reason why two models' outputs cannot be compared; empty if they can."""
     for subject in (a, b):
         if subject.generator is None or not subject.output_names:
             return f"{subject.file.path.name} is not a Gaussian Generator"

@@ -34,19 +34,16 @@ _Item = TypeVar("_Item")
 
 
 class RecordingRefused(GsgenError):
-    """The outputs of the model cannot be recorded: it has no manifest, is invalid or fails."""
+    """Raised if a model's outputs cannot be recorded: it has no manifest, is invalid or fails."""
 
 
 def refuse_existing(existing: Sequence[Path], folder: Path, alternative: str) -> None:
-    """Raise if an earlier recording would be replaced.
+    """Raise if an earlier recording in the model's manifest would be replaced.
 
     Args:
         existing: Files of the earlier recording.
         folder: Their folder.
         alternative: The option to change instead of using --force, for the hint.
-
-    Raises:
-        ConfigInvalid: ``existing`` is not empty.
     """
     if existing:
         message = f"holds {existing[0].name} already"
@@ -55,7 +52,7 @@ def refuse_existing(existing: Sequence[Path], folder: Path, alternative: str) ->
 
 
 def evenly_spaced(items: Sequence[_Item], count: int) -> list[_Item]:
-    """Return ``count`` evenly spaced items; with two or more, the first and the last are included."""
+    """Return ``count`` evenly spaced items of a sequence; for two or more, with both ends."""
     picked = np.rint(np.linspace(0, len(items) - 1, count)).astype(int)
     return [items[index] for index in picked]
 
@@ -89,7 +86,7 @@ def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
 def run_at_probes(
     subject: InspectedModel, outputs: Sequence[str], probes: Sequence[Probe]
 ) -> Iterator[Execution]:
-    """Run a model at probes; the results live as long as the ``with`` block.
+    """Run a model at probes; the results exist until the ``with`` block ends.
 
     Raises:
         RecordingRefused: The model does not run.
@@ -104,7 +101,7 @@ def run_at_probes(
 
 @contextmanager
 def write_recorded_copy(file: ModelFile, changed: Mapping[str, Any], model: Path) -> Iterator[Path]:
-    """Write a copy of a model with changed manifest fields; unknown fields are kept.
+    """Write a copy of a model with changed manifest fields; unknown fields are retained.
 
     Args:
         file: The model; it is not changed, unless ``model`` is the same file.
@@ -113,9 +110,6 @@ def write_recorded_copy(file: ModelFile, changed: Mapping[str, Any], model: Path
 
     Yields:
         A temporary folder; its files are moved next to the copy if the block succeeds.
-
-    Raises:
-        ConfigInvalid: The copy cannot be written.
     """
     document = json.loads(file.manifest_text or "{}") | dict(changed)
     try:

@@ -44,7 +44,7 @@ _SET = re.compile(r"^test_data_set_[0-9]+$")
 
 @dataclass(frozen=True, slots=True)
 class RecordedVectors:
-    """The result of recording test vectors.
+    """The files and manifest entries of recorded test vectors.
 
     Attributes:
         model: The copy whose manifest has the digests.
@@ -68,7 +68,7 @@ def record_vectors(
     force: bool = False,
     progress: Callable[[str], None] = lambda _: None,
 ) -> RecordedVectors:
-    """Run ``source`` at ``count`` of its probes, and write inputs, outputs and digests.
+    """Run a model at ``count`` of its probes, and write inputs, outputs and digests.
 
     Args:
         source: A model with a manifest; it is not changed, unless ``model`` is the same file.

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.layout import (
     APPEARANCE_CHANNELS,
@@ -31,7 +31,7 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 @dataclass(frozen=True, slots=True)
 class FieldError:
-    """A field in which two executions differ by more than its tolerance.
+    """A field of a generator's outputs in which two executions differ beyond the tolerance.
 
     Attributes:
         tolerance: The field and its largest allowed difference.
@@ -49,7 +49,7 @@ class FieldError:
 def field_errors(
     first: ModelOutputs, second: ModelOutputs, tolerances: Sequence[Tolerance]
 ) -> Iterator[FieldError]:
-    """Yield the fields that differ by more than their tolerance plus storage rounding.
+    """Yield the output fields that differ by more than their tolerance plus storage rounding.
 
     Rows and cells that neither execution draws are compared by opacity and visibility alone.
     Outputs of another size, or without packed rows, yield no error: other rules report them.
@@ -79,7 +79,7 @@ def _beyond(
 
 
 def comparable_parts(first: ModelOutputs, second: ModelOutputs) -> tuple[bool, bool, bool]:
-    """Return whether packed rows, colours and cells can be compared field by field."""
+    """Return for packed rows, colours and cells whether each can be compared field by field."""
     rows, second_rows = first.gaussians, second.gaussians
     if rows is None or second_rows is None or rows.shape != second_rows.shape:
         return False, False, False
@@ -96,7 +96,7 @@ Measured = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 
 
 def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
-    """Yield for each field the error and the rounding of every row."""
+    """Yield for each output field the error and the rounding of every row."""
     assert first.gaussians is not None
     assert second.gaussians is not None
     a, b = (rows.astype(np.float64) for rows in (first.gaussians, second.gaussians))
@@ -111,7 +111,7 @@ def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, 
 
 
 def _cells_measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
-    """Yield for each field the error and the rounding of every cell."""
+    """Yield for each cell field the error and the rounding of every cell."""
     assert first.cells is not None
     assert second.cells is not None
     a, b = (values.astype(np.float64) for values in (first.cells, second.cells))
@@ -152,7 +152,7 @@ def _ratio(distance: np.ndarray, unit: np.ndarray) -> np.ndarray:
 
 
 def _distance(a: np.ndarray, b: np.ndarray, columns: int | slice) -> np.ndarray:
-    """Return the largest difference of each row; equal values and NaN pairs count as zero."""
+    """Return the largest difference in each row; equal values and NaN pairs count as zero."""
     x, y = a[:, columns].reshape(len(a), -1), b[:, columns].reshape(len(b), -1)
     return np.asarray(np.abs(_difference(x, y)).max(axis=1))
 
@@ -164,7 +164,7 @@ def _difference(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _color_errors(a: np.ndarray, b: np.ndarray, *, is_sh: bool) -> Measured:
-    """Return the colour difference along six directions, and the colour magnitude, of each row."""
+    """Return each row's colour difference along six directions, and its colour magnitude."""
     if not is_sh:
         part = slice(0, 3)
         return _distance(a, b, part), np.abs(a[:, part]).max(axis=1)

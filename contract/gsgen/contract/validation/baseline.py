@@ -22,7 +22,7 @@ _CHECKED = ("pass", "fail")
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """Known findings of one or several models.
+    """Known findings of one or several models, which do not make validation fail.
 
     Attributes:
         path: The report it was read from.
@@ -33,7 +33,7 @@ class Baseline:
     known: Mapping[str, KnownFindings]
 
     def apply(self, report: Report) -> Report:
-        """Mark the known findings of ``report``, and list those that are resolved.
+        """Mark the known findings of ``report``, and list the resolved ones.
 
         A finding is resolved only if its rule was checked this time.
         """

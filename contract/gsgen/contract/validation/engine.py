@@ -44,7 +44,7 @@ _version = cache(version)  # each call reads a metadata file
 
 
 def silent(_: str) -> None:
-    """Ignore a progress text."""
+    """Ignore a progress text: the default progress callback."""
 
 
 def validate_with(
@@ -90,7 +90,7 @@ class _Validation:
         self.runtime_seconds = 0.0
 
     def report(self) -> Report:
-        """Run the stages up to the requested level and return the report."""
+        """Run the stages up to the requested level and return the validation report."""
         self._check_model()
         self._check_runs()
         self._settle_remaining()
@@ -117,6 +117,10 @@ class _Validation:
             runtime_seconds=self.runtime_seconds,
             sha256=digest(subject.file.path, self.settings.level, subject.file.size),
             tolerances=effective_tolerances(subject),
+            external_size=subject.file.weight_bytes - subject.file.size,
+            required=self.settings.required,
+            timed=self.settings.timings,
+            docs_url=self.settings.docs_url,
         )
 
     def _findings(self) -> tuple[Finding, ...]:
@@ -159,7 +163,7 @@ class _Validation:
                 self._check_backend_levels(probe_runs)
 
     def _can_run(self, gates: list[Rule]) -> bool:
-        """Return whether the model may run; otherwise settle the rules that depend on a run."""
+        """Return whether the model may be run; otherwise skip the rules that depend on a run."""
         runs = self.registry.rules.get(MODEL_RUNS)
         if runs is None:
             reason = f"because no rule {MODEL_RUNS} is installed"
@@ -222,7 +226,7 @@ class _Validation:
         return f"{count} did not run, {probes[0]!r} first: {share} (see --timeout)"
 
     def _check_backend_levels(self, probe_runs: ProbeRuns) -> None:
-        """Check the levels that registered backends run."""
+        """Check the validation levels that registered backends run."""
         for level, scope in _BACKEND_SCOPES.items():
             backend = self.registry.backends.get(level)
             if backend is not None and level <= self.settings.level:
@@ -271,7 +275,7 @@ class _Validation:
                 self.results.skip([rule], f"level {rule.level.word} did not run")
 
     def _check_report(self) -> None:
-        """Check the findings of all other rules: does every waiver still match one?"""
+        """Check the rules about the findings of all other rules, such as unused waivers."""
         statuses = {id: outcome.status for id, outcome in self.results.outcomes.items()}
         settings = self.settings
         review = Review(self._findings(), statuses, settings.waivers, settings.today)
@@ -282,7 +286,7 @@ class _Validation:
 
 
 def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
-    """Order rules so that each comes after those it needs."""
+    """Order rules so that each rule comes after those it depends on."""
     pending = {rule.id: rule for rule in rules}
     ordered: list[Rule] = []
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.spec.severity import Severity
 
 Certainty = Literal["confirmed", "possible"]
@@ -17,7 +17,7 @@ Certainty = Literal["confirmed", "possible"]
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """The location of a violation.
+    """The location of a violation: a tensor, node, manifest field, rows or file.
 
     Attributes:
         subject: ``output gaussians``, ``input time``, ``node /mlp/MatMul``, ``manifest bounds``.
@@ -33,7 +33,7 @@ class Location:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Violation:
-    """One location where a rule does not hold.
+    """One location where a rule does not hold, with the actual and the expected value.
 
     Attributes:
         where: The location.
@@ -62,7 +62,7 @@ class Violation:
     def at(
         cls, subject: str, actual: str, expected: str, *, certainty: Certainty = "confirmed"
     ) -> "Violation":
-        """Return a violation of one tensor, node or manifest field."""
+        """Return a violation at one tensor, node or manifest field."""
         return cls(where=Location(subject), expected=expected, actual=actual, certainty=certainty)
 
     @classmethod
@@ -78,7 +78,7 @@ class Violation:
         min_fraction: float = 0.0,
         certainty: Certainty = "confirmed",
     ) -> "Violation":
-        """Return a violation of rows of a chunk; the engine counts them and picks examples."""
+        """Return a violation of packed rows; the engine counts the rows and selects examples."""
         return cls(
             where=where,
             expected=expected,
@@ -148,12 +148,12 @@ class Finding:
 
     @property
     def counts(self) -> bool:
-        """Whether the finding counts against the model: neither waived nor known."""
+        """Whether the finding counts against the model: it is neither waived nor known."""
         return not (self.waived or self.known)
 
     @property
     def fingerprint(self) -> str:
-        """Identifier of the fault, equal across runs, machines and numbers of rows."""
+        """An identifier of the finding that is equal across runs, machines and numbers of rows."""
         of_rows = any(example.row is not None for example in self.examples)
         kind = ("rows" if of_rows else "thing", self.certainty)
         text = json.dumps((self.rule, self.where.subject, self.where.field, *kind))

@@ -13,7 +13,7 @@ _MAX_EXAMPLES = 5
 
 @dataclass(slots=True, kw_only=True)
 class FindingCounter:
-    """The violations of one rule at one location.
+    """The counted violations of one rule at one location.
 
     Attributes:
         where: The location.
@@ -43,7 +43,7 @@ class FindingCounter:
     truncated: bool = False
 
     def add(self, violation: Violation, probe: str = "", start: int = 0) -> None:
-        """Add one violation; ``start`` is the number of its chunk's first row."""
+        """Count one violation; ``start`` is the number of the first row of its chunk."""
         self.total += violation.checked
         self.min_fraction = violation.min_fraction
         if violation.invalid_rows is None:
@@ -78,7 +78,7 @@ class FindingCounter:
         return self.count > 0 and self.count > self.min_fraction * self.total
 
     def message(self) -> str:
-        """Return the actual and the expected value in one line."""
+        """The finding's actual and expected value in one line."""
         if not self.by_rows:
             suffix = f" (and {self.count - 1} more like it)" if self.count > 1 else ""
             probe = f" ({self.examples[0].probe})" if self.examples[0].probe else ""

@@ -1,4 +1,4 @@
-"""Gates: the rules that must hold before others can be checked, grouped by what they secure."""
+"""Gates: rules that must hold before other rules can be checked, grouped by purpose."""
 
 __all__ = [
     "APPEARANCE",

@@ -18,17 +18,17 @@ from gsgen.contract.spec.severity import Level
 
 
 class LevelUnavailable(GsgenError):
-    """A level cannot run on this machine; its rules are reported as skipped."""
+    """Raised if a level cannot run on this machine; its rules are reported as skipped."""
 
     @property
     def reason(self) -> str:
-        """The missing part and how to install it, in one line."""
+        """The missing dependency and how to install it, in one line."""
         return f"{self.message}: {self.hint}" if self.hint else self.message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelContext:
-    """The result of preparing a level for one model.
+    """The prepared inputs and resources of a validation level for one model.
 
     Attributes:
         context: The argument of the checks of the level's rules.

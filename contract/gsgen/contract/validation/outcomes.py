@@ -21,7 +21,7 @@ _MAX_LOCATIONS = 20
 
 @dataclass(slots=True, kw_only=True)
 class ResultCollector:
-    """Outcomes and violation counts of one validation.
+    """Collects the outcomes and the violations of all rules in one validation.
 
     Attributes:
         registry: All rules.
@@ -38,11 +38,11 @@ class ResultCollector:
     _seconds: dict[str, float] = field(default_factory=dict)
 
     def ready(self, rules: Iterable[Rule]) -> list[Rule]:
-        """Return the rules that apply and are not blocked; settle the others."""
+        """Return the rules that apply and are not blocked; record an outcome for the others."""
         return [rule for rule in rules if self.is_ready(rule)]
 
     def is_ready(self, rule: Rule) -> bool:
-        """Return whether ``rule`` can be checked now; otherwise settle it with the reason."""
+        """Return whether ``rule`` can be checked now; otherwise record the reason as outcome."""
         if rule.id in self.outcomes:
             return False
         reason = self._inapplicable(rule)
@@ -81,7 +81,7 @@ class ResultCollector:
         return "was not checked" if skipped else "does not hold"
 
     def check(self, rule: Rule, subject: object, probe: str = "", start: int = 0) -> bool:
-        """Run one check once and count its violations; return False if it crashed."""
+        """Run a rule's check once and count its violations; return False if it crashed."""
         start_time = time.perf_counter()
         try:
             with np.errstate(all="ignore"):  # outputs may hold NaN and infinity
@@ -116,7 +116,7 @@ class ResultCollector:
         return any(counter.fails for counter in self._counters.get(rule.id, {}).values())
 
     def settle(self, rules: Iterable[Rule], items: int = 0) -> None:
-        """Turn the counted violations of checked rules into outcomes."""
+        """Convert the counted violations of checked rules to outcomes."""
         for rule in rules:
             if rule.id in self.outcomes:
                 continue
@@ -127,18 +127,18 @@ class ResultCollector:
             )
 
     def crash(self, rules: Iterable[Rule]) -> None:
-        """Settle rules as crashed, with the exception being handled."""
+        """Record rules as crashed, with the exception being handled."""
         last = traceback.format_exc(limit=-3).strip()
         for rule in rules:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="crashed", reason=last))
 
     def skip(self, rules: Iterable[Rule], reason: str) -> None:
-        """Settle rules as skipped, with the reason."""
+        """Record rules as skipped, with the reason."""
         for rule in rules:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="skipped", reason=reason))
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the findings, worst first, then in catalogue order."""
+        """Return the findings, most severe first, then in catalogue order."""
         findings = [
             self._finding(rule, counter)
             for rule in self.registry.rules.values()

@@ -34,7 +34,7 @@ Verdict = Literal["conforms", "invalid", "internal-error"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """The outcome of one rule.
+    """The outcome of one rule: pass, fail, skipped, not-applicable or crashed.
 
     Attributes:
         rule: The rule.
@@ -132,6 +132,10 @@ class Report:
         tolerances: The largest allowed difference of each field between two executions.
         baseline: The earlier report whose findings are known; empty without one.
         resolved: The findings of the baseline that do not occur any more.
+        external_size: Bytes of the file's external data.
+        required: Rules that must have been checked.
+        timed: Reporters show times, so that two reports of equal input differ.
+        docs_url: Root of the published documentation; empty if unknown.
     """
 
     path: str
@@ -155,10 +159,20 @@ class Report:
     tolerances: tuple[Tolerance, ...] = ()
     baseline: str = ""
     resolved: tuple[ResolvedFinding, ...] = ()
+    external_size: int = 0
+    required: frozenset[str] = frozenset()
+    timed: bool = False
+    docs_url: str = ""
+
+    @property
+    def unchecked(self) -> tuple[Outcome, ...]:
+        """The required rules that were neither found to hold nor to be broken."""
+        required = (outcome for outcome in self.outcomes if outcome.rule.id in self.required)
+        return tuple(outcome for outcome in required if outcome.status not in ("pass", "fail"))
 
     @property
     def verdict(self) -> Verdict:
-        """``conforms``, ``invalid``, or ``internal-error`` where a rule crashed."""
+        """The report's verdict: ``conforms``, ``invalid``, or ``internal-error`` after a crash."""
         if any(outcome.status == "crashed" for outcome in self.outcomes):
             return "internal-error"
         return "invalid" if any(self.fails_by(finding) for finding in self.findings) else "conforms"
@@ -169,7 +183,7 @@ class Report:
         return confirmed and finding.severity >= self.fail_on
 
     def count(self, severity: Severity) -> int:
-        """Return the number of findings of ``severity`` that count."""
+        """Return the number of findings of ``severity`` that are neither waived nor known."""
         return sum(f.severity == severity and f.counts for f in self.findings)
 
     @property
@@ -184,11 +198,11 @@ class Report:
 
     @property
     def statuses(self) -> Counter[str]:
-        """The number of rules of each status."""
+        """The number of rules by status, such as passed or skipped."""
         return Counter(outcome.status for outcome in self.outcomes)
 
     def outcome(self, rule_id: str) -> Outcome:
-        """Return the outcome of one rule.
+        """Return the outcome of one rule of the report.
 
         Raises:
             KeyError: The rule is not installed.
@@ -201,7 +215,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Unreadable:
-    """A file that could not be read, with its error."""
+    """A file that could not be read, with the error of the attempt."""
 
     path: str
     error: GsgenError
@@ -212,8 +226,13 @@ Entry = Report | Unreadable
 
 
 def exit_code(reports: Iterable[Report]) -> ExitCode:
-    """Return 0 if all models conform, 1 if one is invalid, 3 if a rule crashed."""
-    verdicts = {report.verdict for report in reports}
+    """Return the exit code for reports: 0 all conform, 3 a rule crashed, 1 otherwise.
+
+    A required rule that was not checked fails, too.
+    """
+    listed = list(reports)
+    verdicts = {report.verdict for report in listed}
     if "internal-error" in verdicts:
         return ExitCode.INTERNAL
-    return ExitCode.FAILURE if "invalid" in verdicts else ExitCode.SUCCESS
+    failed = "invalid" in verdicts or any(report.unchecked for report in listed)
+    return ExitCode.FAILURE if failed else ExitCode.SUCCESS

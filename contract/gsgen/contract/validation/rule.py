@@ -17,6 +17,7 @@ from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.roles import GENERATOR
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import MODEL_RUNS
 from gsgen.contract.validation.level_backend import LevelBackend
 
 # The argument of a check: the model before it runs (InspectedModel), its runs (ProbeRuns), the
@@ -85,7 +86,7 @@ class Rule:
 
     @property
     def family(self) -> str:
-        """The letters of the id: GM, GI, GO, GG, GV, GB, GL, GS, GT, TV or GW."""
+        """The letters of the rule's id: GM, GI, GO, GG, GV, GB, GL, GS, GT, TV or GW."""
         return self.id.rpartition("/")[2][:2]
 
 
@@ -186,7 +187,7 @@ class Registry:
 
     @classmethod
     def of(cls, rules: Iterable[Rule], backends: Iterable[LevelBackend] = ()) -> "Registry":
-        """Build a registry of rules with unique ids, and one backend per level.
+        """Build a registry of rules with unique ids, and with one backend per level.
 
         Raises:
             ValueError: Two rules share an id, two backends a level, or a rule needs an unknown one.
@@ -208,11 +209,24 @@ class Registry:
         return cls(by_id, by_level)
 
     def of_scope(self, *, tilesets: bool) -> "Registry":
-        """Return only the rules of tilesets, or all others; a report lists one of the two."""
+        """Return a registry with only the rules of tilesets, or with all other rules."""
         selected = {
             id: rule for id, rule in self.rules.items() if (rule.scope == "tileset") == tilesets
         }
         return Registry(selected, self.backends)
+
+    def with_needs(self, rule_ids: Iterable[str]) -> "Registry":
+        """Return only the given rules and all that must hold before they can be checked."""
+        queue, selected = [id for id in rule_ids if id in self.rules], set[str]()
+        if any(self.rules[id].level > Level.STATIC for id in queue):
+            queue.append(MODEL_RUNS)
+        while queue:
+            id = queue.pop()
+            if id in self.rules and id not in selected:
+                selected.add(id)
+                queue.extend(self.rules[id].needs)
+        rules = {id: rule for id, rule in self.rules.items() if id in selected}
+        return Registry(rules, self.backends)
 
     def find(self, name: str, where: str = "") -> Rule:
         """Return the rule with the id or slug ``name``, ignoring case.
@@ -232,7 +246,7 @@ class Registry:
 
 
 def _nearest(stem: str, number: int, ids: list[str]) -> str:
-    """Return a hint with the ``ids`` nearest to a mistyped one."""
+    """Return a hint with the known rule ``ids`` nearest to a mistyped one."""
     owner, slash, letters = stem.rpartition("/")
     family = f"{owner.lower()}{slash}{letters.upper()}"
     code = f"{family}{number:03}"
@@ -248,6 +262,6 @@ def _nearest(stem: str, number: int, ids: list[str]) -> str:
 
 
 def _mistyped(id: str, typed: str) -> bool:
-    """Return whether two ids differ in one character or in the order of characters."""
+    """Return whether two rule ids differ in one character or in the order of characters."""
     wrong = sum(a != b for a, b in zip(id, typed, strict=False))
     return len(id) == len(typed) and (wrong == 1 or sorted(id) == sorted(typed))

@@ -1,9 +1,9 @@
-"""Settings of a validation, read from ``gsgen.toml``.
+"""Settings of a validation, read from ``gsgen.toml`` or ``pyproject.toml``.
 
 Precedence, strongest first: command line, settings file, target, the rule's own values.
 """
 
-__all__ = ["Settings", "config_schema", "read_config"]
+__all__ = ["PYPROJECT", "Settings", "config_schema", "read_config"]
 
 import tomllib
 from collections.abc import Mapping
@@ -21,6 +21,8 @@ from gsgen.contract.spec.targets import Target, known_targets, load_target
 from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.waivers import Waiver
+
+PYPROJECT = "pyproject.toml"
 
 DEFAULT_LEVEL = Level.BEHAVIOUR
 
@@ -40,6 +42,10 @@ class Settings:
         seed: Seed of the probe set.
         source: The file that the settings were read from, for the report.
         tolerances: Field → largest difference of executions, in place of the manifest's.
+        only: Rules to check, with those that they need; empty for all.
+        required: Rules that must have been checked for the model to pass the gate.
+        timings: Reports hold times, so that two of them are not equal.
+        docs_url: Root of the published documentation, for links in reports.
         waivers: Accepted faults, with reasons.
         today: The day on which waivers are evaluated.
     """
@@ -54,6 +60,10 @@ class Settings:
     seed: int = 0
     source: str = "defaults"
     tolerances: Mapping[str, float] = field(default_factory=dict)
+    only: frozenset[str] = frozenset()
+    required: frozenset[str] = frozenset()
+    timings: bool = False
+    docs_url: str = ""
     waivers: tuple[Waiver, ...] = ()
     today: date = field(default_factory=date.today)
 
@@ -73,7 +83,7 @@ class Settings:
 
 
 def read_config(path: Path, registry: Registry, base: Settings | None = None) -> Settings:
-    """Read ``gsgen.toml`` on top of ``base``.
+    """Read settings from ``gsgen.toml`` or ``pyproject.toml``; ``base`` supplies missing settings.
 
     Raises:
         ConfigInvalid: The file is not TOML, or holds an invalid value. For unknown keys, rules,
@@ -86,6 +96,8 @@ def read_config(path: Path, registry: Registry, base: Settings | None = None) ->
         raise ConfigInvalid(f"cannot be read: {error.strerror}", where=where) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigInvalid(f"is not TOML: {error}", where=where) from error
+    if path.name == PYPROJECT:
+        data, where = data.get("tool", {}).get("gsgen", {}), f"{where}, tool.gsgen"
     _dates_to_text(data)
     _check_shape(data, config_schema(registry), where)
     return _apply(base or Settings(), data, registry, where)
@@ -101,7 +113,10 @@ def _apply(base: Settings, data: dict[str, Any], registry: Registry, where: str)
         registry.find(name, f"{where}, [severity]").id: Severity.parse(word, where)
         for name, word in data.get("severity", {}).items()
     }
-    ignored = {registry.find(name, f"{where}, ignore").id for name in section.get("ignore", [])}
+    ignored, only, required = (
+        frozenset(registry.find(name, f"{where}, {key}").id for name in section.get(key, []))
+        for key in ("ignore", "only", "require_rules")
+    )
     level, target, fail_on = (section.get(key) for key in ("level", "target", "fail_on"))
     return replace(
         base,
@@ -114,6 +129,9 @@ def _apply(base: Settings, data: dict[str, Any], registry: Registry, where: str)
         strict=section.get("strict", base.strict),
         seed=section.get("seed", base.seed),
         source=where,
+        only=only or base.only,
+        required=base.required | required,
+        docs_url=section.get("docs_url", base.docs_url),
         tolerances={**base.tolerances, **data.get("tolerances", {})},
         waivers=base.waivers + _waivers(data, registry, where),
     )
@@ -175,12 +193,12 @@ def config_schema(registry: Registry) -> dict[str, object]:
 
 
 def _table(properties: object) -> dict[str, object]:
-    """Return the schema of a TOML table that has no other keys than ``properties``."""
+    """Return the JSON Schema of a TOML table that has no keys other than ``properties``."""
     return {"type": "object", "properties": properties, "additionalProperties": False}
 
 
 def _validate_schema(names: list[str], severities: list[str]) -> dict[str, object]:
-    """Return the schemas of the keys of ``[validate]``."""
+    """Return the JSON Schemas of the keys of the ``[validate]`` table."""
     return {
         "level": {"enum": list(Level.words()), "description": "The highest level to run."},
         "target": {
@@ -193,6 +211,21 @@ def _validate_schema(names: list[str], severities: list[str]) -> dict[str, objec
             "type": "array",
             "items": {"type": "string", "examples": names},
             "description": "Rules, by id or name, whose findings do not count.",
+        },
+        "only": {
+            "type": "array",
+            "items": {"type": "string", "examples": names},
+            "description": "The only rules to check, by id or name, with those that they need.",
+        },
+        "require_rules": {
+            "type": "array",
+            "items": {"type": "string", "examples": names},
+            "description": "Rules, by id or name, that must have been checked: else exit code 1.",
+        },
+        "docs_url": {
+            "type": "string",
+            "pattern": "^https?://",
+            "description": "Root of the published documentation, for links in reports.",
         },
         "timeout": {
             "type": "number",
@@ -210,7 +243,7 @@ def _validate_schema(names: list[str], severities: list[str]) -> dict[str, objec
 
 
 def _waiver_schema(names: list[str]) -> dict[str, object]:
-    """Return the schemas of the keys of a ``[[waive]]`` table."""
+    """Return the JSON Schemas of the keys of a ``[[waive]]`` table."""
     return {
         "rule": {
             "type": "string",

@@ -1,4 +1,4 @@
-"""Combines command-line options, ``gsgen.toml`` and defaults into settings."""
+"""Combines command-line options, ``gsgen.toml`` or ``pyproject.toml``, and defaults into settings."""
 
 __all__ = ["make_settings"]
 
@@ -12,7 +12,7 @@ from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.contract.validation.rule import Registry
-from gsgen.contract.validation.settings import Settings, read_config
+from gsgen.contract.validation.settings import PYPROJECT, Settings, read_config
 
 _DEFAULT_CONFIG = Path("gsgen.toml")
 
@@ -25,6 +25,9 @@ def make_settings(
     fail_on: str | None = None,
     ignore: Iterable[str] = (),
     severity: Iterable[str] = (),
+    only: Iterable[str] = (),
+    require: Iterable[str] = (),
+    timings: bool = False,
     config: Path | None = None,
     timeout: float | None = None,
     memory: int | None = None,
@@ -32,7 +35,7 @@ def make_settings(
     seed: int | None = None,
     prefix: str = "--",
 ) -> Settings:
-    """Return settings; options take precedence over the file, and the file over defaults.
+    """Return validation settings: options override ``gsgen.toml``, which overrides defaults.
 
     Args:
         registry: The known rules.
@@ -41,7 +44,11 @@ def make_settings(
         fail_on: The lowest severity that fails.
         ignore: Rules by id or name; an entry may join several by commas.
         severity: Entries such as ``GV004=error``.
-        config: The settings file; by default ``gsgen.toml`` of the current folder, if it exists.
+        only: The only rules to check, by id or name.
+        require: Rules that must have been checked, by id or name.
+        timings: Reports hold times.
+        config: The settings file; by default ``gsgen.toml`` of the current folder, if it exists,
+            else ``pyproject.toml`` if that has a table ``[tool.gsgen]``.
         timeout: Seconds for all runs of a model together.
         memory: Memory for running a model, in MiB.
         strict: A missing manifest is an error.
@@ -51,10 +58,14 @@ def make_settings(
     Raises:
         ConfigInvalid: An option or the file holds an invalid value.
     """
-    path = config or (_DEFAULT_CONFIG if _DEFAULT_CONFIG.is_file() else None)
+    path = config or _default_config()
     base = read_config(path, registry) if path is not None else Settings()
-    names = [name for entry in ignore for name in entry.split(",") if name]
-    ignored = {registry.find(name, f"{prefix}ignore").id for name in names}
+    ignored = _rule_ids(registry, ignore, f"{prefix}ignore")
+    selected = _rule_ids(registry, only, f"{prefix}only") or base.only
+    required = base.required | _rule_ids(registry, require, f"{prefix}require-rules")
+    if selected and (unchecked := required - registry.with_needs(selected).rules.keys()):
+        message = f"{', '.join(sorted(unchecked))} is required, but not among the rules to check"
+        raise ConfigInvalid(message, where=f"{prefix}only", hint="Add it there.")
     severities = _severities(registry, severity, f"{prefix}severity")
     return replace(
         base,
@@ -63,10 +74,26 @@ def make_settings(
         fail_on=Severity.parse(fail_on, f"{prefix}fail-on") if fail_on else base.fail_on,
         ignore=base.ignore | ignored,
         severities={**base.severities, **severities},
+        only=selected,
+        required=required,
+        timings=timings or base.timings,
         limits=_limits(base.limits, timeout, memory),
         strict=strict or base.strict,
         seed=base.seed if seed is None else seed,
     )
+
+
+def _default_config() -> Path | None:
+    if _DEFAULT_CONFIG.is_file():
+        return _DEFAULT_CONFIG
+    project = Path(PYPROJECT)
+    is_ours = project.is_file() and b"tool.gsgen" in project.read_bytes()
+    return project if is_ours else None
+
+
+def _rule_ids(registry: Registry, entries: Iterable[str], where: str) -> frozenset[str]:
+    names = [name for entry in entries for name in entry.split(",") if name]
+    return frozenset(registry.find(name, where).id for name in names)
 
 
 def _severities(registry: Registry, entries: Iterable[str], where: str) -> dict[str, Severity]:

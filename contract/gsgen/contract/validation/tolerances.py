@@ -1,4 +1,4 @@
-"""The tolerances of a model, field by field, and the source of each."""
+"""Tolerances for comparing outputs, field by field, with the source of each."""
 
 __all__ = ["as_tolerances", "effective_tolerances"]
 
@@ -44,7 +44,7 @@ def as_tolerances(subject: InspectedModel) -> Tolerances:
 
 
 def _manifest_fields(subject: InspectedModel) -> dict[str, Literal["manifest"]]:
-    """Return the fields in the manifest's text; its dataclass also holds the defaults."""
+    """Return the tolerance fields in the manifest's text; its dataclass also has defaults."""
     if subject.parsed is None:
         return {}
     document: Any = json.loads(subject.file.manifest_text or "{}")

@@ -1,4 +1,4 @@
-"""Waivers: accepted faults, each with a reason and an optional last day."""
+"""Waivers: accepted findings, each with a reason and an optional last day."""
 
 __all__ = ["Review", "Waiver", "apply_waivers"]
 
@@ -13,7 +13,7 @@ from gsgen.contract.validation.finding import Finding
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waiver:
-    """One accepted fault: a ``[[waive]]`` table of ``gsgen.toml``.
+    """One accepted finding: a ``[[waive]]`` table of ``gsgen.toml``.
 
     Attributes:
         rule: The rule's id.
@@ -33,7 +33,7 @@ class Waiver:
         return f"{self.rule} at {self.where}" if self.where else self.rule
 
     def covers(self, finding: Finding) -> bool:
-        """Return whether the waiver covers ``finding``, expired or not."""
+        """Return whether the waiver covers ``finding``, even if the waiver has expired."""
         is_location = self.where in ("", finding.where.subject, str(finding.where))
         return is_location and self.rule == finding.rule
 
@@ -49,7 +49,7 @@ class Waiver:
 
 @dataclass(frozen=True, slots=True)
 class Review:
-    """The argument of rules that check the report itself.
+    """The input of rules that check the report itself: findings, waivers, and the date.
 
     Attributes:
         findings: The findings of all other rules.
@@ -67,7 +67,7 @@ class Review:
 def apply_waivers(
     findings: Iterable[Finding], waivers: Iterable[Waiver], today: date
 ) -> tuple[Finding, ...]:
-    """Mark the findings that a valid waiver covers with its reason."""
+    """Mark each finding that a valid waiver covers with the waiver's reason."""
     active = [waiver for waiver in waivers if waiver.is_valid_on(today)]
 
     def waived(finding: Finding) -> Finding:

@@ -90,6 +90,7 @@ class AnchorGenerator(GaussianGenerator):
         choices = self.heads.appearances
         declared += (inputs.appearance_id(choices),) if choices else ()
         self.inputs = (inputs.view(), *declared)
+        self.smaller = ("--cull frustum --max-anchors N",)
         self.max_anchors = selection.anchors
         if self.max_anchors is not None and self.cull is None and not self.hides_anchors:
             message = f"at most {self.max_anchors} anchors, but no culling selects them"

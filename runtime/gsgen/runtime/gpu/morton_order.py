@@ -1,23 +1,17 @@
 """Sorts points along a Morton curve: neighbours in space become neighbours in memory."""
 
-__all__ = ["along_curve", "spread_bits"]
+__all__ = ["along_curve"]
 
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Int64, UInt64
+from jaxtyping import Float, Int64
+
+from gsgen.formats.shared.morton import spread_bits
 
 _BITS: Final = 21  # of each coordinate at most: three coordinates fill a word of 64 bits
 _BLOCK: Final = 1 << 14  # points at a time, so that their codes stay in the cache
 _LEAST: Final = 1e-30  # least side of the bounding box, against division by zero
-# Shifts and masks that insert two zero bits after every bit of a number.
-_SPREAD: Final = (
-    (32, 0x001F00000000FFFF),
-    (16, 0x001F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
 
 
 def along_curve(position: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
@@ -44,10 +38,3 @@ def along_curve(position: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
         words[part] |= code << np.uint64(index_bits)
     words.sort()
     return (words & np.uint64((1 << index_bits) - 1)).astype(np.int64)
-
-
-def spread_bits(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
-    """Insert two zero bits after every bit of 21-bit integers, for Morton codes."""
-    for shift, mask in _SPREAD:
-        number = (number | (number << np.uint64(shift))) & np.uint64(mask)
-    return number

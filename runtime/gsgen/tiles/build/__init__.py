@@ -1,1 +1,1 @@
-"""Building tilesets: how does a scene of any size become a tree of tiles?"""
+"""How does a splat scene of any size become a tileset?"""

@@ -1,4 +1,4 @@
-"""Write the index of a built tileset, and delete files of earlier builds."""
+"""Writes the index of a built tileset, and deletes files of earlier builds."""
 
 __all__ = ["geometric_error", "is_complete", "remove_stale", "walk", "write_index"]
 
@@ -33,7 +33,7 @@ at 16 pixels of error unless told otherwise, so that an error of 4 cells makes t
 
 
 def geometric_error(tile: Tile) -> float:
-    """Return the error of drawing ``tile`` in place of its leaves, in scene units.
+    """Return the geometric error of drawing ``tile`` in place of its leaves, in scene units.
 
     It is never less than that of a tile below.
     """
@@ -43,11 +43,6 @@ def geometric_error(tile: Tile) -> float:
 
 def write_index(plan: Plan, root: Tile, key: str) -> dict[str, tuple[int, str]]:
     """Write an index for each quality, then the record of the build.
-
-    Args:
-        plan: Of the build.
-        root: The tree.
-        key: Of the build.
 
     Returns:
         Every file of the tileset: path → bytes and sha256.
@@ -86,7 +81,7 @@ def write_index(plan: Plan, root: Tile, key: str) -> dict[str, tuple[int, str]]:
 
 
 def walk(tile: Tile) -> Iterator[Tile]:
-    """Yield ``tile`` and all tiles below it, depth first."""
+    """Yield ``tile`` and all its descendants, depth first."""
     yield tile
     for child in tile.children:
         yield from walk(child)
@@ -118,7 +113,7 @@ def _record(tile: Tile) -> TileRecord:
 
 
 def is_complete(output: Path, key: str) -> JsonDict | None:
-    """Return the record of a finished build with this key, or None.
+    """Return the record of a finished build with the same key, or None.
 
     Every file has to be there with the size that the record has for it.
     """
@@ -134,7 +129,7 @@ def is_complete(output: Path, key: str) -> JsonDict | None:
 
 
 def remove_stale(output: Path, files: dict[str, tuple[int, str]]) -> int:
-    """Delete files of earlier builds that the tileset no longer names; return how many."""
+    """Delete files of earlier builds that the tileset no longer names; return their number."""
     stale = [
         path
         for pattern in ("t/*/*.glb", "s/*/*.subtree", "tileset-q*.json")

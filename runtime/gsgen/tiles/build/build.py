@@ -1,4 +1,4 @@
-"""Build a tileset: scan, count, bin, partition, top, index, each phase after the other.
+"""Builds a tileset in the phases scan, count, bin, partition, top and index.
 
 Every task writes a marker file, so that a stopped build resumes after its last finished task.
 """
@@ -65,7 +65,7 @@ _Result = TypeVar("_Result")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildReport:
-    """The result of a build: splats, tiles, files and bytes.
+    """The result of a tileset build: splats, tiles, files and bytes.
 
     Attributes:
         output: Folder of the tileset.
@@ -90,7 +90,7 @@ class BuildReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Run:
-    """The engine and the progress display that all phases share."""
+    """The engine and the progress display that all phases of a build share."""
 
     engine: Engine
     progress: Progress
@@ -102,7 +102,7 @@ class _Run:
         function: Callable[[_Task], tuple[int, _Result]],
         tasks: Sequence[_Task],
     ) -> list[_Result]:
-        """Run a phase; return the results in the order of the tasks."""
+        """Run one phase of a build; return the results in the order of the tasks."""
         self.progress.begin(name, total)
         results: dict[int, _Result] = {}
         for index, (splats, result) in self.engine.run(function, tasks):
@@ -169,7 +169,7 @@ def build_tileset(
         save_plan(_plan(run, files, chunks, facts, parameters, partition, output, work), plan_path)
     plan = load_plan(str(plan_path))
     if plan.count != splats:
-        raise AssertionError(f"{plan.count} splats counted of {splats}")
+        raise AssertionError(f"counted {plan.count} of {splats} splats")
     _write_tiles(run, str(plan_path), total)
     # 5. The index, and nothing else is left.
     progress.begin("index", 0)
@@ -177,13 +177,13 @@ def build_tileset(
 
 
 def _write_tiles(run: _Run, path: str, rows: int) -> None:
-    """Run the phases bin, tiles and top of the plan in the file ``path``."""
+    """Run the phases bin, tiles and top of the build plan in the file ``path``."""
     plan = load_plan(path)
     # 3. Bin, with a barrier: every splat is in one spill.
     items = [PlanTask(plan=path, item=chunk.index) for chunk in plan.chunks]
     spilled = sum(run.phase("bin", rows, run_bin, items))
     if spilled != plan.count:
-        raise AssertionError(f"{spilled} rows spilled of {plan.count}")
+        raise AssertionError(f"spilled {spilled} of {plan.count} rows")
     # 4. Partitions, the largest first; then the levels above, deepest first.
     order = sorted(plan.partitions, key=lambda partition: (-partition.count, partition.index))
     items = [PlanTask(plan=path, item=partition.index) for partition in order]
@@ -227,7 +227,7 @@ def _up_to_date(output: Path, record: JsonDict, skipped: int) -> BuildReport:
 
 
 def _require_output(output: Path) -> None:
-    """Raise if ``output`` holds files of other origin, as a build deletes stale files in it."""
+    """Raise if the output folder holds foreign files, since a build deletes stale files."""
     if output.exists() and not output.is_dir():
         raise ConfigInvalid("is a file; expected a folder", where=str(output))
     if not output.is_dir():
@@ -235,7 +235,7 @@ def _require_output(output: Path) -> None:
     build_files = {BUILD_RECORD, WORK} & {path.name for path in output.iterdir()}
     if not build_files and any(output.iterdir()):
         raise ConfigInvalid(
-            "holds files that are not of a build; expected a new or empty folder",
+            "the folder holds files that no build wrote; expected a new or empty folder",
             where=str(output),
             hint=f"Name a folder in it, such as {output / 'tiles'}.",
         )
@@ -249,7 +249,7 @@ def _prepare(
     *,
     fresh: bool,
 ) -> Path:
-    """Return the work folder of this build; those of other builds are deleted."""
+    """Return the work folder of this build, and delete those of other builds."""
     content = {
         "version": ALGORITHM_VERSION,
         "parameters": parameters.as_dict(),
@@ -296,7 +296,7 @@ def _note_large(facts: Sequence[ChunkFacts], progress: Progress) -> None:
 
 
 def _content_digests(facts: Sequence[ChunkFacts], chunks: Sequence[Chunk]) -> list[str]:
-    """Return digests of the scenes' splats, which do not depend on the paths of the files."""
+    """Return digests of the scenes' splats that do not depend on file paths."""
     names: list[str] = []
     for chunk, fact in zip(chunks, facts, strict=True):
         if chunk.first == 0:
@@ -341,7 +341,7 @@ def _plan(
 def _count(
     run: _Run, chunks: Sequence[Chunk], cube: Cube, limit: int, work: Path, *, anchored: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Count splats in cells that are fine enough for partitions.
+    """Count the scene's splats in octree cells that are fine enough for partitions.
 
     Cells that hold too many are counted again, deeper: a scene with a few splats far away has
     nearly all others in one cell.

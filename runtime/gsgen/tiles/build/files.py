@@ -1,4 +1,4 @@
-"""Write files atomically, so that an existing file marks its task as finished."""
+"""Writes files atomically, so that an existing file marks its task as finished."""
 
 __all__ = ["read_json", "save_array", "sweep", "write_bytes", "write_json"]
 
@@ -17,11 +17,7 @@ PART: Final = ".part"
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write ``data`` to ``path`` atomically: under a temporary name, then renamed.
-
-    Raises:
-        ConfigInvalid: The file cannot be written, for example because the disk is full.
-    """
+    """Write ``data`` to ``path`` atomically: under a temporary name, then renamed."""
     _write(path, lambda file: file.write(data))
 
 
@@ -54,11 +50,7 @@ def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Return the JSON value in ``path``.
-
-    Raises:
-        InputUnreadable: The file cannot be read or is not JSON.
-    """
+    """Return the JSON value in the file ``path``."""
     try:
         return json.loads(path.read_bytes())
     except OSError as error:
@@ -71,7 +63,7 @@ def read_json(path: Path) -> Any:
 
 
 def sweep(folder: Path) -> int:
-    """Delete unfinished files of workers that were killed; return how many."""
+    """Delete the temporary files of killed workers; return their number."""
     parts = list(folder.rglob(f".*{PART}"))
     for part in parts:
         part.unlink(missing_ok=True)

@@ -22,7 +22,7 @@ _TOLERANCE: Final = 1e-6
 
 
 def upright_transform() -> tuple[float, ...]:
-    """Return the transform from scene axes (y down) to world axes (z up), column by column."""
+    """Return the 4×4 transform from scene axes (y down) to world axes (z up), column-major."""
     return _columns(UPRIGHT)
 
 
@@ -33,9 +33,6 @@ def globe_transform(longitude: float, latitude: float, height: float) -> tuple[f
         longitude: In degrees.
         latitude: In degrees.
         height: Over the ellipsoid of WGS 84, in metres.
-
-    Raises:
-        ConfigInvalid: An angle or the height is out of range.
     """
     limits = {"--lon": (longitude, 180.0), "--lat": (latitude, 90.0), "--height": (height, 1e7)}
     for option, (value, limit) in limits.items():
@@ -52,12 +49,9 @@ def globe_transform(longitude: float, latitude: float, height: float) -> tuple[f
 
 
 def read_transform(path: Path) -> tuple[float, ...]:
-    """Read a transform, scene → world: a JSON array of 16 numbers, or of 4 rows of 4.
+    """Parse a scene → world transform from JSON: an array of 16 numbers, or of 4 rows of 4.
 
     Sixteen numbers are column by column, as in ``tileset.json``; rows are rows.
-
-    Raises:
-        ConfigInvalid: It is not a rotation with a translation and one positive scale.
     """
     expected = "a JSON array of 16 numbers (column by column), or of 4 rows of 4"
     try:

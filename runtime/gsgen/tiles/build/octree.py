@@ -1,4 +1,4 @@
-"""Write the tiles of a partition, leaves first, and the tiles above all partitions."""
+"""Writes the tiles of a partition, leaves first, and the tiles above all partitions."""
 
 __all__ = ["build_partition", "build_top", "load_built"]
 
@@ -51,7 +51,7 @@ def _build(
     anchors: Int64[np.ndarray, " n"],
     location: int,
 ) -> Built:
-    """Write the tile of the cell ``location`` and all tiles in it, depth first."""
+    """Write the tile of an octree cell and all its descendants, depth first."""
     depth, leaf = depth_of(location), plan.parameters.leaf
     implicit = plan.parameters.implicit
     if len(rows) <= leaf or (depth == DEPTH and implicit):
@@ -79,7 +79,7 @@ def _build(
 
 
 def _extra_leaves(plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int) -> Built:
-    """Write the large splats that stay at a cell, in as many leaves as they need."""
+    """Write the large splats that stay at a cell, in as many leaf tiles as they need."""
     count = -(-len(rows) // plan.parameters.leaf)
     limits = [len(rows) * index // count for index in range(count + 1)]
     parts = (slice(*limits[index : index + 2]) for index in range(count))
@@ -91,7 +91,7 @@ def _extra_leaves(plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], locat
 
 
 def _above(plan: Plan, location: int, parts: list[Built]) -> Built:
-    """Write the parent tile of ``parts``; a single tile needs no parent."""
+    """Write the parent tile of several tiles; a single tile needs no parent."""
     tiles = [tile for part, _ in parts for tile in part]
     mixture = concatenate([part for _, part in parts])
     if len(tiles) == 1 and not plan.parameters.implicit:
@@ -115,7 +115,7 @@ def build_top(plan: Plan, location: int) -> int:
 
 
 def _places(plan: Plan) -> dict[str, int]:
-    """Return the names of all parts, in depth-first order, and the top cell above each."""
+    """Return the names of all partitions and top cells in depth-first order, with their parents."""
     entries: list[tuple[int, int, bool, str]] = []
     for partition in plan.partitions:
         name = f"partition-{partition.index:06}"
@@ -128,7 +128,7 @@ def _places(plan: Plan) -> dict[str, int]:
 
 
 def load_built(plan: Plan) -> list[Tile]:
-    """Return the tiles at the root, when all parts are built."""
+    """Return the built tiles at the root; call this when all partitions are built."""
     name = f"top-{plan.top[-1]}" if plan.top else "partition-000000"
     return _load_tiles(plan, name)
 

@@ -1,4 +1,4 @@
-"""The parameters of a build, and the key under which an earlier result is reused."""
+"""The parameters of a tileset build, and the key under which an earlier result is reused."""
 
 __all__ = ["ALGORITHM_VERSION", "BuildParameters"]
 
@@ -18,7 +18,7 @@ ALGORITHM_VERSION: Final = 1
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildParameters:
-    """All options that, besides the scenes, decide the bytes of a tileset.
+    """All options that decide, besides the scenes, the bytes of a built tileset.
 
     The engine, the number of workers and how the work is divided are missing on purpose: no byte
     depends on them.
@@ -39,11 +39,11 @@ class BuildParameters:
     transform: tuple[float, ...]
 
     def as_dict(self) -> JsonDict:
-        """Return the parameters as a JSON object."""
+        """Return the build parameters as a JSON object."""
         return json.loads(json.dumps(asdict(self)))  # type: ignore[no-any-return]
 
     def key(self, inputs: Sequence[str]) -> str:
-        """Return the SHA-256 of version, parameters and ``inputs``."""
+        """Return the SHA-256 of gsgen's version, the build parameters and ``inputs``."""
         content = {
             "version": ALGORITHM_VERSION,
             "parameters": self.as_dict(),

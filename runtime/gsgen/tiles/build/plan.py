@@ -1,4 +1,4 @@
-"""The plan of a build: cells of the octree that one task builds each, and the cells above them.
+"""The plan of a build: octree partitions that one task builds each, and the cells above.
 
 A cell with at most ``partition`` splats is a partition: one task sorts its splats and builds all
 tiles in it. The cells above are *top* cells. Splats that are anchored at a top cell form a
@@ -48,14 +48,14 @@ class Partition:
 
     @property
     def above(self) -> int:
-        """The top cell that contains the partition; 0 for a whole scene."""
+        """The octree cell of the top that contains the partition; 0 for a whole scene."""
         return self.locations[0] if self.anchored else self.locations[0] >> 3
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The plan of a build, which every task reads.
+    """The plan of a tileset build, which every task reads.
 
     Attributes:
         cube: The root cube.
@@ -85,12 +85,12 @@ class Plan:
 
 
 def depth_of(location: int) -> int:
-    """Return the depth of a cell that is given as 1 followed by its Morton code."""
+    """Return the depth of an octree cell that is given as 1 followed by its Morton code."""
     return (location.bit_length() - 1) // 3
 
 
 def coordinates_of(location: int) -> tuple[int, int, int]:
-    """Return the coordinates of a cell among those of its depth."""
+    """Return the x, y and z index of an octree cell among those of its depth."""
     depth = depth_of(location)
     x, y, z = (
         sum((location >> (3 * bit + axis) & 1) << bit for bit in range(depth)) for axis in range(3)
@@ -141,7 +141,7 @@ def make_partitions(
 
 
 def _totals(cell_counts: dict[int, int]) -> tuple[dict[int, int], dict[int, list[int]]]:
-    """Return the splats in each cell and all cells in it, and the cells right below each."""
+    """Return the splat count of each octree cell with its descendants, and each cell's children."""
     depths: dict[int, list[int]] = {}
     for cell in cell_counts:
         depths.setdefault(depth_of(cell), []).append(cell)
@@ -159,16 +159,9 @@ def _totals(cell_counts: dict[int, int]) -> tuple[dict[int, int], dict[int, list
 
 
 def group_small(counts: Sequence[int], limit: int) -> list[list[int]]:
-    """Group neighbours that have at most ``limit`` together.
+    """Group neighbouring octants that have at most ``limit`` splats together.
 
     Octants that a surface only touches would be leaves of a few splats, each a request.
-
-    Args:
-        counts: Splats of octants, in Morton order.
-        limit: Most splats of a group of several.
-
-    Returns:
-        The indices of each group, in order.
     """
     groups: list[list[int]] = []
     size = 0
@@ -187,13 +180,7 @@ def partition_of(
     anchors: Int64[np.ndarray, " n"],
     partitions: Iterable[Partition],
 ) -> Int64[np.ndarray, " n"]:
-    """Return the partition of each splat.
-
-    Args:
-        codes: Morton codes.
-        anchors: Deepest level of each splat.
-        partitions: All partitions.
-    """
+    """Return the number of the partition of each splat."""
     result = np.full(len(codes), -1, np.int64)
     groups: dict[tuple[int, bool], list[tuple[int, int]]] = {}
     for partition in partitions:

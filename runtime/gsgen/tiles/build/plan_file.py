@@ -1,4 +1,4 @@
-"""The plan as ``plan.json``, which every worker reads once."""
+"""Saves and loads the build plan as ``plan.json``, which every worker reads once."""
 
 __all__ = ["load_plan", "save_plan"]
 
@@ -17,7 +17,7 @@ from gsgen.tiles.build.source import Chunk, SceneFile
 
 
 def save_plan(plan: Plan, path: Path) -> None:
-    """Write ``plan`` to ``path``."""
+    """Write the build plan to the file ``path``."""
     content = asdict(plan)
     content["files"] = [asdict(file) for file in _files(plan)]
     for chunk in content["chunks"]:
@@ -35,11 +35,7 @@ def _files(plan: Plan) -> list[SceneFile]:
 
 @lru_cache(maxsize=2)
 def load_plan(path: str) -> Plan:
-    """Return the plan in the file ``path``, which is read once a process.
-
-    Raises:
-        InputUnreadable: The file is missing or damaged.
-    """
+    """Return the build plan in the file ``path``, which each process reads once."""
     content = read_json(Path(path))
     files = [_file(item) for item in content.pop("files")]
     chunks = tuple(Chunk(**{**item, "file": files[item["file"]]}) for item in content["chunks"])

@@ -1,4 +1,4 @@
-"""Progress of a build: a bar in a terminal, or lines of JSON for programs."""
+"""Reports the progress of a build: a bar in a terminal, or lines of JSON for programs."""
 
 __all__ = ["BarProgress", "JsonProgress", "Progress", "Silent"]
 
@@ -12,49 +12,43 @@ from gsgen.tiles.json_values import JsonDict
 
 
 class Progress(AbstractContextManager["Progress"], Protocol):
-    """Receives the phases of a build and the number of splats processed in each."""
+    """Protocol: receives the phases of a build and the number of splats processed in each."""
 
     def begin(self, phase: str, total: int) -> None:
-        """Begin ``phase``, which processes ``total`` splats."""
+        """Begin the phase ``phase`` of a build, which processes ``total`` splats."""
         ...
 
     def advance(self, splats: int) -> None:
-        """Count ``splats`` as done."""
+        """Count ``splats`` more splats as processed."""
         ...
 
     def note(self, message: str) -> None:
-        """Show ``message`` to the user."""
+        """Show a message about the build to the user."""
         ...
 
 
 @final
 class Silent(Progress):
-    """Reports nothing."""
+    """A progress display that shows nothing."""
 
     def __enter__(self) -> "Silent":
-        """Return the object."""
         return self
 
-    def __exit__(self, *error: object) -> None:
-        """Do nothing."""
+    def __exit__(self, *error: object) -> None: ...
 
     def begin(self, phase: str, total: int) -> None:
-        """Do nothing."""
+        """Ignore the beginning of a phase."""
 
     def advance(self, splats: int) -> None:
-        """Do nothing."""
+        """Ignore processed splats."""
 
     def note(self, message: str) -> None:
-        """Do nothing."""
+        """Ignore a message."""
 
 
 @final
 class JsonProgress(Progress):
-    """Writes a line of JSON at the beginning of a phase, and at most one a second in it.
-
-    Args:
-        write: Takes a line.
-    """
+    """Writes progress as JSON lines: one at the beginning of each phase, then one a second."""
 
     def __init__(self, write: Callable[[str], object]) -> None:
         self._write = write
@@ -62,26 +56,24 @@ class JsonProgress(Progress):
         self._start_time = self._written = time.monotonic()
 
     def __enter__(self) -> "JsonProgress":
-        """Return the object."""
         return self
 
-    def __exit__(self, *error: object) -> None:
-        """Do nothing: every line is written at once."""
+    def __exit__(self, *error: object) -> None: ...
 
     def begin(self, phase: str, total: int) -> None:
-        """Write the beginning of a phase."""
+        """Write a JSON line for the beginning of a phase."""
         self._phase, self._total, self._splats_done = phase, total, 0
         self._start_time = time.monotonic()
         self._line()
 
     def advance(self, splats: int) -> None:
-        """Write a line if the last is a second ago, or all is done."""
+        """Write a JSON line of progress if the last is a second old, or if all splats are done."""
         self._splats_done += splats
         if self._splats_done == self._total or time.monotonic() - self._written >= 1:
             self._line()
 
     def note(self, message: str) -> None:
-        """Write a note."""
+        """Write a message as a JSON line."""
         self._emit({"event": "note", "message": message})
 
     def _line(self) -> None:
@@ -104,7 +96,7 @@ class JsonProgress(Progress):
 
 @final
 class BarProgress(Progress):
-    """Draws a bar on stderr: the phase, splats a second, and the time that is left."""
+    """Draws a progress bar on stderr: the phase, splats per second, and the remaining time."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -125,30 +117,28 @@ class BarProgress(Progress):
         self._start_time, self._splats_done = 0.0, 0
 
     def __enter__(self) -> "BarProgress":
-        """Show the bar if stderr is a terminal."""
         if self._console.is_terminal:
             self._bar.start()
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Remove the bar."""
         if self._console.is_terminal:
             self._bar.stop()
 
     def begin(self, phase: str, total: int) -> None:
-        """Show the bar of a phase."""
+        """Show the progress bar of a phase."""
         if self._task is not None:
             self._bar.remove_task(self._task)
         self._start_time, self._splats_done = time.monotonic(), 0
         self._task = self._bar.add_task(phase, total=total, rate="")
 
     def advance(self, splats: int) -> None:
-        """Move the bar."""
+        """Advance the progress bar by ``splats``."""
         self._splats_done += splats
         elapsed = time.monotonic() - self._start_time
         rate = f"{self._splats_done / elapsed:,.0f}/s" if elapsed > 0.5 else ""
         self._bar.update(self._task, completed=self._splats_done, rate=rate)
 
     def note(self, message: str) -> None:
-        """Print a note above the bar."""
+        """Print a message above the progress bar."""
         self._console.print(f"note: {message}", markup=False, highlight=False)

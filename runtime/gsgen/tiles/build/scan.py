@@ -1,4 +1,4 @@
-"""Scan chunks for their box, count and digest, and count the splats of octree cells.
+"""Scans chunks of a scene for their box, count and digest, and counts splats per octree cell.
 
 A splat is *anchored* at the deepest level whose tiles are at least twice as long as its radius
 of 3σ; there it stays, in an extra leaf, so that it is not in a tile far smaller than itself.
@@ -26,7 +26,7 @@ _SMALLEST_LOG_SCALE: Final = -1e3  # e^-1000 is 0, and JSON has no infinity
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChunkFacts:
-    """The box, the counts and the digests of a chunk.
+    """The bounding box, the counts and the digests of a chunk of a scene file.
 
     Attributes:
         index: Of the chunk.
@@ -50,7 +50,7 @@ class ChunkFacts:
 
 
 def scan_chunk(chunk: Chunk) -> ChunkFacts:
-    """Read ``chunk`` and return its box, counts and digests."""
+    """Read a chunk of a scene file and return its bounding box, counts and digests."""
     splats = read_chunk(chunk)
     valid = valid_rows(splats)
     count = int(np.count_nonzero(valid))
@@ -83,7 +83,7 @@ def _digest(splats: Splats, first: int) -> str:
 
 
 def anchor_depths(log_scale: Float32[np.ndarray, "n 3"], cube: Cube) -> Int64[np.ndarray, " n"]:
-    """Return the deepest level at which a tile is twice as long as the splat's 3σ."""
+    """Return for each splat the deepest octree level whose tiles are twice as long as its 3σ."""
     x, y, z = log_scale.T  # a maximum along rows of three would take ten times as long
     largest = np.maximum(np.maximum(x, y), z).astype(np.float64)
     ratio = math.log(cube.side / (2 * SIGMAS)) - largest
@@ -95,7 +95,7 @@ def anchor_depths(log_scale: Float32[np.ndarray, "n 3"], cube: Cube) -> Int64[np
 def location_codes(
     codes: UInt64[np.ndarray, " n"], anchors: Int64[np.ndarray, " n"], depth: int
 ) -> UInt64[np.ndarray, " n"]:
-    """Return the octree cell of each splat, not deeper than its anchor depth, as 1 and the code.
+    """Return the octree cell of each splat at most at its anchor depth, as 1 and the Morton code.
 
     The leading 1 makes the number name the depth, too (I. Gargantini 1982, "An effective way to
     represent quadtrees", in three dimensions).
@@ -114,7 +114,7 @@ def count_cells(
     *,
     anchored: bool,
 ) -> tuple[UInt64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
-    """Count the splats of ``chunk`` in each cell.
+    """Count the splats of a scene chunk in each octree cell.
 
     Args:
         chunk: To be read.

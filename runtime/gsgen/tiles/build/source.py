@@ -1,4 +1,4 @@
-"""Divide scene files into chunks of rows, which tasks read one at a time."""
+"""Divides scene files into chunks of rows, which tasks read one at a time."""
 
 __all__ = [
     "BLOCK_ROWS",
@@ -38,7 +38,7 @@ _LARGEST_LOG_SCALE: Final = 80.0  # float32 holds e^88
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneFile:
-    """A file of splats.
+    """A splat file of a scene: its path, number of splats and layout.
 
     Attributes:
         path: Where it is.
@@ -64,7 +64,7 @@ class SceneFile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chunk:
-    """A range of rows of a file.
+    """A range of rows of a scene file.
 
     Attributes:
         index: Of the chunk, in the order of the scenes.
@@ -82,7 +82,7 @@ class Chunk:
 
 
 def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
-    """Return the number of splats, degree and layout of scene files; only non-PLY files are decoded.
+    """Open scene files and return their splat counts, SH degrees and layouts.
 
     Raises:
         InputUnreadable: A file is missing, damaged or holds something else than splats.
@@ -115,7 +115,7 @@ def _opened(path: Path) -> SceneFile:
             f"cannot be read: {error.strerror or error}", where=str(path)
         ) from error
     if table.count == 0:
-        raise InputUnreadable("0 splats; expected at least one", where=str(path))
+        raise InputUnreadable("the file has 0 splats; expected at least one", where=str(path))
     return SceneFile(
         path=str(path),
         count=table.count,
@@ -165,7 +165,7 @@ def _unreadable(error: FormatError) -> InputUnreadable:
 
 
 def chunks_of(files: Sequence[SceneFile], chunk_bytes: int = CHUNK_BYTES) -> list[Chunk]:
-    """Return the chunks of ``files``, in order."""
+    """Return the chunks of the scene files, in order."""
     parts = [(file, first, count) for file in files for first, count in _ranges(file, chunk_bytes)]
     source, chunks = 0, []
     for index, (file, first, count) in enumerate(parts):
@@ -184,11 +184,7 @@ def _ranges(file: SceneFile, chunk_bytes: int) -> Iterator[tuple[int, int]]:
 
 
 def read_chunk(chunk: Chunk) -> Splats:
-    """Return all rows of ``chunk``, including rows that cannot be drawn.
-
-    Raises:
-        InputUnreadable: The file was changed or cannot be read any more.
-    """
+    """Return all rows of a scene chunk, including rows that cannot be drawn."""
     try:
         if chunk.file.table is None:
             return _whole(Path(chunk.file.path))
@@ -198,7 +194,7 @@ def read_chunk(chunk: Chunk) -> Splats:
 
 
 def valid_rows(splats: Splats) -> Bool[np.ndarray, " n"]:
-    """Return a mask of drawable splats: finite, or an infinite opacity or scale with a meaning."""
+    """Return the mask of drawable splats: finite, or meaningfully infinite opacity or scale."""
     with np.errstate(invalid="ignore", over="ignore"):
         valid = ~np.isnan(splats.logit_opacity)
         for axis in range(3):  # a NaN fails the comparison
@@ -211,7 +207,7 @@ def valid_rows(splats: Splats) -> Bool[np.ndarray, " n"]:
 
 
 def row_dtype(degree: int) -> np.dtype[Any]:
-    """Return the type of a spilled row of SH ``degree``."""
+    """Return the NumPy dtype of a spilled row with SH ``degree``."""
     return np.dtype(
         [
             ("source", "<u8"),

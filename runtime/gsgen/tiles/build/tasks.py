@@ -1,4 +1,4 @@
-"""The tasks of a build, as functions that any engine can run in any process.
+"""The tasks of a tileset build, as functions that any engine can run in any process.
 
 A task is a plain value; it writes its result to a file that appears whole, and does nothing if
 that is there already. So it can be run twice, elsewhere, or again after a crash.
@@ -25,12 +25,7 @@ from gsgen.tiles.build.spill import bin_chunk
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanTask:
-    """Scan a chunk.
-
-    Attributes:
-        chunk: To be scanned.
-        work: Folder of markers.
-    """
+    """A task that scans a chunk of a scene file."""
 
     chunk: Chunk
     work: str
@@ -39,7 +34,7 @@ class ScanTask:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CountTask:
-    """Count the splats of a chunk in octree cells.
+    """A task that counts the splats of a chunk in octree cells.
 
     Attributes:
         chunk: To be read.
@@ -63,7 +58,7 @@ class CountTask:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanTask:
-    """A task on one chunk, partition or cell of the plan.
+    """A task on one chunk, partition or top cell of the build plan.
 
     Attributes:
         plan: Path of ``plan.json``.
@@ -90,7 +85,7 @@ def run_scan(task: ScanTask) -> tuple[int, ChunkFacts]:
 def run_count(
     task: CountTask,
 ) -> tuple[int, tuple[UInt64[np.ndarray, " m"], Int64[np.ndarray, " m"]]]:
-    """Count splats in cells; return the number of rows, the cells and their counts."""
+    """Count a chunk's splats in octree cells; return the number of rows, cells and counts."""
     folder = Path(task.work) / "cells"
     marker = folder / f"{task.chunk.index:06}-{task.depth}.npy"
     if marker.exists():
@@ -123,5 +118,5 @@ def run_partition(task: PlanTask) -> tuple[int, None]:
 
 
 def run_top(task: PlanTask) -> tuple[int, None]:
-    """Write the tile of a top cell."""
+    """Write the tile of an octree cell above the partitions."""
     return build_top(load_plan(task.plan), task.item), None

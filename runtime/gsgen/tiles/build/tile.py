@@ -1,4 +1,4 @@
-"""Write the content files of a tile, and describe the written tile."""
+"""Writes the content files of a tile, and describes the written tile."""
 
 __all__ = [
     "Content",
@@ -37,7 +37,7 @@ from gsgen.tiles.json_values import JsonDict
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Content:
-    """A file of a tile, at one quality.
+    """A written content file of a tile, at one quality.
 
     Attributes:
         path: Relative to the tileset.
@@ -57,7 +57,7 @@ class Content:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tile:
-    """A tile and all tiles below it.
+    """A written tile and all its descendants.
 
     Attributes:
         location: Its octree cell, as 1 followed by the Morton code.
@@ -97,12 +97,7 @@ def _point(values: list[float]) -> tuple[float, float, float]:
 
 
 def mixture_of(splats: Splats, codes: UInt64[np.ndarray, " n"]) -> Mixture:
-    """Convert splats to Gaussians for merging, in the same order.
-
-    Args:
-        splats: To be merged.
-        codes: Their Morton codes.
-    """
+    """Convert splats to Gaussians for merging, in the same order."""
     scale = np.exp(splats.log_scale.astype(np.float64))
     rotation = unit(splats.rotation)
     return Mixture(
@@ -144,7 +139,7 @@ def _leaf_splats(rows: Rows) -> Splats:
 def write_leaf(
     plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int, extra: int = 0
 ) -> tuple[Tile, Mixture]:
-    """Write source splats as the content of a leaf; return the tile and its Gaussians."""
+    """Write source splats as the content of a leaf tile; return the tile and its Gaussians."""
     splats = _leaf_splats(rows)
     tile = _write(plan, splats, location, extra=extra, cell=0.0)
     return tile, mixture_of(splats, codes)

@@ -1,4 +1,4 @@
-"""`gsgen tiles build`: scenes of any size become a tileset."""
+"""The command `gsgen tiles build`, which builds a tileset from scenes of any size."""
 
 __all__ = ["build"]
 
@@ -89,9 +89,9 @@ def build(
 
     if implicit and quality > 1:
         raise ConfigInvalid(
-            f"{quality} qualities; expected 1 with --implicit",
+            f"{quality} qualities with --implicit; expected 1",
             where="--quality",
-            hint="The subtrees of an implicit tileset name one file a tile.",
+            hint="An implicit tileset has one content file per tile.",
         )
     parameters = BuildParameters(
         leaf=leaf,
@@ -127,13 +127,17 @@ def _transform(
     missing = [name for name, value in angles.items() if value is None]
     if path is not None:
         if len(missing) < len(angles) or height is not None:
-            raise ConfigInvalid("is given with --lon, --lat or --height", where="--transform")
+            raise ConfigInvalid(
+                "cannot be combined with --lon, --lat or --height", where="--transform"
+            )
         return read_transform(path)
     if lon is not None and lat is not None:
         return globe_transform(lon, lat, height or 0.0)
     if len(missing) < len(angles) or height is not None:
         problem = f"{' and '.join(missing)} missing"
-        raise ConfigInvalid(problem, hint="A place on the globe needs --lon and --lat.")
+        raise ConfigInvalid(
+            problem, hint="Give both --lon and --lat to place the scene on the globe."
+        )
     return upright_transform()
 
 

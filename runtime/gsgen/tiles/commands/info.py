@@ -1,4 +1,4 @@
-"""`gsgen tiles info`: tiles, splats and bytes of a tileset by level."""
+"""The command `gsgen tiles info`: counts tiles, splats and bytes of a tileset by level."""
 
 __all__ = ["info"]
 
@@ -23,7 +23,7 @@ def info(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False,
 ) -> None:
-    """Print how many tiles, splats and bytes TILESET has at each level.
+    """Print the numbers of tiles, splats and bytes of TILESET at each level.
 
     Exits 0, or 4 if TILESET or a file of it cannot be read.
     """
@@ -39,7 +39,7 @@ def info(
 
 
 def _as_text(name: str, described: "TilesetInfo") -> str:
-    """Return a summary of the tileset and a table of its levels."""
+    """Return a summary of a tileset and a table of its levels, as text."""
     low, high = described.box
     size = " × ".join(f"{b - a:.4g}" for a, b in zip(low, high, strict=True))
     lines = [
@@ -61,7 +61,7 @@ def _as_text(name: str, described: "TilesetInfo") -> str:
 
 
 def _place(described: "TilesetInfo") -> str:
-    """Return the longitude, latitude and height of the root frame, or "" off the globe."""
+    """Return the longitude, latitude and height of the root frame as text; empty off the globe."""
     import numpy as np
 
     from gsgen.tiles.volumes import geodetic

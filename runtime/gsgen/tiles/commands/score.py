@@ -1,4 +1,4 @@
-"""`gsgen tiles score`: SSIM, splats and bytes of each level of a tileset."""
+"""The command `gsgen tiles score`: measures SSIM, splats and bytes of each tileset level."""
 
 __all__ = ["score"]
 
@@ -33,7 +33,7 @@ def score(
     height: Annotated[int, typer.Option(help="Of a picture.", min=32, max=4096)] = 240,
     as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False,
 ) -> None:
-    """Draw each level of TILESET beside SCENE: bytes, splats and SSIM, from three distances.
+    """Compare each level of TILESET with SCENE: bytes, splats and SSIM, from three distances.
 
     Exits 0, 2 for wrong options or where nothing can be drawn with, 4 if a file cannot be read.
     """
@@ -66,7 +66,7 @@ def score(
 
 
 def _as_text(result: "TilesetScore", output: Path) -> str:
-    """Return a table of the levels, finest first."""
+    """Return the scores of a tileset's levels as a text table, finest level first."""
     names = list(result.levels[0].ssim)
     head = f"{'level':>5} {'tiles':>7} {'splats':>11} {'share':>7} {'MiB':>9}"
     lines = [f"{head}  SSIM " + " ".join(f"{name:>7}" for name in names)]

@@ -1,4 +1,4 @@
-"""`gsgen tiles serve`: a web server for tilesets that can simulate a slow or faulty network."""
+"""The command `gsgen tiles serve`: a web server for tilesets that can simulate a slow network."""
 
 __all__ = ["serve"]
 

@@ -1,4 +1,4 @@
-"""`gsgen tiles`: build, inspect, score and serve tilesets."""
+"""The command group `gsgen tiles`: build, inspect, score and serve tilesets."""
 
 __all__ = ["app"]
 

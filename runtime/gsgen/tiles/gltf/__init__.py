@@ -1,1 +1,1 @@
-"""glTF in tiles: how are the splats of a tile stored, turned and decoded?"""
+"""How is the glTF content of a tile encoded, rotated and decoded?"""

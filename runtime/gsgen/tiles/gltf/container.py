@@ -1,4 +1,4 @@
-"""Open the content of a tile: a .glb file, or a .gltf file with all its buffers joined."""
+"""Opens the content of a tile: a .glb file, or a .gltf file with all buffers joined."""
 
 __all__ = ["Fetch", "as_fault", "open_content"]
 
@@ -21,15 +21,12 @@ Fetch = Callable[[str, str, int], bytes]
 
 
 def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Container:
-    """Return the parts of a ``.glb`` or ``.gltf`` file, all buffers in one.
+    """Return the JSON and the joined buffers of a ``.glb`` or ``.gltf`` file.
 
     Args:
         data: The file.
         location: Its name, for errors.
         fetch: Reads a buffer in a file of its own; without it, that is an error.
-
-    Raises:
-        TilesetInvalid: It is not glTF 2.0, or ends early.
     """
     if data[:4] == b"glTF":
         with as_fault(location, Fault.CONTENT):
@@ -95,7 +92,7 @@ def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
 
 @contextmanager
 def as_fault(location: str, fault: Fault) -> Iterator[None]:
-    """Translate a FormatError of the ``with`` block to a TilesetInvalid with ``fault``."""
+    """Convert a FormatError of the ``with`` block to a TilesetInvalid of the kind ``fault``."""
     try:
         yield
     except FormatError as error:

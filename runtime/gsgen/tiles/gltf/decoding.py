@@ -1,4 +1,4 @@
-"""Read the content of tiles: .glb and .gltf files with KHR_gaussian_splatting, or its drafts.
+"""Reads the glTF content of tiles: KHR_gaussian_splatting or its drafts.
 
 What only a header says is read without decoding, so that a listing of a tileset is quick.
 """
@@ -62,14 +62,14 @@ class SplatPrimitive:
 
     @property
     def count(self) -> int:
-        """Number of splats: that of the SPZ header, or else of the positions."""
+        """The number of splats, from the SPZ header or else from the positions."""
         return self.counts.get("SPZ", self.counts.get("POSITION", 0))
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContentHeader:
-    """The header of a content: its size, primitives and extensions.
+    """The header of a tile's content: its size, primitives and extensions.
 
     Attributes:
         size: Bytes of the file.
@@ -85,26 +85,17 @@ class ContentHeader:
 
     @property
     def splats(self) -> int:
-        """Number of splats of all primitives."""
+        """The number of splats of all primitives of a tile's content."""
         return sum(primitive.count for primitive in self.primitives)
 
     @property
     def sh_degree(self) -> int:
-        """The highest degree of harmonics."""
+        """The highest SH degree of a tile's content."""
         return max((primitive.sh_degree for primitive in self.primitives), default=0)
 
 
 def read_header(container: Container, location: str, size: int) -> ContentHeader:
-    """Return the header of a content; splats are not decoded.
-
-    Args:
-        container: Of :func:`open_content`.
-        location: The file's name, for errors.
-        size: Bytes of the file.
-
-    Raises:
-        TilesetInvalid: The JSON breaks the rules of glTF, or SPZ cannot be unpacked.
-    """
+    """Return the header of a tile's content; splats are not decoded."""
     with as_fault(location, Fault.CONTENT):
         primitives = tuple(
             _primitive(container, primitive, where, location)
@@ -160,7 +151,7 @@ def _disagreements(primitive: JsonDict, extensions: JsonDict) -> Iterator[str]:
 
 
 def _spz_head(container: Container, holder: JsonDict, where: str) -> tuple[int, int, int]:
-    """Return version, number of splats and degree of the SPZ file in a buffer view."""
+    """Return version, number of splats and SH degree of the SPZ file in a buffer view."""
     view = container.item("bufferViews", holder.get("bufferView"), where)
     start, size = view_range(container, view, where)
     head = bytes(container.data[start : start + min(size, _SPZ_HEAD_BYTES)])
@@ -188,19 +179,11 @@ def _spz_head(container: Container, holder: JsonDict, where: str) -> tuple[int, 
 def decode_content(
     container: Container, location: str, *, max_bytes: int = MAX_DECODED
 ) -> list[tuple[Splats, Float64[np.ndarray, "4 4"]]]:
-    """Decode the splats of a content.
-
-    Args:
-        container: Of :func:`open_content`.
-        location: The file's name, for errors.
-        max_bytes: What they may take in memory.
+    """Decode the splats of a tile's content.
 
     Returns:
         For each set of splats, as it is stored, the matrix that puts it in the content's
         frame, which is y up.
-
-    Raises:
-        TilesetInvalid: A value or a size is wrong.
     """
     header = read_header(container, location, 0)
     if header.splats * _DECODED_EACH > max_bytes:

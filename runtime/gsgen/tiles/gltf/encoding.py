@@ -1,4 +1,4 @@
-"""Write the content of a tile: splats as a GLB file that 3D Tiles viewers draw.
+"""Writes the content of a tile: splats as a GLB file that 3D Tiles viewers draw.
 
 Equal splats give equal bytes, on any machine.
 """
@@ -45,7 +45,7 @@ _Parts = tuple[JsonDict, bytes, Splats]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EncodedContent:
-    """An encoded tile, and the box, number and SH degree of its stored splats.
+    """An encoded tile content, and the box, number and SH degree of its stored splats.
 
     Attributes:
         data: The GLB file.
@@ -76,9 +76,6 @@ def write_content(
         codec: ``spz`` for SPZ version 2, ``khr`` for plain float32 accessors.
         quality: 0 is the finest, 4 the smallest; ``khr`` has one quality only.
 
-    Returns:
-        The file, and the box of what it stores.
-
     Raises:
         ValueInvalid: The splats are empty or cannot be drawn, or lie too far from ``center``.
     """
@@ -102,14 +99,14 @@ def write_content(
 
 
 def _translation(center: Float64[np.ndarray, " 3"]) -> list[float]:
-    """Return the column-major matrix of glTF that moves content to ``center``."""
+    """Return the column-major glTF matrix that translates content to ``center``."""
     matrix = np.eye(4)
     matrix[:3, 3] = Z_UP_FROM_Y_UP[:3, :3].T @ center + 0.0
     return [float(value) for value in matrix.T.ravel()]
 
 
 def _extent(stored: Splats) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Return the box of splats at 3σ, turned from glTF axes to those of the tile."""
+    """Return the bounding box of splats at 3σ, rotated from glTF axes to the tile's axes."""
     scale = np.exp(stored.log_scale.astype(np.float64))
     variance = covariance_upper(scale, stored.rotation)[:, _DIAGONAL]
     reach = SIGMAS * np.sqrt(variance)

@@ -17,12 +17,7 @@ from gsgen.formats.shared.splats import Splats
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedSplats:
-    """Splats with positions relative to an origin.
-
-    Attributes:
-        splats: Their positions are relative to ``origin``, so that float32 is enough.
-        origin: In the frame that they were placed in.
-    """
+    """Splats with positions relative to a float64 origin."""
 
     splats: Splats
     origin: Float64[np.ndarray, " 3"]
@@ -31,17 +26,17 @@ class PlacedSplats:
         return len(self.splats)
 
     def positions(self) -> Float64[np.ndarray, "n 3"]:
-        """Return the centres in the frame, in float64."""
+        """The centres of the splats in the parent frame, in float64."""
         return np.asarray(self.splats.position.astype(np.float64) + self.origin)
 
     def around(self, origin: Float64[np.ndarray, " 3"]) -> Splats:
-        """Return the splats relative to another origin; rounded there to float32."""
+        """Return the splats relative to another origin, with positions rounded to float32 there."""
         position = (self.positions() - origin).astype(np.float32)
         return replace(self.splats, position=position)
 
 
 def place(splats: Splats, matrix: Float64[np.ndarray, "4 4"]) -> PlacedSplats:
-    """Return ``splats`` after ``matrix``, whose translation stays in float64.
+    """Return splats transformed by ``matrix``, whose translation stays in float64.
 
     Positions far from the file's own origin keep their digits: the middle of the splats becomes
     the origin.
@@ -56,5 +51,5 @@ def place(splats: Splats, matrix: Float64[np.ndarray, "4 4"]) -> PlacedSplats:
 
 
 def join_placed(parts: Sequence[PlacedSplats], origin: Float64[np.ndarray, " 3"]) -> Splats:
-    """Return all splats as one set, relative to ``origin``."""
+    """Join sets of placed splats into one set, relative to ``origin``."""
     return joined([part.around(origin) for part in parts])

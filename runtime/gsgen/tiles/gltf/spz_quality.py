@@ -28,7 +28,7 @@ _ALPHA = "alphas"
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quality:
-    """The number of bits that each attribute keeps at one quality.
+    """The number of bits that each splat attribute has at one SPZ quality.
 
     Attributes:
         bits: Attribute → how many of eight bits differ between values.

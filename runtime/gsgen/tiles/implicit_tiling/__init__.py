@@ -1,1 +1,1 @@
-"""Implicit tiling: how are the tiles of an implicit quadtree or octree read and written?"""
+"""How are the tiles of an implicit quadtree or octree read and written?"""

@@ -1,4 +1,4 @@
-"""Read columns of numbers from the property tables of subtrees.
+"""Reads columns of numbers from the property tables of implicit tilesets' subtrees.
 
 3D Metadata Specification 1.0, section "Binary Table Format". Strings, and arrays whose length
 varies from row to row, are passed over: nothing here asks for them.
@@ -26,7 +26,7 @@ _MOST_COUNT = 4096
 @final
 @dataclass(frozen=True, slots=True)
 class PropertyClass:
-    """The columns of a class that hold a fixed number of numbers.
+    """The columns of a metadata class that hold a fixed count of numbers.
 
     Attributes:
         columns: Property → (name it is known by, data type, numbers a row). The name is the
@@ -37,7 +37,7 @@ class PropertyClass:
 
 
 def read_classes(schema: JsonObject | None) -> dict[str, PropertyClass]:
-    """Return the classes of a metadata schema by name; none without a schema."""
+    """Return the classes of a metadata schema by name; empty without a schema."""
     if schema is None or "classes" not in schema:
         return {}
     classes = schema.child("classes")
@@ -70,17 +70,7 @@ def read_property_table(
     classes: dict[str, PropertyClass],
     view: Callable[[JsonObject, str], bytes],
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a property table, [count] or [count, numbers].
-
-    Args:
-        table: Of the subtree.
-        count: How many rows there have to be.
-        classes: Of the tileset's schema.
-        view: Returns the bytes of the buffer view that a member names.
-
-    Raises:
-        TilesetInvalid: The class is not in the schema, or a size is wrong.
-    """
+    """Return the columns of a property table, [count] or [count, numbers]."""
     name, rows = table.text("class"), table.whole("count")
     if name not in classes:
         table.refuse("class", f"a class of the schema: {', '.join(classes) or 'none there'}")

@@ -1,4 +1,4 @@
-"""Read the subtrees of implicit tilesets: the availability of tiles, contents and subtrees.
+"""Reads subtrees of implicit tilesets: the availability of tiles, contents and subtrees.
 
 3D Tiles 1.1, section "Implicit Tiling", "Subtrees". A subtree of L levels over a tree whose
 tiles have N children holds a bit for each of (N^L − 1) / (N − 1) tiles, level by level, within
@@ -34,7 +34,7 @@ ReadBuffer = Callable[[str, str, int], bytes]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Subtree:
-    """The availability and the metadata of the tiles of a subtree.
+    """The availability and the metadata of the tiles of an implicit subtree.
 
     Attributes:
         tiles: Which tiles there are.
@@ -52,7 +52,7 @@ class Subtree:
 
 
 def tile_count(branching: int, levels: int) -> int:
-    """Return how many tiles a full subtree has."""
+    """Return the number of tiles of a full subtree."""
     return int((branching**levels - 1) // (branching - 1))
 
 
@@ -65,7 +65,7 @@ def read_subtree(
     classes: dict[str, PropertyClass],
     read_buffer: ReadBuffer,
 ) -> Subtree:
-    """Read a subtree, binary or JSON.
+    """Read a subtree of an implicit tileset, binary or JSON.
 
     Args:
         data: The file.
@@ -74,9 +74,6 @@ def read_subtree(
         levels: Of a subtree, as the tileset says.
         classes: The metadata classes of the tileset.
         read_buffer: Reads a buffer that lies in a file of its own.
-
-    Raises:
-        TilesetInvalid: A size, a bitstream or a property table is wrong.
     """
     document, binary = _split(data, location)
     reader = _Reader(document, binary, read_buffer)
@@ -120,7 +117,7 @@ def _content_tables(
 
 
 def _split(data: bytes, location: str) -> tuple[JsonObject, bytes]:
-    """Return the JSON and the binary chunk of a subtree."""
+    """Return the JSON and the binary chunk of a subtree file."""
     if data[:4] != _MAGIC:
         document = parse_object(data, f"{location}, ", fault=Fault.SUBTREE)
         return document, b""
@@ -180,7 +177,7 @@ def _check_tree(
 
 @final
 class _Reader:
-    """Buffers, buffer views, bitstreams and tables of one subtree."""
+    """Reads the buffers, buffer views, bitstreams and tables of one subtree."""
 
     def __init__(self, document: JsonObject, binary: bytes, read: ReadBuffer) -> None:
         self._binary, self._read = binary, read
@@ -189,7 +186,7 @@ class _Reader:
         self._loaded: dict[int, bytes] = {}
 
     def availability(self, entry: JsonObject, count: int) -> Bits:
-        """Return ``count`` bits: all equal, or those of a bitstream."""
+        """Return ``count`` availability bits of a subtree: a constant, or a bitstream."""
         if count > MAX_BITS:
             raise _wrong(f"{count:,} tiles", entry.location, f"{MAX_BITS:,} or fewer")
         if "constant" in entry:
@@ -210,7 +207,7 @@ class _Reader:
         return np.asarray(bits)
 
     def view(self, entry: JsonObject, key: str) -> bytes:
-        """Return the bytes of the buffer view that ``entry`` names."""
+        """Return the bytes of the subtree's buffer view that ``entry`` names."""
         index = entry.whole(key)
         if index >= len(self._views):
             entry.refuse(key, f"less than {len(self._views)}, the number of buffer views")
@@ -244,7 +241,7 @@ class _Reader:
         count: int,
         classes: dict[str, PropertyClass],
     ) -> dict[str, np.ndarray]:
-        """Return the columns of the property table that ``holder`` names; none without one."""
+        """Return the columns of the property table that ``holder`` names; empty without one."""
         if key not in holder:
             return {}
         index = holder.whole(key)

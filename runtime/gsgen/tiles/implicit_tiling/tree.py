@@ -1,4 +1,4 @@
-"""Make the tiles of an implicit tree: a quadtree or an octree over the volume of one tile.
+"""Makes the tiles of an implicit tree: a quadtree or an octree over one tile's volume.
 
 3D Tiles 1.1, section "Implicit Tiling".
 """
@@ -25,13 +25,13 @@ _VOLUMES: Final = {"box": 12, "sphere": 4, "region": 6}
 
 
 class TileCoordinates(NamedTuple):
-    """Level and cell of an implicit tile; a cell has two or three coordinates."""
+    """The level and cell of an implicit tile; a cell has two or three coordinates."""
 
     level: int
     cell: tuple[int, ...]
 
     def child(self, index: int) -> "TileCoordinates":
-        """Return a tile right below: its coordinates' last bits are those of ``index``."""
+        """Return the coordinates of child tile ``index``, whose bits are appended."""
         cell = tuple(value * 2 + (index >> axis & 1) for axis, value in enumerate(self.cell))
         return TileCoordinates(self.level + 1, cell)
 
@@ -39,7 +39,7 @@ class TileCoordinates(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImplicitTree:
-    """The tree that ``implicitTiling`` of a tile declares.
+    """The implicit tree that a tile's ``implicitTiling`` declares.
 
     Attributes:
         dimensions: 2 for a quadtree, 3 for an octree.
@@ -69,11 +69,11 @@ class ImplicitTree:
 
     @property
     def branching(self) -> int:
-        """How many children a tile has."""
+        """The number of children of a tile: four in a quadtree, eight in an octree."""
         return int(2**self.dimensions)
 
     def uri(self, template: str, tile: TileCoordinates, location: str) -> str:
-        """Return the path of a file of ``tile``, relative to the tileset's folder."""
+        """Return the path of an implicit tile's file, relative to the tileset's folder."""
         text = template.replace("{level}", str(tile.level))
         for name, value in zip("xyz", tile.cell, strict=False):
             text = text.replace(f"{{{name}}}", str(value))
@@ -88,11 +88,7 @@ def read_implicit(
     base: str,
     classes: dict[str, PropertyClass],
 ) -> ImplicitTree:
-    """Read the member ``implicitTiling`` of a tile.
-
-    Raises:
-        TilesetInvalid: A member is missing or wrong, or the volume cannot be divided.
-    """
+    """Read the member ``implicitTiling`` of a tile."""
     entry = tile.child("implicitTiling")
     scheme = entry.values.get("subdivisionScheme")
     if not isinstance(scheme, str) or scheme not in _SCHEMES:
@@ -132,7 +128,7 @@ def expand_implicit(
     load: Callable[[ImplicitTree, TileCoordinates], Subtree | None],
     count_tiles: Callable[[int, str], None],
 ) -> Tile:
-    """Return ``root`` with all tiles of an implicit tree below it.
+    """Return ``root`` with all tiles of its implicit tree as descendants.
 
     Args:
         tree: The tree.
@@ -195,7 +191,7 @@ def _further(
     load: Callable[[ImplicitTree, TileCoordinates], Subtree | None],
     count_tiles: Callable[[int, str], None],
 ) -> Iterator[Tile]:
-    """Yield the roots of the subtrees below a tile of the last level."""
+    """Yield the roots of the child subtrees below a tile of the subtree's last level."""
     for k in range(tree.branching):
         if not subtree.subtrees[first + k]:
             continue

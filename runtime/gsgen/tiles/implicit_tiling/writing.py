@@ -1,4 +1,4 @@
-"""Write an implicit octree: subtrees of bits and tables in place of a long ``tileset.json``.
+"""Writes an implicit octree: subtrees of bits and tables instead of a long ``tileset.json``.
 
 Every tile keeps its own box and error, as metadata with the semantics of the 3D Metadata
 Specification: splats reach over the cells of an octree, and errors need not halve.
@@ -37,7 +37,7 @@ _ALIGN = 8
 
 
 def implicit_uri(level: int, coordinates: tuple[int, int, int], quality: int = 0) -> str:
-    """Return the uri of a content of an implicit tileset, as its template requires."""
+    """Return the uri of an implicit tileset's content, as its template requires."""
     x, y, z = coordinates
     return f"t/{level}/{x}_{y}_{z}-q{quality}.glb"
 
@@ -53,7 +53,7 @@ def write_implicit_tileset(
     transform: Float64[np.ndarray, "4 4"] | None = None,
     subtree_levels: int = SUBTREE_LEVELS,
 ) -> list[str]:
-    """Write ``tileset.json`` and its subtrees for the octree below ``root``.
+    """Write ``tileset.json`` and the subtree files for the octree below ``root``.
 
     Tiles of ``oversized`` records become explicit tiles beside the tree. Contents have to lie
     where :func:`implicit_uri` says.
@@ -67,9 +67,6 @@ def write_implicit_tileset(
         quality: Which of each tile's contents the index names.
         transform: From the root frame to the globe or the world.
         subtree_levels: Levels of one subtree.
-
-    Returns:
-        The uris of the subtrees.
 
     Raises:
         ValueError: A content is not where its template says.
@@ -111,7 +108,7 @@ def write_implicit_tileset(
 @final
 @dataclass(frozen=True, slots=True)
 class _Cell:
-    """A tile of the octree with the box that holds it and all below it."""
+    """A tile of the octree with the bounding box of its content and descendants."""
 
     record: TileRecord
     low: Float64[np.ndarray, " 3"]
@@ -127,7 +124,7 @@ def _content(record: TileRecord, quality: int) -> ContentRecord | None:
 def _collect(
     record: TileRecord, quality: int, cells: list[_Cell], oversized: list[TileRecord]
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Add all tiles of the octree to ``cells``; return the box of this one."""
+    """Add an octree tile and its descendants to ``cells``; return the tile's bounding box."""
     low, high = np.array(record.low, np.float64), np.array(record.high, np.float64)
     content = _content(record, quality)
     if content is not None:
@@ -171,7 +168,7 @@ def _implicit_root(
 
 
 def _subtrees(cells: list[_Cell], levels: int, quality: int) -> Iterable[tuple[str, bytes]]:
-    """Yield the uri and bytes of every subtree."""
+    """Yield the uri and bytes of every subtree file."""
     groups: dict[tuple[int, tuple[int, int, int]], list[_Cell]] = {}
     for cell in cells:
         level = cell.record.level
@@ -254,7 +251,7 @@ class _SubtreeWriter:
         self._views: list[dict[str, int]] = []
 
     def bits(self, indices: list[int], count: int) -> dict[str, int]:
-        """Return an availability: a constant, or a bitstream."""
+        """Return the JSON of an availability: a constant, or a bitstream."""
         if len(indices) in (0, count):
             return {"constant": int(bool(indices))}
         flags = np.zeros(count, np.uint8)
@@ -263,7 +260,7 @@ class _SubtreeWriter:
         return {"availableCount": len(indices), "bitstream": self._view(packed)}
 
     def table(self, name: str, count: int, columns: dict[str, np.ndarray]) -> JsonDict:
-        """Return a property table."""
+        """Append columns to the buffer and return the JSON of their property table."""
         properties = {
             key: {"values": self._view(column.tobytes())} for key, column in columns.items()
         }

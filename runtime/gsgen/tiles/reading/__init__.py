@@ -1,1 +1,1 @@
-"""Reading: how are the documents of a tileset found, counted and checked?"""
+"""How are the JSON documents of a tileset found, counted and checked?"""

@@ -1,4 +1,4 @@
-"""Read the documents of a tileset: indices and their metadata schemas, within a budget."""
+"""Reads the JSON documents of a tileset: indices and metadata schemas, within limits."""
 
 __all__ = ["Document", "DocumentReader"]
 
@@ -21,7 +21,7 @@ _VERSIONS: Final = ("1.0", "1.1")
 @final
 @dataclass(frozen=True, slots=True)
 class Document:
-    """An index that is being read.
+    """A tileset index that is being read, with its metadata classes and its parents.
 
     Attributes:
         path: Of the file, relative to the tileset's folder.
@@ -44,7 +44,7 @@ class DocumentReader:
         self._documents = 0
 
     def spend(self, size: int, path: str) -> None:
-        """Count a document and its bytes; raise beyond the limits."""
+        """Count a document of ``size`` bytes; raise if the tileset exceeds the limits."""
         self._bytes_left -= size
         self._documents += 1
         if self._documents > self._limits.documents:
@@ -61,7 +61,7 @@ class DocumentReader:
             )
 
     def read_index(self, path: str) -> JsonObject:
-        """Read an index, and check the members that every index has."""
+        """Read a tileset index, and check its required members."""
         data = self._store.read(path, limit=MAX_JSON)
         self.spend(len(data), path)
         document = parse_object(data, f"{path}, ")

@@ -29,24 +29,24 @@ class Limits:
 
 
 class LoadReport(Protocol):
-    """Receives every fault, so that reading continues with the rest."""
+    """Protocol: receives every fault of a tileset, so that reading continues with the rest."""
 
     def note(self, error: TilesetInvalid) -> None:
-        """Receive a fault of a part that can be read nevertheless."""
+        """Receive a fault of a tileset part that can be read nevertheless."""
         ...
 
     def drop(self, error: TilesetInvalid) -> None:
-        """Receive a fault of a part that is left out; may raise it."""
+        """Receive a fault of a tileset part that is omitted; may raise the fault."""
         ...
 
 
 @final
 class Strict:
-    """Raises faults that hide a part, and ignores the others."""
+    """Raises faults that hide a part of a tileset, and ignores other faults."""
 
     def note(self, error: TilesetInvalid) -> None:
-        """Ignore the fault."""
+        """Ignore a fault that hides no part of the tileset."""
 
     def drop(self, error: TilesetInvalid) -> None:
-        """Raise the fault."""
+        """Raise a fault that hides a part of the tileset."""
         raise error

@@ -1,1 +1,1 @@
-"""Scoring: how good does each level of a tileset look, for how many bytes?"""
+"""How well does each level of a tileset look, for how many bytes?"""

@@ -40,7 +40,7 @@ _ON_GLOBE = 1e6
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelScore:
-    """SSIM, splats and bytes of one level of detail.
+    """The SSIM, splats and bytes of one level of detail.
 
     Attributes:
         level: How many times the root is refined.
@@ -129,7 +129,7 @@ def score_tileset(
 
 
 def level_cut(tileset: Tileset, level: int) -> Iterator[tuple[Tile, Content]]:
-    """Yield the contents that are drawn where every tile is refined ``level`` times.
+    """Yield the contents that are drawn if every tile is refined ``level`` times.
 
     Tiles without content do not count: they are refined in any case.
     """
@@ -146,7 +146,7 @@ def level_cut(tileset: Tileset, level: int) -> Iterator[tuple[Tile, Content]]:
 
 
 def _depth(tileset: Tileset) -> int:
-    """Return the number of refinements down to the finest tiles."""
+    """Return the number of refinements from the root to the finest tiles."""
     deepest, pending = 0, [(tileset.root, 0)]
     while pending:
         tile, depth = pending.pop()
@@ -159,7 +159,7 @@ def _depth(tileset: Tileset) -> int:
 
 
 def _read(store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]) -> tuple[Splats, int]:
-    """Return the splats of a cut as one set, and the bytes of its files."""
+    """Return the splats of tile contents as one set, and the bytes of their files."""
     parts, size = [], 0
     for tile, content in cut:
         size += store.size(content.uri)
@@ -176,7 +176,7 @@ def _read(store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]) -> tu
 
 
 def _up(tileset: Tileset) -> Float64[np.ndarray, " 3"]:
-    """Return the direction of the sky in the root frame: z of the world, or away from the globe."""
+    """Return the up direction in the root frame: z of the world, or away from the globe."""
     linear, origin = tileset.transform[:3, :3], tileset.transform[:3, 3]
     world = np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(origin) > _ON_GLOBE:

@@ -1,4 +1,4 @@
-"""Draw the pictures of a score on one sheet: a column per level, a row per distance."""
+"""Draws the rendered pictures of all levels on one sheet: columns are levels, rows distances."""
 
 __all__ = ["draw_sheet"]
 
@@ -15,7 +15,7 @@ _GAP: Final = 4
 
 
 def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the sheet: the scene, then the finest level to the coarsest; labelled with SSIM."""
+    """Return a sheet of pictures labelled with SSIM: the scene, then the levels, finest first."""
     from PIL import Image, ImageDraw
 
     levels = {f"level {entry.level}": entry for entry in score.levels}

@@ -1,4 +1,4 @@
-"""Structural similarity of two pictures.
+"""Computes the structural similarity (SSIM) of two pictures.
 
 Z. Wang, A. C. Bovik, H. R. Sheikh, E. P. Simoncelli 2004, "Image Quality Assessment: From Error
 Visibility to Structural Similarity", equation 13, with the Gaussian window of that paper.
@@ -17,7 +17,7 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 def ssim(a: Float[np.ndarray, "h w c"], b: Float[np.ndarray, "h w c"]) -> float:
-    """Return the mean structural similarity of two pictures, 1 where they are equal.
+    """Return the mean structural similarity of two pictures, 1 if they are equal.
 
     Args:
         a: A picture, values in [0, 1].
@@ -37,7 +37,7 @@ def ssim(a: Float[np.ndarray, "h w c"], b: Float[np.ndarray, "h w c"]) -> float:
 
 
 def _blur(image: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "h w c"]:
-    """Convolve with the window at all positions where it lies within the picture."""
+    """Convolve a picture with the SSIM window, without borders."""
     steps = np.arange(-_RADIUS, _RADIUS + 1)
     window = np.exp(-0.5 * (steps / _SIGMA) ** 2)
     window /= window.sum()

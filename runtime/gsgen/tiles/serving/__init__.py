@@ -1,1 +1,1 @@
-"""Serving: how does a tileset reach a viewer over a slow or faulty network?"""
+"""How does a tileset reach a viewer over a slow or faulty network?"""

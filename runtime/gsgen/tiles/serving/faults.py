@@ -1,4 +1,4 @@
-"""Simulate a slow or failing network: limit the rate, delay and fail responses."""
+"""Simulates a slow or failing network: limits the rate, delays and fails responses."""
 
 __all__ = ["FailureRule", "NetworkFaults", "parse_failure"]
 
@@ -19,7 +19,7 @@ _FORM = re.compile(r"^(\d{3}|cut|stall):([0-9.]+)$")
 @final
 @dataclass(frozen=True, slots=True)
 class FailureRule:
-    """A kind of failure and the fraction of responses that fail so.
+    """A kind of simulated network failure, and the fraction of responses that fail so.
 
     Attributes:
         failure: The status; ``cut`` ends the answer half way, ``stall`` sends nothing.
@@ -54,7 +54,7 @@ def parse_failure(text: str) -> FailureRule:
 @final
 @dataclass(slots=True, kw_only=True)
 class NetworkFaults:
-    """Rate, latency and failures of responses; safe to use from many threads.
+    """Simulated rate, latency and failures of responses; safe to use from many threads.
 
     Attributes:
         bytes_per_second: Of all answers together; None for as fast as it goes.
@@ -79,7 +79,7 @@ class NetworkFaults:
         self._random = random.Random(self.seed)
 
     def choose(self) -> Failure | None:
-        """Return how the next answer fails, or None."""
+        """Return the failure of the next response, or None."""
         with self._lock:
             value = self._random.random()
         for rule in self.failures:
@@ -89,12 +89,12 @@ class NetworkFaults:
         return None
 
     def wait_to_begin(self) -> None:
-        """Wait for the latency before a response begins."""
+        """Wait for the simulated latency before a response begins."""
         if self.latency > 0:
             self.sleep(self.latency)
 
     def wait_to_send(self, count: int) -> None:
-        """Wait until the link, which all answers share, has carried ``count`` more bytes."""
+        """Wait until the simulated link of all responses has carried ``count`` more bytes."""
         if self.bytes_per_second is None:
             return
         with self._lock:

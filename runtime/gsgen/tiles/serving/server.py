@@ -42,14 +42,14 @@ Log = Callable[[str], None]
 @final
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """The byte range of a file to send."""
+    """The byte range of a file that an HTTP response sends."""
 
     start: int
     size: int
 
 
 class TileServer(ThreadingHTTPServer):
-    """Serves the files below a folder.
+    """Serves the files of a folder over HTTP.
 
     Attributes:
         folder: The folder.
@@ -80,7 +80,7 @@ def serve_folder(
     faults: NetworkFaults | None = None,
     log: Log = lambda line: None,
 ) -> TileServer:
-    """Return a server of ``folder`` that listens; call ``serve_forever`` to answer.
+    """Return a listening server of ``folder``; call ``serve_forever`` to answer requests.
 
     Args:
         folder: Served; files outside it are not.
@@ -101,11 +101,11 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _STALL
 
     def do_GET(self) -> None:
-        """Answer with a file, or a part of it."""
+        """Answer an HTTP GET request with a file, or a byte range of it."""
         self._answer(with_body=True)
 
     def do_HEAD(self) -> None:
-        """Answer with the headers alone."""
+        """Answer an HTTP HEAD request with the headers alone."""
         self._answer(with_body=False)
 
     def do_OPTIONS(self) -> None:

@@ -1,1 +1,1 @@
-"""Stores: where do the files of a tileset lie, and how are they read?"""
+"""Where are the files of a tileset, and how are they read?"""

@@ -1,4 +1,4 @@
-"""Write a .3tz archive: members stored as they are, and an index of them as the last one."""
+"""Writes .3tz archives: members stored uncompressed, and an index as the last member."""
 
 __all__ = ["write_archive"]
 
@@ -12,12 +12,9 @@ _DATE = (1980, 1, 1, 0, 0, 0)  # the first of a zip file: equal folders give equ
 
 
 def write_archive(folder: Path, archive: Path) -> int:
-    """Pack the files below ``folder`` into a .3tz archive; return how many there are.
+    """Pack the files of ``folder`` into a .3tz archive; return their number.
 
     Hidden files and those whose names end in ``.tmp`` are left out.
-
-    Raises:
-        FileUnwritable: The archive could not be written or put in place.
     """
     paths = sorted(
         file.relative_to(folder).as_posix()

@@ -1,23 +1,18 @@
-"""A tileset in a folder."""
+"""Reads the files of a tileset in a folder."""
 
 __all__ = ["FolderStore"]
 
 import stat
 from pathlib import Path
-from types import TracebackType
-from typing import Self, final
+from typing import final
 
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, check_range, missing
+from gsgen.tiles.stores.store import MAX_FILE, Store, check_range, missing
 
 
 @final
-class FolderStore:
-    """Files below a folder; links that lead out of it are refused.
-
-    Attributes:
-        name: The folder.
-    """
+class FolderStore(Store):
+    """Reads files of a folder; links that lead out of it are refused."""
 
     def __init__(self, folder: Path) -> None:
         self.name = str(folder)
@@ -25,13 +20,13 @@ class FolderStore:
         self._resolved = folder.resolve()
 
     def size(self, path: str) -> int:
-        """Return how many bytes a file has."""
+        """Return the bytes of a file in the folder."""
         return self._open_check(path)[1]
 
     def read(
         self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
     ) -> bytes:
-        """Return bytes of a file, see :class:`~gsgen.tiles.stores.store.Store`."""
+        """Read bytes of a file in the folder, see :class:`~gsgen.tiles.stores.store.Store`."""
         file, whole = self._open_check(path)
         count = check_range(self.name, path, whole, start, size, limit)
         try:
@@ -41,22 +36,8 @@ class FolderStore:
         except OSError as error:
             raise self._unreadable(path, error) from error
 
-    def close(self) -> None:
-        """Do nothing: no file stays open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def _open_check(self, path: str) -> tuple[Path, int]:
-        """Return a regular file within the folder, and its size."""
+        """Return the path and size of a regular file in the folder; raise for any other file."""
         file = self._folder / path
         try:
             status = file.stat()

@@ -1,14 +1,13 @@
-"""A tileset on a web server, read over a few connections that stay open."""
+"""Reads a tileset on a web server over a few connections that stay open."""
 
 __all__ = ["HttpStore"]
 
-from types import TracebackType
-from typing import TYPE_CHECKING, Final, Self, final
+from typing import TYPE_CHECKING, Final, final
 from urllib.parse import quote, urlsplit
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, missing, too_large
+from gsgen.tiles.stores.store import MAX_FILE, Store, missing, too_large
 
 if TYPE_CHECKING:
     from urllib3 import BaseHTTPResponse
@@ -23,14 +22,11 @@ _TRANSIENT = (429, 500, 502, 503, 504)
 
 
 @final
-class HttpStore:
-    """Files below an address.
+class HttpStore(Store):
+    """Reads files below a web address.
 
     Errors of the server and connections that break are tried three times more, at growing
     distance, or when ``Retry-After`` says so.
-
-    Attributes:
-        name: The address of the folder.
     """
 
     def __init__(self, address: str, *, timeout: float = _TIMEOUT) -> None:
@@ -58,7 +54,7 @@ class HttpStore:
         )
 
     def size(self, path: str) -> int:
-        """Return how many bytes a file has, by a HEAD request."""
+        """Return the size of a file on the web server in bytes, by a HEAD request."""
         with self._request("HEAD", path, {}) as response:
             length = response.headers.get("Content-Length", "")
             if not length.isdigit():
@@ -68,7 +64,7 @@ class HttpStore:
     def read(
         self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
     ) -> bytes:
-        """Return bytes of a file, see :class:`~gsgen.tiles.stores.store.Store`."""
+        """Read bytes of a file on the web server, see :class:`~gsgen.tiles.stores.store.Store`."""
         if size == 0:
             return b""
         ranged = start > 0 or size is not None
@@ -88,7 +84,7 @@ class HttpStore:
     def _body(
         self, response: "BaseHTTPResponse", path: str, limit: int, count: int | None
     ) -> bytes:
-        """Read at most ``count`` bytes of the answer; refuse more than ``limit``."""
+        """Read at most ``count`` bytes of an HTTP response; raise above ``limit``."""
         from urllib3.exceptions import HTTPError
 
         body = bytearray()
@@ -126,24 +122,13 @@ class HttpStore:
         )
 
     def close(self) -> None:
-        """Close all connections."""
+        """Close all connections to the web server."""
         self._pool.clear()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 @final
 class _Answer:
-    """An answer whose connection goes back to the pool, or is closed where bytes are left."""
+    """An HTTP response; its connection returns to the pool, or is closed if bytes remain."""
 
     def __init__(self, response: "BaseHTTPResponse") -> None:
         self._response = response

@@ -1,4 +1,4 @@
-"""Open the store of a tileset from a path or an address."""
+"""Opens the file store of a tileset from a path or an address."""
 
 __all__ = ["INDEX", "open_store"]
 
@@ -15,15 +15,11 @@ INDEX: Final = "tileset.json"
 
 
 def open_store(source: str | Path) -> tuple[Store, str]:
-    """Return the store of a tileset, and the path of its index in it.
+    """Return the file store of a tileset, and the path of its index in the store.
 
     Args:
         source: ``tileset.json``, the folder that holds one, a ``.3tz`` archive, or an address
             (http, https) of a ``tileset.json``.
-
-    Raises:
-        TilesetInvalid: The archive cannot be read.
-        ConfigInvalid: An address is given and urllib3 is not installed.
     """
     text = str(source)
     for scheme in ("http", "https"):

@@ -1,18 +1,18 @@
-"""The protocol of stores: read files by their path, within size limits."""
+"""The base class of file stores, which read a tileset's files by path within size limits."""
 
 __all__ = ["MAX_FILE", "Store", "check_range", "missing", "too_large"]
 
-from types import TracebackType
-from typing import Final, Protocol, Self
+from abc import ABC, abstractmethod
+from typing import Final, Self
 
 from gsgen.tiles.errors import ContentMissing, Fault, TilesetInvalid
 
 MAX_FILE: Final = 1 << 30
-"""How many bytes of one file are read, unless the caller says less."""
+"""The most bytes that are read of one file, unless the caller sets a lower limit."""
 
 
-class Store(Protocol):
-    """Files by their paths relative to a folder; safe to use from many threads.
+class Store(ABC):
+    """Base class of file stores: reads files by their paths relative to a folder, from many threads.
 
     Attributes:
         name: The folder, archive or address, for messages.
@@ -20,15 +20,16 @@ class Store(Protocol):
 
     name: str
 
+    @abstractmethod
     def size(self, path: str) -> int:
-        """Return how many bytes a file has.
+        """Return the size of a file in bytes.
 
         Raises:
             ContentMissing: There is no such file.
             StoreUnavailable: The store cannot be read now.
         """
-        ...
 
+    @abstractmethod
     def read(
         self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
     ) -> bytes:
@@ -45,24 +46,19 @@ class Store(Protocol):
             StoreUnavailable: The store cannot be read now.
             TilesetInvalid: The file is larger than ``limit``, or damaged.
         """
-        ...
 
-    def close(self) -> None:
-        """Close open files and connections."""
-        ...
+    def close(self) -> None:  # noqa: B027  # a store of plain files has nothing to close
+        """Close open files and connections of the store."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 def missing(store: str, path: str, reason: str = "the file does not exist") -> ContentMissing:
-    """Return the error for a file that does not exist."""
+    """Return the error for a tileset file that does not exist."""
     return ContentMissing(
         reason,
         location=f"{store}: {path}",
@@ -73,7 +69,7 @@ def missing(store: str, path: str, reason: str = "the file does not exist") -> C
 
 
 def too_large(store: str, path: str, size: int, limit: int) -> TilesetInvalid:
-    """Return the error for a file above the size limit."""
+    """Return the error for a tileset file above the size limit."""
     return TilesetInvalid(
         f"{size:,} bytes",
         location=f"{store}: {path}",

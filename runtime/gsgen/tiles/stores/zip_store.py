@@ -1,4 +1,4 @@
-"""A tileset in a .3tz archive: a zip file whose last member is an index by MD5 of the paths.
+"""Reads tilesets in .3tz archives: zip files whose last member indexes paths by MD5.
 
 The format is 3D Tiles Archive 1.3 (Maxar): members are stored as they are or deflated; the
 member ``@3dtilesIndex1@`` holds records of 24 bytes (MD5 of the path, offset of the member's
@@ -13,11 +13,10 @@ import zipfile
 import zlib
 from pathlib import Path
 from threading import Lock
-from types import TracebackType
-from typing import BinaryIO, Final, Self, final
+from typing import BinaryIO, Final, final
 
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
-from gsgen.tiles.stores.store import MAX_FILE, check_range, missing, too_large
+from gsgen.tiles.stores.store import MAX_FILE, Store, check_range, missing, too_large
 
 INDEX_NAME: Final = "@3dtilesIndex1@"
 _RECORD = struct.Struct("<16sQ")
@@ -28,24 +27,20 @@ _MOST_MEMBERS = 4_000_000
 
 
 def index_sort_key(digest: bytes) -> tuple[int, int]:
-    """Return the sort key of an index record."""
+    """Return the sort key of a record in the index of a .3tz archive."""
     low, high = struct.unpack("<QQ", digest)
     return low, high
 
 
 def index_record(path: str, offset: int) -> bytes:
-    """Return the index record of a member."""
+    """Return the record of a member in the index of a .3tz archive."""
     digest = hashlib.md5(path.encode(), usedforsecurity=False).digest()
     return _RECORD.pack(digest, offset)
 
 
 @final
-class ZipStore:
-    """Members of a .3tz archive, each read alone.
-
-    Attributes:
-        name: The archive.
-    """
+class ZipStore(Store):
+    """Reads single members of a .3tz archive."""
 
     def __init__(self, archive: Path) -> None:
         self.name = str(archive)
@@ -80,7 +75,7 @@ class ZipStore:
         return by_name
 
     def _check_index(self, index: zipfile.ZipInfo, by_name: dict[str, zipfile.ZipInfo]) -> None:
-        """Raise if the index and the directory of the archive disagree on offsets."""
+        """Raise if the index of a .3tz archive and its zip directory disagree on offsets."""
         members = [member for name, member in by_name.items() if name != INDEX_NAME]
         if index.file_size != _RECORD.size * len(members):
             raise self._damaged(f"an index of {index.file_size} bytes for {len(members)} members")
@@ -91,13 +86,13 @@ class ZipStore:
             raise self._damaged("an index that does not name the members of the archive")
 
     def size(self, path: str) -> int:
-        """Return how many bytes a member has, unpacked."""
+        """Return the unpacked size of an archive member in bytes."""
         return self._info(path).file_size
 
     def read(
         self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
     ) -> bytes:
-        """Return bytes of a member, see :class:`~gsgen.tiles.stores.store.Store`."""
+        """Read bytes of an archive member, see :class:`~gsgen.tiles.stores.store.Store`."""
         member = self._info(path)
         count = check_range(self.name, path, member.file_size, start, size, limit)
         if member.compress_type != zipfile.ZIP_STORED and start + count > limit:
@@ -111,7 +106,7 @@ class ZipStore:
         return member
 
     def _member(self, member: zipfile.ZipInfo, start: int, count: int) -> bytes:
-        """Read through the local header: offsets of the archive are not trusted."""
+        """Read an archive member by its local header, without trusting offsets of the directory."""
         header = self._at(member.header_offset, _LOCAL.size)
         if len(header) < _LOCAL.size or header[:4] != _LOCAL_MAGIC:
             raise self._damaged(f"no member at byte {member.header_offset}")
@@ -157,14 +152,3 @@ class ZipStore:
     def close(self) -> None:
         """Close the archive."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()

@@ -1,1 +1,1 @@
-"""Validation: does a tileset, or the content of one tile, keep the rules GT?"""
+"""Does a tileset, or the content of one tile, conform to the rules GT?"""

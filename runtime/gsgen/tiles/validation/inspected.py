@@ -1,4 +1,4 @@
-"""The input of the rules: a tileset, its faults, and its contents, each read once."""
+"""The input of the tileset rules: a tileset, its faults, and its contents, each read once."""
 
 __all__ = ["InspectedContent", "InspectedTileset", "inspect_content_file", "inspect_tileset"]
 
@@ -77,11 +77,11 @@ class InspectedTileset:
 
     @property
     def is_ours(self) -> bool:
-        """Whether the tileset declares the profile of gsgen, which asks for more."""
+        """Whether the tileset declares the gsgen profile, which requires more than 3D Tiles."""
         return self.tileset is not None and "source_splats" in self.tileset.metadata
 
     def note(self, error: TilesetInvalid) -> None:
-        """Record a fault for the rules to report."""
+        """Record a fault of the tileset for the rules to report."""
         if sum(map(len, self.faults.values())) < _MOST_FAULTS:
             self.faults[error.fault].append(error)
 
@@ -91,7 +91,7 @@ class InspectedTileset:
 def inspect_tileset(
     store: Store, index: str, *, decode: bool, seconds: float, progress: Progress, name: str
 ) -> InspectedTileset:
-    """Read a tileset and its contents for the rules.
+    """Read a tileset and its contents as input of the tileset rules.
 
     Args:
         store: Where its files lie.
@@ -100,9 +100,6 @@ def inspect_tileset(
         seconds: After how long no further content is decoded.
         progress: Called with a few words whenever a new stage begins.
         name: Name of the tileset in messages.
-
-    Raises:
-        TilesetInvalid: The index is not there, or not JSON.
     """
     inspected = InspectedTileset(tileset=None, store=store)
     try:
@@ -128,7 +125,7 @@ def inspect_tileset(
 def inspect_content_file(
     store: Store, path: str, *, decode: bool, seconds: float
 ) -> InspectedTileset:
-    """Read one content alone, as :func:`inspect_tileset` does."""
+    """Read one content file as input of the tileset rules."""
     inspected = InspectedTileset(tileset=None, store=store)
     reader = _ContentReader(inspected, decode=decode, deadline=time.monotonic() + seconds)
     content = Content(uri=path, volume=None, location=path)
@@ -138,7 +135,7 @@ def inspect_content_file(
 
 @final
 class _ContentReader:
-    """Reads contents; a file that several tiles share is opened once a tile, and checked once."""
+    """Reads the contents of tiles; a file that several tiles share is checked once."""
 
     def __init__(self, inspected: InspectedTileset, *, decode: bool, deadline: float) -> None:
         self._inspected, self._decode = inspected, decode
@@ -146,7 +143,7 @@ class _ContentReader:
         self._headers: dict[str, tuple[ContentHeader | None, str]] = {}
 
     def read(self, tile: Tile | None, content: Content) -> InspectedContent:
-        """Read a content; its faults go to the inspected tileset."""
+        """Read a tile's content; record its faults in the inspected tileset."""
         known = content.uri in self._headers
         late = self._decode and time.monotonic() > self._deadline
         if late:

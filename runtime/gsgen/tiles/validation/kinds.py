@@ -1,4 +1,4 @@
-"""The kinds of input that the rules GT check."""
+"""The kinds of input that the tileset rules (GT) check."""
 
 __all__ = ["TILESET", "TILE_CONTENT"]
 

@@ -1,4 +1,4 @@
-"""Small generated tilesets that fixtures and tests change and write."""
+"""Generates small tilesets that fixtures and tests change and write."""
 
 __all__ = ["TilesetSketch", "edit_glb", "explicit_sketch", "implicit_sketch", "sample_splats"]
 
@@ -38,18 +38,13 @@ _Edit = Callable[[JsonDict], JsonDict]
 @final
 @dataclass(slots=True)
 class TilesetSketch:
-    """A tileset in memory.
-
-    Attributes:
-        document: ``tileset.json``.
-        files: Path → bytes of all others.
-    """
+    """A tileset in memory that can be edited and written."""
 
     document: JsonDict
     files: dict[str, bytes] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
-        """Write the index to ``path``, and all other files below its folder."""
+        """Write the index to ``path``, and all other files into its folder."""
         for uri, data in {**self.files, path.name: json_bytes(self.document)}.items():
             file = path.parent / uri
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -59,7 +54,7 @@ class TilesetSketch:
 def sample_splats(
     rows: int, center: tuple[float, float, float], *, degree: int = 1, seed: int = 0
 ) -> Splats:
-    """Return splats within 1.6 of a point, thinner than 0.1."""
+    """Return random splats within 1.6 of a point, thinner than 0.1."""
     rng = np.random.default_rng(seed)
     offset = rng.uniform(-1.6, 1.6, (rows, 3))
     return Splats(
@@ -78,7 +73,7 @@ def explicit_sketch(
     record: bool = True,
     leaf_rows: int = _ROWS,
 ) -> TilesetSketch:
-    """Return a tileset of a root and two leaves.
+    """Return an explicit tileset of a root and two leaves.
 
     Args:
         codec: Of the contents.
@@ -144,7 +139,7 @@ def _rows(splats: Splats, rows: slice | np.ndarray) -> Splats:
 
 
 def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
-    """Return an octree of three levels over a cube of 16, in subtrees of two levels."""
+    """Return an implicit octree of three levels over a cube of 16, in subtrees of two levels."""
     cells = [(0, 0, 0), (3, 0, 1), (3, 1, 1), (2, 3, 2)]
     files: dict[str, bytes] = {}
     leaves: dict[tuple[int, int, int], Splats] = {}
@@ -200,13 +195,7 @@ def _add_record(sketch: TilesetSketch, source_splats: int) -> None:
 def edit_glb(
     data: bytes, *, document: _Edit | None = None, binary: Callable[[bytes], bytes] | None = None
 ) -> bytes:
-    """Return a GLB file with another document or another binary chunk.
-
-    Args:
-        data: The file.
-        document: Returns the JSON to write.
-        binary: Returns the binary chunk to write; lengths in the JSON follow it.
-    """
+    """Return a GLB file with an edited JSON document or binary chunk."""
     json_size = struct.unpack_from("<I", data, 12)[0]
     values: JsonDict = json.loads(data[20 : 20 + json_size])
     chunk = data[28 + json_size :]

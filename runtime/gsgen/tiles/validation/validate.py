@@ -1,4 +1,4 @@
-"""Validate a tileset, or one content, by the rules GT, on behalf of `gsgen validate`.
+"""Validates a tileset, or one content, by the rules GT, on behalf of `gsgen validate`.
 
 Registered under the entry point group ``gsgen.validators``.
 """
@@ -32,7 +32,7 @@ _NOT_DRAWN: Final = "tilesets are not drawn here: `gsgen tiles score` draws them
 
 
 def recognises(path: Path) -> bool:
-    """Return whether ``path`` names a tileset or a content, by its suffix."""
+    """Return whether ``path`` names a tileset or a tile content, by its suffix."""
     is_address = str(path).lower().startswith(_ADDRESSES)
     has_suffix = path.suffix.lower() in (*_CONTENTS, *_INDICES)
     return has_suffix or is_address or (path.is_dir() and (path / INDEX).is_file())
@@ -41,16 +41,13 @@ def recognises(path: Path) -> bool:
 def validate(
     path: Path, settings: Settings, registry: Registry, progress: Callable[[str], None]
 ) -> Report:
-    """Check the tileset or the content at ``path``; nothing is printed.
+    """Validate the tileset or the tile content at ``path`` and return the report.
 
     Args:
         path: ``tileset.json``, its folder, ``.3tz``, ``.glb``, ``.gltf``, or an address.
         settings: How far to go (static: JSON and headers; values: all splats), and severities.
         registry: The rules.
         progress: Called with a few words whenever a new stage begins.
-
-    Raises:
-        TilesetInvalid: The file cannot be read at all.
     """
     start = time.perf_counter()
     settings = settings.for_model(path)
@@ -81,6 +78,9 @@ def validate(
         settings=settings.source,
         seconds=time.perf_counter() - start,
         sha256=digest,
+        required=settings.required,
+        timed=settings.timings,
+        docs_url=settings.docs_url,
     )
 
 
@@ -102,7 +102,7 @@ def _inspect(
 
 
 def _check(results: ResultCollector, inspected: InspectedTileset, level: Level) -> None:
-    """Check the rules up to ``level``, each after those that it needs; mark the others skipped."""
+    """Check the tileset rules up to ``level``, each after its dependencies; skip the others."""
     items = max(len(inspected.contents), 1)
     for rule in _needs_first(results.registry.rules.values()):
         if rule.level > level:
@@ -117,7 +117,7 @@ def _check(results: ResultCollector, inspected: InspectedTileset, level: Level) 
 
 
 def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
-    """Order rules so that each comes after those it needs."""
+    """Order rules so that each rule comes after those it depends on."""
     pending, ordered = list(rules), list[Rule]()
     ids: set[str] = set()
     while pending:
@@ -131,7 +131,7 @@ def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
 
 
 def _levels(requested: Level) -> Iterable[LevelOutcome]:
-    """Yield the outcome of every requested level that tilesets have."""
+    """Yield the outcome of every requested validation level that applies to tilesets."""
     yield LevelOutcome(Level.STATIC, ran=True)
     if requested >= Level.VALUES:
         yield LevelOutcome(Level.VALUES, ran=True)

@@ -1,1 +1,1 @@
-"""How are glTF binaries with Gaussians read and written?"""
+"""How are glTF binaries with Gaussian splats read and written?"""

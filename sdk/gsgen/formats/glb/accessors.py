@@ -1,4 +1,4 @@
-"""Reads the arrays of a GLB file.
+"""Reads the arrays (accessors) of a GLB file.
 
 The format is that of the glTF 2.0 specification, section 3.6 (Khronos).
 """
@@ -22,13 +22,7 @@ _LONGEST_STRIDE = 252
 def read_accessor(
     glb: Container, index: object, widths: tuple[int, ...], where: str
 ) -> Float32[np.ndarray, "n w"]:
-    """Return the accessor ``index`` as floats; normalised integers become fractions of 1.
-
-    Args:
-        glb: The file.
-        index: The index of the accessor.
-        widths: The allowed numbers of components.
-        where: The name of the accessor in an error.
+    """Return the glTF accessor ``index`` as floats; normalised integers become fractions of 1.
 
     Raises:
         HeaderMalformed: The accessor breaks the specification.
@@ -85,12 +79,7 @@ def _stored(glb: Container, accessor: Json, dtype: np.dtype, width: int, where: 
 
 
 def view_range(glb: Container, view: Json, where: str) -> tuple[int, int]:
-    """Return the first byte of a buffer view in the file, and its length.
-
-    Raises:
-        NotSupported: Its buffer is outside of the file.
-        FileTruncated: It reaches beyond the end of the binary chunk.
-    """
+    """Return the first byte of a glTF buffer view in the file, and the view's length."""
     buffer = whole_number(view.get("buffer"), f"{where}, buffer")
     if buffer or "uri" in glb.item("buffers", 0, where):
         raise NotSupported(

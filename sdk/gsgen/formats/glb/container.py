@@ -1,4 +1,4 @@
-"""Parses the chunks of a GLB file, and checks values of its JSON when they are read.
+"""Parses the chunks of a GLB file, and checks JSON values when they are read.
 
 The format is that of the glTF 2.0 specification, section 4 (Khronos).
 """
@@ -23,7 +23,7 @@ Json = dict[str, Any]
 @final
 @dataclass(frozen=True, slots=True)
 class Container:
-    """The parts of a GLB file.
+    """The JSON document and the binary chunk of a GLB file.
 
     Attributes:
         document: The parsed JSON.
@@ -38,7 +38,7 @@ class Container:
     size: int
 
     def item(self, group: str, index: object, where: str) -> Json:
-        """Return the object ``index`` of the array ``group`` of the document."""
+        """Return the JSON object ``index`` of the array ``group`` of a glTF document."""
         items = self.document.get(group, [])
         if not isinstance(items, list):
             raise _malformed(items, group, "an array")
@@ -51,7 +51,7 @@ class Container:
 
 
 def parse(data: Data) -> Container:
-    """Return the parts of the GLB file ``data``.
+    """Parse the GLB file ``data`` into its JSON document and binary chunk.
 
     Raises:
         NotRecognised: The data are not a GLB file.
@@ -99,7 +99,7 @@ def _document(content: bytes) -> Json:
 
 
 def build(document: Json, size: int) -> bytes:
-    """Return the bytes of a GLB file before the content of its binary chunk of ``size`` bytes."""
+    """Return the bytes of a GLB file up to its binary chunk, which has ``size`` bytes."""
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     total = _HEADER.size + 2 * _CHUNK.size + len(text) + size
@@ -114,7 +114,7 @@ def build(document: Json, size: int) -> bytes:
 
 
 def whole_number(value: object, where: str, most: int = 2**53) -> int:
-    """Return ``value``; raise unless it is a whole number from 0 to ``most``."""
+    """Return ``value`` if it is a whole number from 0 to ``most``; raise otherwise."""
     number = int(value) if isinstance(value, float) and value.is_integer() else value
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
         raise _malformed(value, where, f"a whole number from 0 to {most}")
@@ -122,7 +122,7 @@ def whole_number(value: object, where: str, most: int = 2**53) -> int:
 
 
 def object_member(holder: Mapping[str, Any], key: str, where: str) -> Json:
-    """Return the object ``key`` of ``holder``; empty if it is absent."""
+    """Return the JSON object ``key`` of ``holder``; an empty object if it is absent."""
     value = holder.get(key, {})
     if not isinstance(value, dict):
         raise _malformed(value, f"{where}.{key}", "an object")
@@ -130,7 +130,7 @@ def object_member(holder: Mapping[str, Any], key: str, where: str) -> Json:
 
 
 def array_member(holder: Mapping[str, Any], key: str, where: str) -> list[Any]:
-    """Return the array ``key`` of ``holder``; empty if it is absent."""
+    """Return the JSON array ``key`` of ``holder``; an empty array if it is absent."""
     value = holder.get(key, [])
     if not isinstance(value, list):
         raise _malformed(value, f"{where}.{key}", "an array")
@@ -140,7 +140,7 @@ def array_member(holder: Mapping[str, Any], key: str, where: str) -> list[Any]:
 def number_member(
     holder: Mapping[str, Any], key: str, default: tuple[float, ...], where: str
 ) -> tuple[float, ...]:
-    """Return the finite numbers ``key`` of ``holder``; their count is that of ``default``."""
+    """Return the finite numbers of the JSON array ``key`` of ``holder``, or ``default``."""
     value_list = holder.get(key, default)
     size = len(default)
     fits = isinstance(value_list, list | tuple) and len(value_list) == size

@@ -58,7 +58,7 @@ def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
 
 
 def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
-    """Return the splats of the GLB file ``data``, with the axes of a PLY file."""
+    """Return the splats of the GLB file ``data``, in the axes of a PLY file."""
     glb = parse(data)
     parts: list[Splats] = []
     used_bytes = 0
@@ -76,7 +76,9 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
     spaces = {part.color_space for part in parts}
     if len(spaces) > 1:
         raise HeaderMalformed(
-            "sRGB and linear colours", where="colorSpace", expected="one color space for all"
+            "primitives with sRGB and with linear colours",
+            where="colorSpace",
+            expected="one colour space for all primitives",
         )
     return flip(joined(parts), RDF_LUF)
 

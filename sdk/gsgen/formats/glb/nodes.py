@@ -24,11 +24,7 @@ _DEEPEST = 200
 
 
 def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
-    """Yield the meshes of the scene, each with its matrix from mesh to world.
-
-    Raises:
-        HeaderMalformed: A node is its own ancestor, is missing, or has an invalid matrix.
-    """
+    """Yield the meshes of a glTF scene, each with its matrix from mesh to world."""
     todo = [(index, np.eye(4), 0) for index in reversed(_roots(glb))]
     visited: set[int] = set()
     while todo:
@@ -36,7 +32,7 @@ def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
         where = f"nodes[{index}]"
         if index in visited or depth > _DEEPEST:
             raise HeaderMalformed(
-                "a node is within itself or has two parents", where=where, expected="a tree"
+                "a node is its own ancestor or has two parents", where=where, expected="a tree"
             )
         visited.add(index)
         node = glb.item("nodes", index, where)

@@ -1,4 +1,4 @@
-"""Decodes the splats of a primitive: attributes of KHR_gaussian_splatting and of its drafts.
+"""Decodes splats of a glTF primitive: attributes of KHR_gaussian_splatting and its drafts.
 
 The axes are those of the file, x left, y up, z forward. Drafts of the extension stored SPZ in a
 buffer view, or ``_ROTATION`` and ``_SCALE`` next to COLOR_0.
@@ -41,7 +41,7 @@ _COEFFICIENT = re.compile(re.escape(NAME) + r":SH_DEGREE_(\d)_COEF_(\d)")
 
 
 def is_splats(primitive: Json) -> bool:
-    """Return whether a primitive holds splats, by the extension or a draft."""
+    """Return whether a glTF primitive holds splats, by the extension or one of its drafts."""
     extensions, attributes = primitive.get("extensions"), primitive.get("attributes")
     has_extension = isinstance(extensions, dict) and any(key in extensions for key in (NAME, *_SPZ))
     drafted = isinstance(attributes, dict) and {"_ROTATION", "_SCALE"} <= attributes.keys()
@@ -49,11 +49,7 @@ def is_splats(primitive: Json) -> bool:
 
 
 def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) -> Splats:
-    """Return the splats of a primitive.
-
-    Raises:
-        FormatError: The primitive breaks the extension; the subclass names the fault.
-    """
+    """Return the splats of a glTF primitive."""
     extensions = object_member(primitive, "extensions", where)
     extension = object_member(extensions, NAME, where)
     mode = primitive.get("mode", 4)
@@ -129,14 +125,14 @@ def _from_attributes(
 
 
 class _Arrays:
-    """Reads the arrays of one primitive; all must have as many rows as the first."""
+    """Reads the attribute arrays of one glTF primitive; all must have equal row counts."""
 
     def __init__(self, glb: Container, attributes: dict[str, Any], where: str) -> None:
         self._glb, self._attributes, self._where = glb, attributes, where
         self._rows: int | None = None
 
     def read(self, *names: str, widths: tuple[int, ...]) -> Float32[np.ndarray, "n w"]:
-        """Return the first of the attributes ``names`` that the primitive has."""
+        """Return the first of the attributes ``names`` that the glTF primitive has."""
         name = next((name for name in names if name in self._attributes), None)
         if name is None:
             raise PropertyMissing(
@@ -181,7 +177,7 @@ def _harmonics(arrays: _Arrays, attributes: Json, where: str) -> Float32[np.ndar
 
 
 def coefficient(band: int, index: int) -> str:
-    """Return the attribute name of the harmonic of degree ``band`` and order ``index`` − ``band``."""
+    """Return the glTF name of the SH coefficient of degree ``band``, order ``index`` − ``band``."""
     return f"{NAME}:SH_DEGREE_{band}_COEF_{index}"
 
 

@@ -1,1 +1,1 @@
-"""How are PLY files read and written, compressed ones included?"""
+"""How are PLY files read and written, including compressed ones?"""

@@ -1,4 +1,4 @@
-"""Iterates over the rows of a text PLY file in chunks of columns."""
+"""Reads the rows of a text PLY file in chunks of columns."""
 
 import mmap
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ MAX_LINE = 1 << 24
 def ascii_rows(
     data: mmap.mmap, header: Header, vertex: Element
 ) -> Iterator[dict[str, Float64[np.ndarray, " rows"]]]:
-    """Return an iterator over chunks of the rows of ``vertex``: property → column.
+    """Return an iterator over chunks of the PLY element ``vertex``: property → column.
 
     Numbers are read as doubles, which hold every PLY type exactly.
 
@@ -46,13 +46,13 @@ def _chunks(
 
 
 def _before(header: Header, vertex: Element) -> tuple[Element, ...]:
-    """Return the elements before ``vertex`` that have properties, and so lines."""
+    """Return the PLY elements before ``vertex`` that have properties, and therefore lines."""
     elements = header.elements[: header.elements.index(vertex)]
     return tuple(element for element in elements if element.properties)
 
 
 def _require_room(data: mmap.mmap, header: Header, vertex: Element) -> None:
-    """Raise FileTruncated if the file is too short even for rows of one-digit numbers."""
+    """Raise FileTruncated if a text PLY file is too short even for rows of one-digit numbers."""
     remaining = len(data) - header.body
     for element in (*_before(header, vertex), vertex):
         # A digit and a blank or line end for each value; the last line may lack its end.
@@ -66,7 +66,7 @@ def _require_room(data: mmap.mmap, header: Header, vertex: Element) -> None:
 
 
 def _take(lines: Iterator[str], element: Element) -> None:
-    """Skip the rows of ``element``: a row is one line, with any lists in it."""
+    """Skip the lines of the PLY element ``element``: one line per row, lists included."""
     rows = sum(1 for _ in islice(lines, element.count))
     if rows < element.count:
         raise _ended(element, rows)
@@ -81,7 +81,7 @@ def _ended(element: Element, rows: int) -> FileTruncated:
 
 
 def _lines(data: mmap.mmap, start: int) -> Iterator[str]:
-    """Yield the lines from byte ``start`` on that are not blank, without their ends."""
+    """Yield the non-blank lines of a text PLY file from byte ``start`` on, without line ends."""
     while start < len(data):
         end = data.find(b"\n", start, start + MAX_LINE)
         if end < 0:
@@ -96,7 +96,7 @@ def _lines(data: mmap.mmap, start: int) -> Iterator[str]:
 
 
 def _parse(rows: list[str], first: int, width: int) -> Float64[np.ndarray, "rows width"]:
-    """Return ``rows`` as numbers; ``first`` is the number of the first row."""
+    """Parse lines of a text PLY file as numbers; ``first`` is the number of the first row."""
     try:
         table = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)
     except ValueError as error:
@@ -107,7 +107,7 @@ def _parse(rows: list[str], first: int, width: int) -> Float64[np.ndarray, "rows
 
 
 def _diagnosis(rows: list[str], first: int, width: int, trouble: str) -> BodyMalformed:
-    """Return the error of the first invalid row, or else one with the message ``trouble``."""
+    """Return the error of the first invalid row of a text PLY file, or a general error."""
     for number, row in enumerate(rows, start=first):
         values = row.split()
         where = f"element 'vertex', row {number}"

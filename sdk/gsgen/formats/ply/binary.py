@@ -1,4 +1,4 @@
-"""Iterates over the rows of a binary PLY file in chunks of columns."""
+"""Reads the rows of a binary PLY file in chunks of columns."""
 
 import mmap
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ CHUNK_ROWS = 1 << 12
 def binary_rows(
     data: mmap.mmap, header: Header, vertex: Element
 ) -> Iterator[dict[str, Shaped[np.ndarray, " rows"]]]:
-    """Return an iterator over chunks of the rows of ``vertex``: property → column.
+    """Return an iterator over chunks of the binary PLY element ``vertex``: property → column.
 
     The columns are views of ``data`` in the types of the file.
 
@@ -35,12 +35,7 @@ def binary_rows(
 
 
 def first_row(data: mmap.mmap, header: Header, vertex: Element) -> int:
-    """Return the first byte of the rows of ``vertex``, after a check that the file holds them all.
-
-    Raises:
-        FileTruncated: The file ends before the last row.
-        BodyMalformed: A list before ``vertex`` has a negative count.
-    """
+    """Return the first byte of the PLY element ``vertex``; raise if the file is too short."""
     start = header.body
     for element in header.elements[: header.elements.index(vertex)]:
         start = _end(data, header, element, start)
@@ -49,7 +44,7 @@ def first_row(data: mmap.mmap, header: Header, vertex: Element) -> int:
 
 
 def _end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
-    """Return the byte after ``element``, which begins at byte ``start``."""
+    """Return the byte after the PLY element ``element``, which begins at byte ``start``."""
     if not element.has_lists:
         _require_room(data, element, start)
         return start + element.count * element.row_bytes
@@ -67,7 +62,7 @@ def _end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
 
 
 def _length(data: mmap.mmap, header: Header, item: Property, start: int, row: int) -> int:
-    """Return the number of values of ``item``, whose data in this row begin at ``start``."""
+    """Return the number of values of a PLY property whose data in this row begin at ``start``."""
     if item.count_type is None:
         return 1
     count = data[start : start + int(item.count_type[1])]

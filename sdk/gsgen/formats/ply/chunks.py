@@ -1,4 +1,4 @@
-"""Read a range of rows of a 3DGS PLY file, so that a scene need not fit into memory."""
+"""Reads ranges of rows of a 3DGS PLY file, for scenes that exceed the memory."""
 
 __all__ = ["PlyTable", "ply_table", "read_ply_rows"]
 
@@ -20,7 +20,7 @@ from gsgen.formats.shared.splats import Splats
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlyTable:
-    """Where the splats of a binary PLY file of float32 properties are.
+    """The location of the splats in a binary PLY file of float32 properties.
 
     Attributes:
         count: Splats.
@@ -36,19 +36,16 @@ class PlyTable:
 
     @property
     def row_bytes(self) -> int:
-        """Bytes of a row."""
+        """The bytes of a row of the PLY file."""
         return 4 * len(self.columns)
 
 
 def ply_table(path: FilePath) -> PlyTable | None:
-    """Return the table of splats in the PLY file at ``path``.
+    """Return the location of the splats in the PLY file at ``path``.
 
     Returns:
         None where rows cannot be read by ranges: the numbers are text, big-endian, packed or of
         several types, or the file holds points. :func:`~gsgen.formats.read_ply` reads those.
-
-    Raises:
-        FormatError: The file cannot be read, is not a PLY file, or ends early.
     """
     with mapped(path) as data:
         header = parse_header(data)
@@ -68,17 +65,7 @@ def ply_table(path: FilePath) -> PlyTable | None:
 
 
 def read_ply_rows(path: FilePath, table: PlyTable, first: int, count: int) -> Splats:
-    """Read ``count`` splats of the PLY file at ``path`` from row ``first`` on, unchecked.
-
-    Args:
-        path: The file.
-        table: What :func:`ply_table` returned for it.
-        first: Row to begin with.
-        count: Rows to read, all of which are in the file.
-
-    Raises:
-        FileTruncated: The file has become shorter.
-    """
+    """Read ``count`` splats of the PLY file at ``path`` from row ``first`` on, unchecked."""
     width = len(table.columns)
     offset = table.first_byte + first * table.row_bytes
     with naming(path):

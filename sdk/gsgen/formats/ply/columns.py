@@ -17,14 +17,10 @@ CHUNK_ROWS = 1 << 10
 def read_columns(
     data: mmap.mmap, header: Header, vertex: Element, groups: Mapping[str, Sequence[str]]
 ) -> dict[str, Float32[np.ndarray, "n m"]]:
-    """Return one array for each of ``groups``, with a column for each name.
+    """Return one array for each group of PLY properties, with one column per property.
 
     The memory is that of these arrays and one chunk of rows: the length of the file is checked
     before an array is allocated.
-
-    Raises:
-        FileTruncated: The file ends before the last row.
-        BodyMalformed: A row of text, or a list before the vertices, breaks the rules.
     """
     if header.encoding == "binary_little_endian" and set(vertex.types.values()) == {"f4"}:
         return _floats(data, header, vertex, groups)
@@ -48,7 +44,7 @@ def read_columns(
 def _floats(
     data: mmap.mmap, header: Header, vertex: Element, groups: Mapping[str, Sequence[str]]
 ) -> dict[str, Float32[np.ndarray, "n m"]]:
-    """Read the columns of a file of float32 alone, as training writes, in half the time."""
+    """Read columns of a PLY file of float32 alone, as training writes it, in half the time."""
     shape = vertex.count, len(vertex.properties)
     rows = np.ndarray(shape, "<f4", data, first_row(data, header, vertex))
     column_indices = {name: column for column, name in enumerate(vertex.types)}

@@ -19,7 +19,7 @@ __all__ = ["compressed_order", "write_compressed_ply"]
 
 
 def compressed_order(splats: Splats) -> Int64[np.ndarray, " n"]:
-    """Return the order in which ``write_compressed_ply`` writes the rows of ``splats``."""
+    """Return the row order in which ``write_compressed_ply`` writes ``splats``."""
     return morton_order(splats.position)
 
 
@@ -62,7 +62,7 @@ def _ordered(splats: Splats) -> Splats:
 
 
 def _packed(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndarray]:
-    """Return the boxes, and the four packed words of each splat."""
+    """Return the bounding boxes of 256-row chunks, and the four packed words of each splat."""
     color = rows.color_of(splats.sh[:, 0])
     parts = (splats.position, splats.log_scale, color)
     boxes = [_box(part) for part in parts]
@@ -82,7 +82,7 @@ def _packed(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndarray]:
 def _box(
     values: Float32[np.ndarray, "n 3"] | Float64[np.ndarray, "n 3"],
 ) -> Sequence[Float32[np.ndarray, "c 3"]]:
-    """Return the minimum and the maximum of each 256 rows."""
+    """Return the minimum and the maximum of every 256 rows."""
     starts = np.arange(0, len(values), rows.CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     return low.astype(np.float32), high.astype(np.float32)

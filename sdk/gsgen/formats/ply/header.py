@@ -1,4 +1,4 @@
-"""Parses the header of a PLY file: its elements, their types, and the first byte of data.
+"""Parses the header of a PLY file: elements, property types, and the offset of the data.
 
 The format is that of Greg Turk, "The PLY Polygon File Format", 1994, with the sized
 type names (``float32``) that later writers added.
@@ -47,7 +47,7 @@ TYPES = {
 @final
 @dataclass(frozen=True, slots=True)
 class Property:
-    """A property: one value a row, or a list of values if ``count_type`` is set."""
+    """A PLY property: one value per row, or a list of values if ``count_type`` is set."""
 
     name: str
     type: str
@@ -55,14 +55,14 @@ class Property:
 
     @property
     def size(self) -> int:
-        """The bytes of one value."""
+        """The bytes of one value of the PLY property."""
         return int(self.type[1])
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Element:
-    """An element: a table of ``count`` rows with the same properties."""
+    """A PLY element: a table of ``count`` rows with the same properties."""
 
     name: str
     count: int
@@ -70,24 +70,24 @@ class Element:
 
     @property
     def has_lists(self) -> bool:
-        """Whether any property is a list, so that rows differ in size."""
+        """Whether any property of the PLY element is a list, so that its rows differ in size."""
         return any(item.count_type for item in self.properties)
 
     @property
     def row_bytes(self) -> int:
-        """The bytes of one binary row without lists."""
+        """The bytes of one binary row of a PLY element without lists."""
         return sum(item.size for item in self.properties)
 
     @property
     def types(self) -> dict[str, str]:
-        """The type of each property, by name."""
+        """The type of each property of the PLY element, by name."""
         return {item.name: item.type for item in self.properties}
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The elements of a PLY file in order, and the byte where the first one begins."""
+    """A PLY header: the elements in order, and the offset of the first element's data."""
 
     encoding: Encoding
     elements: tuple[Element, ...]
@@ -95,16 +95,16 @@ class Header:
 
     @property
     def byte_order(self) -> Literal["little", "big"]:
-        """The byte order of binary values."""
+        """The byte order of binary values in the PLY file."""
         return "big" if self.encoding == "binary_big_endian" else "little"
 
     def find(self, name: str) -> Element | None:
-        """Return the element ``name``, or None."""
+        """Return the PLY element called ``name``, or None."""
         return next((item for item in self.elements if item.name == name), None)
 
 
 def parse_header(data: mmap.mmap) -> Header:
-    """Read the header at the start of ``data``.
+    """Parse the PLY header at the start of ``data``.
 
     Raises:
         NotRecognised: The data does not begin with ``ply`` on a line of its own.
@@ -139,7 +139,7 @@ def parse_header(data: mmap.mmap) -> Header:
 
 
 def _split(data: mmap.mmap) -> tuple[list[str], int]:
-    """Return the lines between ``ply`` and ``end_header``, and the byte after both."""
+    """Return the PLY header lines between ``ply`` and ``end_header``, and the offset after it."""
     head = data[:MAX_HEADER]
     if not head.startswith(MAGIC):
         raise NotRecognised(
@@ -210,7 +210,7 @@ def _countable(type_name: str, number: int) -> str:
 
 
 def _grammar(line: str) -> str:
-    """Return the valid form of a header line that begins like ``line``."""
+    """Return the valid form of a PLY header line that begins like ``line``, for error messages."""
     forms = {
         "format": f"one line `format ENCODING 1.0`, ENCODING {' or '.join(ENCODINGS)}",
         "element": "`element NAME COUNT`",

@@ -25,7 +25,7 @@ _REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS)
 
 
 def splat_groups(degree: int) -> dict[str, tuple[str, ...]]:
-    """Return the properties of each array of ``Splats``, in the order of its columns.
+    """Return the PLY properties of each array of ``Splats``, in the order of its columns.
 
     The file lists ``f_rest`` channel-major: all of red, then green, then blue. The names are
     returned coefficient-major, so that reading by name reorders them.
@@ -42,7 +42,7 @@ def splat_groups(degree: int) -> dict[str, tuple[str, ...]]:
 
 
 def splat_names(degree: int) -> list[str]:
-    """Return the properties of splats in the order of the training code, without normals."""
+    """Return the PLY properties of splats in the order of 3DGS training code, without normals."""
     higher_count = 3 * (degree + 1) ** 2 - 3
     return [
         *XYZ,
@@ -55,12 +55,7 @@ def splat_names(degree: int) -> list[str]:
 
 
 def find_vertex(header: Header) -> Element:
-    """Return the element ``vertex``, which holds the points.
-
-    Raises:
-        PropertyMissing: The header has no such element.
-        NotSupported: Its rows are packed, or hold lists.
-    """
+    """Return the PLY element ``vertex``, which holds the points."""
     vertex = header.find("vertex")
     if vertex is None:
         names = listed([element.name for element in header.elements])
@@ -81,13 +76,13 @@ def find_vertex(header: Header) -> Element:
 
 
 def is_splat(names: Collection[str]) -> bool:
-    """Return whether any property belongs to splats only."""
+    """Return whether a PLY file has a property that only splats have."""
     splat_only = set(splat_names(0)).difference(XYZ)
     return any(name in splat_only or _REST_NAME.fullmatch(name) for name in names)
 
 
 def splat_degree(names: Collection[str]) -> int:
-    """Return the SH degree of a file of splats with these properties.
+    """Return the SH degree of a splat file with the given PLY properties.
 
     Raises:
         PropertyMissing: A property of splats is missing, or the number of ``f_rest`` fits
@@ -122,12 +117,7 @@ def _require_all(names: Collection[str], needed: list[str]) -> None:
 
 
 def cloud_colors(types: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of red, green and blue in a point cloud with these properties.
-
-    Raises:
-        PropertyMissing: Position or colour is missing.
-        NotSupported: The colours are neither bytes nor floats.
-    """
+    """Return the PLY property names of red, green and blue of a point cloud."""
     matches = {names: len(types.keys() & set(names)) for names in COLORS}
     colors = max(COLORS, key=lambda names: matches[names])  # the first one with the most properties
     missing = [name for name in (*XYZ, *colors) if name not in types]

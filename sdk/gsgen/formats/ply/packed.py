@@ -1,4 +1,4 @@
-"""Reads a compressed PLY file: packed words in boxes of 256 splats."""
+"""Reads compressed PLY files: packed words relative to boxes of 256 splats."""
 
 import mmap
 from collections.abc import Sequence
@@ -20,20 +20,13 @@ _REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS[1:])
 
 
 def is_packed(header: Header) -> bool:
-    """Return whether the vertices are packed words."""
+    """Return whether the vertices of a PLY file are packed words."""
     vertex = header.find("vertex")
     return vertex is not None and rows.WORDS[0] in vertex.types
 
 
 def read_packed(data: mmap.mmap, header: Header) -> Splats:
-    """Return the splats of a compressed PLY file.
-
-    Raises:
-        PropertyMissing: Boxes, words or harmonics are missing.
-        HeaderMalformed: The file has too few boxes, or not one row of harmonics a splat.
-        FileTruncated: The file ends before the last row.
-        ValueInvalid: The file has no splats, or one that cannot be drawn.
-    """
+    """Return the splats of a compressed PLY file."""
     vertex, boxes = _element(header, "vertex"), _element(header, "chunk")
     require_rows(vertex.count, "element 'vertex'")
     needed = -(-vertex.count // rows.CHUNK)
@@ -60,7 +53,7 @@ def read_packed(data: mmap.mmap, header: Header) -> Splats:
 def _boxes(
     data: mmap.mmap, header: Header, element: Element, count: int
 ) -> Float32[np.ndarray, "n b"]:
-    """Return the box of each splat; files before 2024 lack boxes of colours."""
+    """Return the bounding box of each splat's chunk; files before 2024 lack boxes of colours."""
     names = rows.BOX if rows.BOX[-1] in element.types else _OLD_BOX
     columns = _columns(data, header, element, names, "f4")
     return np.repeat(np.stack(columns, axis=1), rows.CHUNK, axis=0)[:count]
@@ -97,7 +90,7 @@ def _element(header: Header, name: str) -> Element:
 def _columns(
     data: mmap.mmap, header: Header, element: Element, names: Sequence[str], code: str
 ) -> list[Shaped[np.ndarray, " n"]]:
-    """Return the columns ``names`` of ``element``; raise unless their type is ``code``."""
+    """Return the columns ``names`` of a PLY element; raise unless their type is ``code``."""
     wrong = [name for name in names if element.types.get(name) != code]
     if wrong or element.has_lists:
         kinds = {"u4": "uint", "f4": "float", "u1": "uchar"}

@@ -20,11 +20,7 @@ __all__ = ["ply_properties", "read_ply_columns"]
 
 
 def ply_properties(path: FilePath) -> tuple[str, ...]:
-    """Return the names of the properties of the element ``vertex``, in the file's order.
-
-    Raises:
-        FormatError: The file cannot be read, or is not a PLY file with such an element.
-    """
+    """Return the property names of the PLY element ``vertex``, in the file's order."""
     with mapped(path) as data:
         return tuple(item.name for item in find_vertex(parse_header(data)).properties)
 
@@ -32,19 +28,10 @@ def ply_properties(path: FilePath) -> tuple[str, ...]:
 def read_ply_columns(
     path: FilePath, groups: Mapping[str, Sequence[str]]
 ) -> dict[str, Float32[np.ndarray, "n m"]]:
-    """Return one array for each of ``groups``, with a column for each property named in it.
+    """Read one array for each group of PLY properties, with one column per property.
 
     Numbers may be text or binary, of either byte order and any type; they become float32 and
     must be finite.
-
-    Args:
-        path: The file.
-        groups: Name of an array → its properties, in order.
-
-    Raises:
-        FormatError: The file cannot be read.
-        PropertyMissing: The file lacks properties; the message names them all.
-        ValueInvalid: The file has no rows, or a value is NaN or infinite.
     """
     with mapped(path) as data:
         header = parse_header(data)

@@ -1,4 +1,4 @@
-"""Raises for splats and points of a PLY file that cannot be drawn, or drops them."""
+"""Checks splats and points of a PLY file: raises for values that cannot be drawn, or drops them."""
 
 import warnings
 from collections.abc import Sequence
@@ -29,11 +29,7 @@ def require_splats(splats: Splats) -> None:
 
 
 def only_drawable(splats: Splats, path: FilePath) -> Splats:
-    """Return the splats that can be drawn, and warn about the number of others in ``path``.
-
-    Raises:
-        ValueInvalid: No splat can be drawn.
-    """
+    """Return the splats that can be drawn, and warn about dropped splats of the file ``path``."""
     try:
         require_splats(splats)
     except ValueInvalid:
@@ -58,11 +54,7 @@ def only_drawable(splats: Splats, path: FilePath) -> Splats:
 
 
 def only_finite(cloud: PointCloud, path: FilePath) -> PointCloud:
-    """Return the points of ``path`` that are somewhere, and warn of how many are not.
-
-    Raises:
-        ValueInvalid: None is.
-    """
+    """Return the points with finite positions, and warn about dropped points of ``path``."""
     is_valid = np.isfinite(cloud.position)
     drawable = is_valid.all(axis=1)
     if drawable.all():
@@ -91,7 +83,7 @@ def _warn_of(
 
 
 def _tables(splats: Splats) -> list[tuple[str, Sequence[str], Float32[np.ndarray, "n m"]]]:
-    """Return each array of the splats, with the property names of its columns."""
+    """Return each array of the splats with the PLY property names of its columns."""
     return [
         (array, names, getattr(splats, array).reshape(len(splats), len(names)))
         for array, names in splat_groups(splats.degree).items()
@@ -99,12 +91,7 @@ def _tables(splats: Splats) -> list[tuple[str, Sequence[str], Float32[np.ndarray
 
 
 def require_cloud(cloud: PointCloud, colors: Sequence[str] = COLORS[0]) -> None:
-    """Raise ValueInvalid if ``cloud`` is empty or holds a value that cannot be drawn.
-
-    Args:
-        cloud: The points.
-        colors: The property names of red, green and blue.
-    """
+    """Raise ValueInvalid if a point cloud is empty or holds a value that cannot be drawn."""
     require_rows(len(cloud), "element 'vertex'")
     require_finite(cloud.position, _labels(XYZ))
     require_colors(cloud.color, _labels(colors))

@@ -28,11 +28,6 @@ def write_ply(
     programs expect, with an error of at most 1/510. The file is written completely or not at
     all.
 
-    Args:
-        path: The output path; an existing file is replaced.
-        content: The splats or points.
-        format: The encoding of the numbers.
-
     Raises:
         ValueInvalid: ``content`` is empty or holds values that cannot be drawn, or
             ``format`` is unknown.

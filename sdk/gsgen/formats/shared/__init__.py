@@ -1,1 +1,1 @@
-"""What do all codecs share: splats, errors, notices, axes, quantities?"""
+"""What do all splat formats share: data classes, errors, notices, axes, quantities?"""

@@ -22,7 +22,7 @@ RDF_LUF: Final[Signs] = (-1, -1, 1)
 
 
 def flip(splats: Splats, signs: Signs) -> Splats:
-    """Return ``splats`` in the coordinate system whose axes are multiplied by ``signs``.
+    """Return ``splats`` in a coordinate system whose axes are multiplied by ``signs``.
 
     A second call with the same ``signs`` undoes the first.
     """
@@ -44,7 +44,7 @@ def _times(
 
 
 def sh_signs(degree: int, signs: Signs) -> Float32[np.ndarray, " k"]:
-    """Return the factor of each harmonic if x, y and z are multiplied by ``signs``."""
+    """Return the sign of each SH coefficient if x, y and z are multiplied by ``signs``."""
     orders = [(band, m) for band in range(degree + 1) for m in range(-band, band + 1)]
     return np.array([_sh_sign(band, m, signs) for band, m in orders], np.float32)
 

@@ -24,12 +24,9 @@ MAX_BYTES: Final = 8 << 30
 
 @contextmanager
 def contents(path: FilePath) -> Iterator[mmap.mmap]:
-    """Map the file at ``path``; every FormatError of the body names it.
+    """Map a file into memory; FormatErrors of the ``with`` block name the file.
 
     Overflows raise no warnings: the checks of values refuse the resulting infinity or NaN.
-
-    Raises:
-        FileUnreadable: The file is missing, empty or not regular, or mapping it fails.
     """
     with naming(path), mapped(path) as data, np.errstate(all="ignore"):
         yield data
@@ -38,18 +35,7 @@ def contents(path: FilePath) -> Iterator[mmap.mmap]:
 def take(
     data: Data, dtype: DTypeLike, shape: tuple[int, ...], start: int, where: str
 ) -> Shaped[np.ndarray, "..."]:
-    """Return the array at byte ``start`` as a view of ``data``.
-
-    Args:
-        data: The bytes of the file.
-        dtype: The dtype of the array, byte order included.
-        shape: The shape of the array.
-        start: The offset of its first byte.
-        where: The name of the array in the error.
-
-    Raises:
-        FileTruncated: ``data`` ends before the array does.
-    """
+    """Return an array at byte ``start`` of ``data``, as a view."""
     kind = np.dtype(dtype)
     count = 1
     for size in shape:  # not np.prod: a hostile size may be beyond 64 bits
@@ -59,7 +45,7 @@ def take(
 
 
 def require_room(data: Data, start: int, needed: int, where: str) -> None:
-    """Raise FileTruncated unless ``needed`` bytes from ``start`` on are in ``data``."""
+    """Raise FileTruncated unless ``data`` has ``needed`` bytes from ``start`` on."""
     remaining = len(data) - start
     if start < 0 or needed > remaining:
         raise FileTruncated(

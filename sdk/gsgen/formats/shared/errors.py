@@ -1,4 +1,4 @@
-"""Exceptions raised for splat files that cannot be read or written, one class a cause."""
+"""Exceptions for splat files that cannot be read or written, one class per cause."""
 
 __all__ = [
     "ArchiveDamaged",
@@ -21,7 +21,7 @@ from gsgen.contract.errors import ExitCode, GsgenError
 
 
 class FormatError(GsgenError):
-    """Base class of the errors about splat files, and about data that a file cannot hold.
+    """Base class of errors about splat files, and about data that a file cannot hold.
 
     As text it has one to three lines: the location and the actual value, the expected value, and
     the hint.
@@ -57,68 +57,68 @@ class FormatError(GsgenError):
 
 @final
 class FileUnreadable(FormatError):
-    """The file is missing or empty, is a folder, or may not be read."""
+    """Raised if a splat file is missing or empty, is a folder, or may not be read."""
 
 
 @final
 class FileUnwritable(FormatError):
-    """The file cannot be written at its path."""
+    """Raised if a splat file cannot be written at its path."""
 
     exit_code: ClassVar[int] = ExitCode.USAGE
 
 
 @final
 class FileTruncated(FormatError):
-    """The file ends before the data that its header announces."""
+    """Raised if a file ends before the data that its header announces."""
 
 
 @final
 class NotRecognised(FormatError):
-    """The content is not of the expected splat format, or of any."""
+    """Raised if a file is not of the expected splat format, or of none."""
 
 
 @final
 class NotSupported(FormatError):
-    """The content is of a known format, but of a variant that gsgen does not read."""
+    """Raised for a variant of a known splat format that gsgen does not read."""
 
 
 @final
 class HeaderMalformed(FormatError):
-    """The header of the file breaks the rules of its format."""
+    """Raised if the header of a file breaks the rules of its format."""
 
 
 @final
 class BodyMalformed(FormatError):
-    """A row of the file does not hold the values that the header announces."""
+    """Raised if a row of a file does not hold the values that the header announces."""
 
 
 @final
 class ArchiveDamaged(FormatError):
-    """Compressed data, such as a zip archive or an image in it, cannot be unpacked."""
+    """Raised if compressed data, such as a zip archive or an image in it, cannot be unpacked."""
 
 
 @final
 class PropertyMissing(FormatError):
-    """The file lacks properties or arrays that splats need."""
+    """Raised if a file lacks properties or arrays that splats need."""
 
 
 @final
 class SizeExceeded(FormatError):
-    """Reading the file would take more memory than allowed."""
+    """Raised if reading a file would take more memory than allowed."""
 
 
 @final
 class ValueInvalid(FormatError, ValueError):
-    """A value, a shape or a data type cannot be drawn."""
+    """Raised if splats cannot be drawn because of a value, a shape or a dtype."""
 
 
 def shown(text: str, limit: int = 60) -> str:
-    """Return ``text`` quoted and cut to ``limit`` characters; a hostile file can hold any name."""
+    """Return ``text`` quoted and cut to ``limit`` characters, for safe error messages."""
     return repr(text if len(text) <= limit else text[: limit - 1] + "…")
 
 
 def listed(names: list[str], limit: int = 12) -> str:
-    """Join ``names`` by commas; after ``limit`` names only count the others."""
+    """Join ``names`` by commas; names after the first ``limit`` are only counted."""
     words = [name if name.isidentifier() else shown(name) for name in names[:limit]]
     if len(names) > limit:
         words.append(f"and {len(names) - limit} more")

@@ -18,7 +18,7 @@ FilePath = str | os.PathLike[str]
 
 @contextmanager
 def naming(path: FilePath) -> Iterator[None]:
-    """Set ``path`` in every FormatError of the body that has no path yet."""
+    """Set the path of every FormatError of the ``with`` block that has no path yet."""
     try:
         yield
     except FormatError as error:
@@ -28,11 +28,7 @@ def naming(path: FilePath) -> Iterator[None]:
 
 @contextmanager
 def opened(path: FilePath) -> Iterator[BinaryIO]:
-    """Open the file at ``path`` for reading.
-
-    Raises:
-        FileUnreadable: The file is missing, empty or not regular, or reading it fails.
-    """
+    """Open the file at ``path`` for reading."""
     with naming(path):
         try:
             _require_regular(path)
@@ -44,11 +40,7 @@ def opened(path: FilePath) -> Iterator[BinaryIO]:
 
 @contextmanager
 def mapped(path: FilePath) -> Iterator[mmap.mmap]:
-    """Map the file at ``path`` into memory, read-only.
-
-    Raises:
-        FileUnreadable: The file is missing, empty or not regular, or mapping it fails.
-    """
+    """Map the file at ``path`` into memory, read-only."""
     with opened(path) as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         try:
@@ -62,13 +54,10 @@ def mapped(path: FilePath) -> Iterator[mmap.mmap]:
 
 @contextmanager
 def replacing(path: FilePath) -> Iterator[BinaryIO]:
-    """Write a new file, and move it to ``path`` when the body ends.
+    """Open a new file that replaces ``path`` when the ``with`` block ends.
 
     Another process that reads ``path`` sees the old file or the new one, never a part. If the
     body raises, ``path`` is unchanged.
-
-    Raises:
-        FileUnwritable: The file cannot be written, or ``path`` is a device or a pipe.
     """
     with naming(path):
         try:
@@ -87,11 +76,7 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
 
 
 def make_folder(path: FilePath) -> None:
-    """Create the folder of ``path``, and the folders above it.
-
-    Raises:
-        FileUnwritable: The folder cannot be created.
-    """
+    """Create the parent folder of ``path``, and the folders above it."""
     with naming(path):
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)

@@ -13,7 +13,7 @@ _SAMPLES = 200
 def rotate_sh(
     sh: Float32[np.ndarray, "n k 3"], rotation: Float[np.ndarray, "3 3"]
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Return harmonics whose colour along ``rotation`` · d equals the colour of ``sh`` along d.
+    """Rotate SH coefficients: the result along ``rotation`` · d has the colour of ``sh`` along d.
 
     Each degree is rotated by its own matrix (Wigner's D), the exact least-squares solution for
     the values along more directions than the matrix has rows.
@@ -64,7 +64,7 @@ def sh_basis(directions: Float[np.ndarray, "d 3"], degree: int) -> Float64[np.nd
 
 
 def _legendre(band: int, m: int, z: Float64[np.ndarray, " d"]) -> Float64[np.ndarray, " d"]:
-    """Return P_l^m(z) / (1 − z²)^(m/2), by the recurrence in l."""
+    """Return P_l^m(z) / (1 − z²)^(m/2) of associated Legendre functions, by recurrence in l."""
     before = np.zeros_like(z)
     now = np.full_like(z, float(math.prod(range(1, 2 * m, 2))))
     for step in range(m + 1, band + 1):

@@ -9,7 +9,7 @@ from gsgen.formats.shared.splats import Splats
 
 
 def joined(parts: Sequence[Splats]) -> Splats:
-    """Concatenate ``parts``; harmonics that a part lacks are zero."""
+    """Concatenate sets of splats; harmonics that a set lacks are zero."""
     if len(parts) == 1:
         return parts[0]
     count = max(part.sh.shape[1] for part in parts)

@@ -1,29 +1,43 @@
 """Morton order of points, which places neighbours in space next to each other in a file."""
 
 import numpy as np
-from jaxtyping import Float32, Int64, UInt32
+from jaxtyping import Float32, Int64, Integer, UInt64
 
 _BITS = 10
 _LAST = (1 << _BITS) - 1
+_SPREAD = (
+    (32, 0x001F00000000FFFF),
+    (16, 0x001F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+"""The shifts and masks that move apart halves, quarters, … of 21 bits."""
 
 
 def morton_order(position: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
-    """Return the order of the rows of ``position`` along Morton's curve through their box.
+    """Return the order of the rows of ``position`` along Morton's curve in their box.
 
-    G. M. Morton 1966, "A computer oriented geodetic data base": the bits of the coordinates,
-    interleaved, are the index on the curve. Rows of the same cell keep their order.
+    The box has 1024 cells a side. Rows of the same cell keep their order.
     """
     position64 = position.astype(np.float64)
     low, high = position64.min(axis=0), position64.max(axis=0)
     size = np.where(high > low, high - low, 1.0)
-    cells = np.rint((position64 - low) / size * _LAST).astype(np.uint32)
-    x, y, z = (_spread(cells[:, axis]) for axis in range(3))
+    return grid_order(np.rint((position64 - low) / size * _LAST).astype(np.uint32))
+
+
+def grid_order(cells: Integer[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
+    """Return the order of the rows of ``cells``, numbers below 2²¹, along Morton's curve.
+
+    G. M. Morton 1966, "A computer oriented geodetic data base": the bits of the coordinates,
+    interleaved, are the index on the curve. Rows of the same cell keep their order.
+    """
+    x, y, z = (spread_bits(cells[:, axis].astype(np.uint64)) for axis in range(3))
     return np.argsort(x << 2 | y << 1 | z, kind="stable")
 
 
-def _spread(cells: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " n"]:
-    """Insert two zero bits between the ten bits of each number."""
-    cells = (cells | cells << 16) & 0x030000FF
-    cells = (cells | cells << 8) & 0x0300F00F
-    cells = (cells | cells << 4) & 0x030C30C3
-    return np.asarray((cells | cells << 2) & 0x09249249)
+def spread_bits(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
+    """Insert two zero bits between the bits of each number of 21 bits."""
+    for shift, mask in _SPREAD:
+        number = (number | (number << np.uint64(shift))) & np.uint64(mask)
+    return number

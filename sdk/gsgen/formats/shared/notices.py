@@ -7,4 +7,4 @@ __all__ = ["FormatWarning"]
 
 @final
 class FormatWarning(UserWarning):
-    """A reader ignores a part of a file, which may change the meaning of the rest."""
+    """Warning about a part of a splat file that the reader ignores."""

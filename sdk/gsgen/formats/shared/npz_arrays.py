@@ -24,7 +24,7 @@ _LONGEST = 200
 
 @contextmanager
 def unpacking(where: str) -> Iterator[None]:
-    """Convert the exceptions of zipfile, zlib and NumPy for damaged data to ArchiveDamaged."""
+    """Convert exceptions of zipfile, zlib and NumPy for damaged data to ArchiveDamaged."""
     try:
         yield
     except FormatError:
@@ -54,7 +54,7 @@ def _damaged(where: str, error: Exception) -> ArchiveDamaged:
 def read_arrays(
     archive: zipfile.ZipFile, keys: Sequence[str], max_bytes: int
 ) -> list[Shaped[np.ndarray, "..."]]:
-    """Return the arrays ``keys`` if they fit in ``max_bytes`` of memory.
+    """Read the arrays ``keys`` of an .npz archive if they fit in ``max_bytes`` of memory.
 
     Raises:
         ArchiveDamaged: An array cannot be unpacked, or its size differs from the declared one.
@@ -73,7 +73,7 @@ def read_arrays(
 
 
 def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
-    """Return the declared size of the array ``key`` in bytes, checked against its entry."""
+    """Return the bytes that an .npz array declares, checked against its zip entry."""
     entry = archive.getinfo(f"{key}.npy")
     with unpacking(f"array {key}"), archive.open(entry) as stream:
         # This limit holds for any length that the header declares.
@@ -98,7 +98,7 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
 
 
 def _parse_header(head: BytesIO) -> tuple[tuple[int, ...], np.dtype]:
-    """Read the header of an array; ``head`` then points at the first byte of the data."""
+    """Read the header of a .npy array; ``head`` then points at the first byte of the data."""
     version = np.lib.format.read_magic(head)
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(head)

@@ -1,4 +1,4 @@
-"""Arithmetic that formats share: activations, unit quaternions, rounding."""
+"""Arithmetic that splat formats share: activations, unit quaternions, rounding."""
 
 import math
 from typing import Final
@@ -17,7 +17,7 @@ def sigmoid(logit: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
 
 
 def logit(opacity: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
-    """Undo ``sigmoid``: 0 becomes -inf and 1 becomes inf."""
+    """Return the logit, the inverse of ``sigmoid``: 0 becomes -inf and 1 becomes inf."""
     opacity64 = opacity.astype(np.float64)
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(opacity64) - np.log1p(-opacity64), np.float32)
@@ -30,7 +30,7 @@ def log(scale: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
 
 
 def unit(rotation: Float[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
-    """Return unit quaternions; one of length zero becomes the identity (1, 0, 0, 0)."""
+    """Normalise quaternions; a quaternion of length zero becomes the identity (1, 0, 0, 0)."""
     rotation64 = rotation.astype(np.float64)
     rotation64 /= np.maximum(
         np.abs(rotation64).max(axis=1, keepdims=True), np.finfo(np.float64).tiny
@@ -71,7 +71,7 @@ def from_largest(
 def without_largest(
     rotation: Float[np.ndarray, "n 4"],
 ) -> tuple[Integer[np.ndarray, " n"], Float32[np.ndarray, "n 3"]]:
-    """Undo ``from_largest``; a quaternion and its negative are one rotation."""
+    """Return a quaternion's three components other than the largest, and the largest's index."""
     largest = np.abs(rotation).argmax(axis=1)
     rows = np.arange(len(rotation))
     positive = rotation * np.where(rotation[rows, largest] < 0, -1, 1)[:, None]
@@ -81,7 +81,7 @@ def without_largest(
 
 
 def rotations(matrices: Float64[np.ndarray, "n 3 3"]) -> Float32[np.ndarray, "n 4"]:
-    """Return unit quaternions (w, x, y, z), each derived from its largest component.
+    """Return the unit quaternions (w, x, y, z) of rotation matrices.
 
     The four rows below are 4 times the quaternion times one of its components (Shepperd 1978).
     """

@@ -1,4 +1,4 @@
-"""Raises for splats that cannot be drawn; errors name the arrays in memory."""
+"""Checks splats in memory: raises for arrays with values that cannot be drawn."""
 
 import math
 
@@ -25,11 +25,7 @@ def require_drawable(splats: Splats) -> None:
 
 
 def linear_scale(splats: Splats) -> Float32[np.ndarray, "n 3"]:
-    """Return the standard deviations as float32.
-
-    Raises:
-        ValueInvalid: A standard deviation is too large for float32.
-    """
+    """Return the standard deviations of splats as float32."""
     with np.errstate(over="ignore"):
         scale = np.exp(splats.log_scale.astype(np.float64)).astype(np.float32)
     labels = [f"e^log_scale[:, {axis}]" for axis in range(3)]

@@ -18,7 +18,7 @@ SH_COUNTS = (1, 4, 9, 16, 25)
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Splats:
-    """Gaussians as training stores them: neither activated nor normalised.
+    """Gaussians as 3DGS training stores them: before activation and normalisation.
 
     Coordinates are those of a 3DGS PLY file (x right, y down, z forward). The parameters and
     their activations are those of Kerbl et al. 2023, "3D Gaussian Splatting for
@@ -65,7 +65,7 @@ class Splats:
 
     @property
     def degree(self) -> int:
-        """The SH degree, from 0 (constant colour) to 4."""
+        """The SH degree of the splats, from 0 (constant colour) to 4."""
         return math.isqrt(self.sh.shape[1]) - 1
 
 
@@ -123,7 +123,7 @@ class PackedRows:
 def _require(
     name: str, array: object, dtypes: tuple[str, ...], shape: tuple[int | str, ...]
 ) -> None:
-    """Raise ValueInvalid unless dtype and shape fit; a name in ``shape`` stands for any size."""
+    """Raise ValueInvalid unless an array has the dtype and shape; letters stand for any size."""
     expected = f"{' or '.join(dtypes)} {_bracketed(shape)}"
     if not isinstance(array, np.ndarray):
         raise ValueInvalid(f"a {type(array).__name__}", where=name, expected=expected)

@@ -1,4 +1,4 @@
-"""Raises for values that cannot be drawn, with their column, first row and number."""
+"""Checks arrays of splats: raises for invalid values with column, first row and number."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from gsgen.formats.shared.errors import ValueInvalid
 
 
 def require_rows(count: int, where: str) -> None:
-    """Raise ValueInvalid if ``count`` is 0."""
+    """Raise ValueInvalid if the number of rows is 0."""
     if count == 0:
         raise ValueInvalid(
             "0 rows",
@@ -22,13 +22,7 @@ def require_rows(count: int, where: str) -> None:
 def require_finite(
     table: Float32[np.ndarray, "n m"], labels: Sequence[str], infinite: Sequence[float] = ()
 ) -> None:
-    """Raise ValueInvalid unless all values are finite or one of ``infinite``.
-
-    Args:
-        table: The values, a column for each of ``labels``.
-        labels: The names of the columns in the error.
-        infinite: The allowed infinities.
-    """
+    """Raise ValueInvalid unless all values are finite or one of ``infinite``."""
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(table.sum()):  # a NaN or an infinity would make the sum non-finite
             return
@@ -40,7 +34,7 @@ def require_finite(
 def finite_or_allowed(
     values: Float32[np.ndarray, "..."], infinite: Sequence[float] = ()
 ) -> Bool[np.ndarray, "..."]:
-    """Return the mask of the values that are finite or one of ``infinite``."""
+    """Return the mask of values that are finite or one of ``infinite``."""
     is_valid = np.isfinite(values)
     for value in infinite:
         is_valid |= values == value

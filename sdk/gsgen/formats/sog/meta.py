@@ -1,4 +1,4 @@
-"""Parses the meta.json of a SOG; values are checked when they are read."""
+"""Parses the meta.json of a SOG file; values are checked when they are read."""
 
 import json
 import math
@@ -13,17 +13,24 @@ from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSuppo
 
 META: Final = "meta.json"
 """The file that describes the images."""
+ANTIALIASED: Final = "antialiased"
+"""The ``model`` of splats that were trained with the filter of Mip-Splatting."""
+PALETTE_WIDTH: Final = 64
+"""The entries of the palette of harmonics in a row of its image."""
+QUATERNION_TAG: Final = 252
+"""Alpha of a quaternion whose largest component is the first."""
+CODES: Final = 256
+"""The numbers of a codebook."""
+MOST_PALETTE: Final = 1 << 16
+"""The most entries of the palette of harmonics."""
 
-
-_MOST_PALETTE = 1 << 16
-_CODES = 256
 _BANDS = (1, 2, 3)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Meta:
-    """The content of a meta.json.
+    """The parsed meta.json of a SOG file.
 
     Attributes:
         data: The parsed file.
@@ -35,7 +42,7 @@ class Meta:
 
     @classmethod
     def parse(cls, content: bytes) -> "Meta":
-        """Parse meta.json.
+        """Parse the meta.json of a SOG file.
 
         Raises:
             NotRecognised: The content is not the JSON object of a SOG.
@@ -57,29 +64,40 @@ class Meta:
             raise NotSupported(f"version {shown(str(version))}", where=META, expected="2")
         return cls(data, _whole(data.get("count"), f"{META}, count", MOST_SPLATS))
 
+    @property
+    def antialiased(self) -> bool:
+        """Whether the splats are antialiased, by either of the two keys that writers use."""
+        return self.data.get("model") == ANTIALIASED or self.data.get("antialias") is True
+
     def files(self, group: str, number: int) -> list[str]:
-        """Return the names of the images of ``group``."""
+        """Return the image file names of ``group`` in meta.json."""
         names = self._list(group, "files", number)
         if not all(isinstance(name, str) for name in names):
             self._refuse(group, "files", f"{number} names")
         return names
 
+    def all_files(self) -> list[str]:
+        """Return the names of all images."""
+        numbers = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
+        groups = [group for group in numbers if self.data.get(group) is not None]
+        return [name for group in groups for name in self.files(group, numbers[group])]
+
     def triple(self, group: str, key: str) -> Float64[np.ndarray, "3"]:
-        """Return the three finite numbers ``key`` of ``group``."""
+        """Return the three finite numbers ``key`` of ``group`` in meta.json."""
         return np.asarray(self._numbers(group, key, 3), np.float64)
 
     def codebook(self, group: str) -> Float32[np.ndarray, "256"]:
-        """Return the codebook of ``group``: the number for each byte of its image."""
+        """Return the codebook of ``group`` in meta.json: the number for each byte of its image."""
         with np.errstate(over="ignore"):  # the check of values refuses infinity
-            numbers = np.array(self._numbers(group, "codebook", _CODES), np.float64)
+            numbers = np.array(self._numbers(group, "codebook", CODES), np.float64)
             return numbers.astype(np.float32)
 
     def palette(self) -> tuple[int, int] | None:
-        """Return the size of the palette of harmonics and their degree; None without harmonics."""
+        """Return the size of the SH palette and its degree; None without harmonics."""
         if self.data.get("shN") is None:
             return None
         group = self._group("shN")
-        size = _whole(group.get("count"), f"{META}, shN.count", _MOST_PALETTE)
+        size = _whole(group.get("count"), f"{META}, shN.count", MOST_PALETTE)
         bands = group.get("bands")
         if bands not in _BANDS:
             self._refuse("shN", "bands", "1, 2 or 3")

@@ -27,7 +27,7 @@ from gsgen.formats.shared.quantities import from_largest, logit, unit
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.sog.image import Image, decode_image, most_pixels
-from gsgen.formats.sog.meta import META, Meta
+from gsgen.formats.sog.meta import META, PALETTE_WIDTH, QUATERNION_TAG, Meta
 
 __all__ = ["read_sog"]
 
@@ -36,15 +36,13 @@ _MOST_PER_BYTE = 1024  # splats a byte of positions; real data have fewer
 _MOST_INFLATION = 1040  # the most bytes that deflate unpacks from one
 _BYTES_PER_PIXEL = 8  # lossless WebP of noise takes little more than four
 _BYTES_EACH = 236  # the memory of a splat of degree 3
-_PALETTE_WIDTH = 64
-_QUATERNION_TAG = 252  # alpha of a quaternion whose largest component is the first
 
 Fetch = Callable[[str, int], bytes]
 """Returns the content of a file; raises if it has more bytes than the second argument."""
 
 
 def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
-    """Read the SOG at ``path``: a zip archive, or the meta.json of one that is unpacked.
+    """Read the SOG at ``path``: a zip archive, or the meta.json of an unpacked one.
 
     Args:
         path: The file.
@@ -66,6 +64,16 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
             return _decode(_beside(path), Path(path).name, max_bytes)
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
             return _decode(_within(archive, Path(path).stat().st_size), META, max_bytes)
+
+
+def written_bytes(path: FilePath) -> int:
+    """Return the size of a file; that of a meta.json includes the images that it names."""
+    size = Path(path).stat().st_size
+    if Path(path).name.lower() != META:
+        return size
+    with naming(path):
+        names = Meta.parse(Path(path).read_bytes()).all_files()
+    return size + sum(Path(path).with_name(name).stat().st_size for name in names)
 
 
 def _within(archive: zipfile.ZipFile, size: int) -> Fetch:
@@ -140,6 +148,7 @@ def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
         log_scale=meta.codebook("scales")[image("scales")[:, :3]],
         logit_opacity=logit(color[:, 3] / np.float32(255)),
         sh=np.concatenate([constant[:, None], _higher(meta, fetched)], axis=1),
+        antialiased=meta.antialiased,
     )
     require_drawable(splats)
     return splats
@@ -153,8 +162,8 @@ def _positions(meta: Meta, low: Image, high: Image) -> Float32[np.ndarray, "n 3"
 
 
 def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
-    """Decode quaternions; an invalid tag gives the identity."""
-    tag = image[:, 3].astype(np.int64) - _QUATERNION_TAG
+    """Decode quaternions from SOG pixels; an invalid tag gives the identity."""
+    tag = image[:, 3].astype(np.int64) - QUATERNION_TAG
     smaller = (image[:, :3] / 127.5 - 1) * math.sqrt(0.5)
     rotation = unit(from_largest(np.maximum(tag, 0), smaller))
     rotation[tag < 0] = (1, 0, 0, 0)
@@ -162,20 +171,20 @@ def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
 
 
 def _higher(meta: Meta, fetched: Callable[[str, int], bytes]) -> Float32[np.ndarray, "n k 3"]:
-    """Return the harmonics above degree 0, which each splat takes from a palette."""
+    """Return the SH coefficients above degree 0, which each splat takes from a SOG palette."""
     palette = meta.palette()
     if palette is None:
         return np.empty((meta.count, 0, 3), np.float32)
     size, degree = palette
     higher_count = SH_COUNTS[degree] - 1
     centroids, labels = meta.files("shN", 2)
-    height = -(-size // _PALETTE_WIDTH)
-    pixels = _PALETTE_WIDTH * higher_count * height
-    image = decode_image(fetched(centroids, pixels), pixels, "shN", _PALETTE_WIDTH * higher_count)
+    height = -(-size // PALETTE_WIDTH)
+    pixels = PALETTE_WIDTH * higher_count * height
+    image = decode_image(fetched(centroids, pixels), pixels, "shN", PALETTE_WIDTH * higher_count)
     indices = decode_image(fetched(labels, meta.count), meta.count, "shN")
     label = indices[:, 0] | indices[:, 1].astype(np.int64) << 8
     if (label >= size).any():
         raise HeaderMalformed(f"label {int(label.max())}", where="shN", expected=f"0 to {size - 1}")
     # Row y of the image holds palette entries 64 y to 64 y + 63, one after the other.
-    entries = image[:, :3].reshape(height * _PALETTE_WIDTH, higher_count, 3)
+    entries = image[:, :3].reshape(height * PALETTE_WIDTH, higher_count, 3)
     return np.asarray(meta.codebook("shN")[entries[label]])

@@ -1,4 +1,4 @@
-"""Packs and unpacks SPZ files: the header, and the attributes in gzip or in zstd.
+"""Packs and unpacks SPZ files: the header, and attribute streams in gzip or zstd.
 
 The format is that of nianticlabs/spz. The count of the header limits the unpacked bytes, and the
 size of the file limits the count.
@@ -51,7 +51,7 @@ Streams = dict[str, UInt8[np.ndarray, " b"]]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """The header of an SPZ file, and its attributes.
+    """The header fields of an SPZ file, and its unpacked attribute streams.
 
     Attributes:
         signs: The factors between the axes of the file and those of a PLY file.
@@ -67,7 +67,7 @@ class Frame:
 
 
 def unpack(data: Data, max_bytes: int) -> Frame:
-    """Unpack the SPZ file ``data``.
+    """Unpack the header and the attribute streams of the SPZ file ``data``.
 
     Raises:
         NotRecognised: The data are not an SPZ file.
@@ -114,7 +114,7 @@ def _inflated(data: Data) -> Iterator[bytes]:
 
 
 def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
-    """Read the header and the attributes of versions 1 to 3 from unpacked pieces."""
+    """Read the header and the attributes of SPZ versions 1 to 3 from unpacked pieces."""
     body = bytearray()
     _fill(body, pieces, _HEADER.size)
     require_room(body, 0, _HEADER.size, "header, unpacked")
@@ -229,7 +229,7 @@ def _require_header(
 
 
 def require_count(count: int, size: int) -> None:
-    """Raise FileTruncated if a file of ``size`` bytes cannot hold ``count`` splats."""
+    """Raise FileTruncated if an SPZ file of ``size`` bytes cannot hold ``count`` splats."""
     if count > min(MOST_SPLATS, size * _MOST_PER_NINE_BYTES // 9):
         raise FileTruncated(
             f"{count} splats in a file of {size} bytes",
@@ -249,7 +249,7 @@ def _require_memory(needed: int, max_bytes: int) -> None:
 
 
 def _extensions(zone: bytes) -> Signs:
-    """Return the axis signs that the records in ``zone`` declare; warn about unknown records."""
+    """Return the axis signs that SPZ extension records declare; warn about unknown records."""
     signs, offset = RDF_RUB, 0
     while offset < len(zone):
         require_room(zone, offset, _RECORD.size, "extension record")
@@ -266,7 +266,7 @@ def _extensions(zone: bytes) -> Signs:
 
 
 def _declared_signs(payload: bytes) -> Signs:
-    """Return the signs between a declared coordinate system and that of PLY."""
+    """Return the axis signs between a declared coordinate system and that of PLY."""
     code = int.from_bytes(payload, "little")
     if not 1 <= code <= 8:
         raise NotSupported(
@@ -280,7 +280,7 @@ def _declared_signs(payload: bytes) -> Signs:
 
 
 def pack(frame: Frame, content: Mapping[str, bytes]) -> bytes:
-    """Return the bytes of an SPZ file with the header of ``frame`` and the attributes ``content``."""
+    """Return the bytes of an SPZ file with the header ``frame`` and the attributes ``content``."""
     flags = _ANTIALIASED if frame.antialiased else 0
     common = (MAGIC, frame.version, frame.count, frame.degree, frame.fractional_bits, flags)
     if frame.version <= LAST_GZIP:

@@ -125,7 +125,7 @@ def write_spz(
 
 
 def _fractional_bits(splats: Splats, version: int) -> int:
-    """Return the most fractional bits, at most 12, with which all coordinates fit."""
+    """Return the largest number of fractional bits, up to 12, with which all coordinates fit."""
     reach = float(np.abs(splats.position).max())
     half = version <= streams.HALF_POSITIONS
     limit = _LARGEST_HALF if half else float(streams.COORDINATE_LIMIT)

@@ -33,7 +33,7 @@ _ROOT_HALF = float(np.sqrt(0.5))
 
 
 def sizes(version: int, count: int, degree: int) -> dict[str, int]:
-    """Return the bytes of each attribute of ``count`` splats."""
+    """Return the byte size of each SPZ attribute for ``count`` splats."""
     widths = (
         6 if version <= HALF_POSITIONS else 9,
         1,
@@ -53,7 +53,7 @@ def decode(
     fractional_bits: int,
     antialiased: bool,
 ) -> Splats:
-    """Return the splats of ``streams``, in the axes of the file."""
+    """Decode SPZ attribute streams to splats, in the axes of the file."""
     count = len(streams["alphas"])
     colors = streams["colors"].reshape(count, 1, 3) / np.float32(255)
     higher = streams["sh"].reshape(count, SH_COUNTS[degree] - 1, 3).astype(np.float32)
@@ -102,14 +102,7 @@ def _decode_word_rotations(stream: UInt8[np.ndarray, " b"]) -> Float32[np.ndarra
 def encode(
     splats: Splats, *, version: int, fractional_bits: int, sh_bits: Sequence[int]
 ) -> dict[str, bytes]:
-    """Return the encoded attributes of ``splats``.
-
-    Args:
-        splats: The splats, in the axes of the file.
-        version: The version of the format, 1 to 4.
-        fractional_bits: The bits after the binary point of coordinates.
-        sh_bits: The kept bits of eight for harmonics of degree 1, and of higher degrees.
-    """
+    """Encode ``splats`` as SPZ attribute streams."""
     log_scale = np.maximum(splats.log_scale, np.float32(-10))  # -inf becomes the smallest too
     encode_rotations = (
         _encode_word_rotations if version > BYTE_ROTATIONS else _encode_byte_rotations
@@ -150,7 +143,7 @@ def _encode_word_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
 def _encode_harmonics(
     sh: Float[np.ndarray, "n k 3"], sh_bits: Sequence[int]
 ) -> UInt8[np.ndarray, "n k 3"]:
-    """Round to the centres of buckets whose width is a power of two, which compresses well."""
+    """Round SH coefficients to buckets whose width is a power of two, which compresses well."""
     first = SH_COUNTS[1] - 1
     codes = np.empty(sh.shape, np.uint8)
     for part, bits in ((slice(first), sh_bits[0]), (slice(first, None), sh_bits[1])):

@@ -1,4 +1,4 @@
-"""Packs and unpacks zstd with the package ``zstandard``; Python before 3.14 lacks it."""
+"""Packs and unpacks zstd data with the package ``zstandard``; Python before 3.14 lacks zstd."""
 
 from typing import Any
 
@@ -21,12 +21,7 @@ def _package() -> Any:
 
 
 def unpack(data: bytes, size: int, where: str) -> bytearray:
-    """Unpack ``data`` to ``size`` bytes, with a bounded use of memory.
-
-    Raises:
-        ArchiveDamaged: The data cannot be unpacked, or have another size.
-        NotSupported: The package zstandard is missing.
-    """
+    """Unpack zstd data to ``size`` bytes, within a memory limit."""
     zstandard = _package()
     content = bytearray()
     try:
@@ -50,9 +45,5 @@ def unpack(data: bytes, size: int, where: str) -> bytearray:
 
 
 def pack(data: bytes) -> bytes:
-    """Return ``data`` compressed, with its size and a checksum.
-
-    Raises:
-        NotSupported: The package zstandard is missing.
-    """
+    """Return ``data`` compressed as a zstd frame, with its size and a checksum."""
     return bytes(_package().ZstdCompressor(level=12).compress(data))

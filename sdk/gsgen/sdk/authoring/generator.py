@@ -128,6 +128,8 @@ class GaussianGenerator(nn.Module, ABC):
         producer: Tool, source and licence; the SDK itself if absent.
         weighted_sum: The weights of Gaussians, for methods that sum them cell by cell instead of
             sorting them: ``forward`` then returns :attr:`Gaussians.cells`.
+        smaller: Options of ``gsgen export`` that make a frame smaller, for the hint where it is too
+            large for the target.
     """
 
     inputs: Sequence[Input] = ()
@@ -139,6 +141,7 @@ class GaussianGenerator(nn.Module, ABC):
     family: str | None = None
     producer: Producer | None = None
     weighted_sum: WeightedSum | None = None
+    smaller: Sequence[str] = ()
 
     @abstractmethod
     def forward(self, *inputs: Any, **_: Any) -> Any:

@@ -1,7 +1,8 @@
 """Run a generator in eager torch, as the reference that an exported model is compared with."""
 
-__all__ = ["Reference", "call_module", "measure_bounds", "run_eager", "run_watched"]
+__all__ = ["EagerRuns", "Reference", "call_module", "measure_bounds", "run_eager", "run_watched"]
 
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,62 @@ from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.exporting.source_lines import user_line_of
 from gsgen.sdk.exporting.trace_hazards import Watch
+from gsgen.sdk.model_runs import KEPT_BYTES
 from gsgen.sdk.parity import Reference
 
 # Bounds are widened by this share of their size, so that Gaussians stay inside them at times and
 # poses between the probes, too.
 _MARGIN = 0.02
+_CHUNK = 1 << 16
+
+
+class EagerRuns:
+    """The results of eager torch at a sequence of probes, run when they are asked for.
+
+    Results are kept while they are small; beyond :data:`KEPT_BYTES` a probe is run again each time.
+
+    Args:
+        generator: The module.
+        probes: The inputs of each run.
+        known: Results of the first probes.
+    """
+
+    def __init__(
+        self, generator: GaussianGenerator, probes: Sequence[Probe], known: Sequence[Reference] = ()
+    ) -> None:
+        self.generator, self.probes = generator, tuple(probes)
+        self._kept: dict[int, Reference] = {}
+        self._room = KEPT_BYTES
+        for index, reference in enumerate(known):
+            self._keep(index, reference)
+
+    def __len__(self) -> int:
+        return len(self.probes)
+
+    def __getitem__(self, index: int) -> Reference:
+        index %= len(self.probes)
+        if index in self._kept:
+            return self._kept[index]
+        reference = run_eager(self.generator, self.probes[index])
+        self._keep(index, reference)
+        return reference
+
+    def __iter__(self) -> Iterator[Reference]:
+        return (self[index] for index in range(len(self)))
+
+    def __add__(self, other: "EagerRuns") -> "EagerRuns":
+        """Return the runs of both sequences of probes, with the results that either keeps."""
+        joined = EagerRuns(self.generator, (*self.probes, *other.probes))
+        for index, reference in self._kept.items():
+            joined._keep(index, reference)
+        for index, reference in other._kept.items():
+            joined._keep(len(self) + index, reference)
+        return joined
+
+    def _keep(self, index: int, reference: Reference) -> None:
+        if reference.nbytes <= self._room:
+            self._room -= reference.nbytes
+            self._kept[index] = reference
 
 
 def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
@@ -66,7 +118,7 @@ def _reference(generator: GaussianGenerator, probe: Probe, output: Any) -> Refer
     n = output.position.shape[0]
     count = n if output.count is None else int(np.clip(int(output.count.reshape(-1)[0]), 0, n))
     if output.scale is not None and not probe.zeros:
-        _refuse_negative(_wide(output.scale[:count]))
+        _refuse_negative(_array(output.scale[:count]))
     cells = None if output.cells is None else _unpacked_cells(output.cells)
     return Reference(probe, _unpacked(output), count, cells)
 
@@ -89,43 +141,58 @@ def _refuse_negative(scale: np.ndarray) -> None:
 
 def _unpacked(gaussians: Gaussians) -> layout.DecodedGaussians:
     return layout.DecodedGaussians(
-        position=_wide(gaussians.position),
-        opacity=_wide(gaussians.opacity).reshape(-1),
+        position=_array(gaussians.position),
+        opacity=_array(gaussians.opacity).reshape(-1),
         covariance=_covariance(gaussians),
-        sh=None if gaussians.sh is None else _wide(gaussians.sh),
-        rgb=None if gaussians.rgb is None else _wide(gaussians.rgb),
+        sh=None if gaussians.sh is None else _array(gaussians.sh),
+        rgb=None if gaussians.rgb is None else _array(gaussians.rgb),
     )
 
 
 def _unpacked_cells(cells: Cells) -> layout.Cells:
-    visibility = _wide(cells.visibility).reshape(-1)
-    return layout.Cells(_wide(cells.position), visibility, _covariance(cells))
+    visibility = _array(cells.visibility).reshape(-1)
+    return layout.Cells(_array(cells.position), visibility, _covariance(cells))
 
 
 def _covariance(ellipsoids: Gaussians | Cells) -> np.ndarray:
     if ellipsoids.covariance is not None:
-        return _wide(ellipsoids.covariance)
+        return _array(ellipsoids.covariance)
     assert ellipsoids.scale is not None
     assert ellipsoids.rotation is not None
-    return covariance_upper(_wide(ellipsoids.scale), _wide(ellipsoids.rotation))
+    scale, rotation = _array(ellipsoids.scale), _array(ellipsoids.rotation)
+    upper = np.empty((len(scale), 6))
+    for start in range(0, len(scale), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        upper[rows] = covariance_upper(scale[rows], rotation[rows])
+    return upper
 
 
-def _wide(tensor: Tensor) -> np.ndarray:
-    return np.asarray(tensor.detach().to(torch.float64).cpu().numpy())
+def _array(tensor: Tensor) -> np.ndarray:
+    """Return a tensor as float32, or as float64 if it has more precision."""
+    dtype = torch.float64 if tensor.dtype == torch.float64 else torch.float32
+    return np.asarray(tensor.detach().to(dtype).cpu().numpy())
 
 
-def measure_bounds(references: list[Reference]) -> Bounds:
-    """Return the box around all visible centres of ``references``, slightly widened."""
-    centres = [
-        r.gaussians.position[: r.count][_visible(r)] for r in references if not r.probe.zeros
-    ]
-    points = np.concatenate(centres) if centres else np.zeros((0, 3))
+def measure_bounds(references: Iterable[Reference]) -> Bounds:
+    """Return the box around all visible centres of ``references``, slightly widened.
+
+    Raises:
+        GeneratorInvalid: No centre is finite and visible.
+    """
+    corners = [corner for r in references if not r.probe.zeros for corner in _corners(r)]
+    points = np.array(corners) if corners else np.zeros((0, 3))
     bounds = Bounds.around(points, _MARGIN)
     if bounds is None:
         message = "no probe gives a single finite, visible Gaussian"
         hint = "Check that opacity is activated and that positions are finite."
         raise GeneratorInvalid(message, where="forward", hint=hint)
     return bounds
+
+
+def _corners(reference: Reference) -> tuple[np.ndarray, ...]:
+    """Return the least and the greatest coordinates of the visible centres; nothing without any."""
+    points = reference.gaussians.position[: reference.count][_visible(reference)]
+    return (points.min(axis=0), points.max(axis=0)) if len(points) else ()
 
 
 def _visible(reference: Reference) -> np.ndarray:

@@ -3,9 +3,11 @@
 __all__ = ["Exported", "export"]
 
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -41,10 +43,18 @@ from gsgen.sdk.authoring.packed_module import (
     check_whole_cells,
 )
 from gsgen.sdk.errors import GeneratorInvalid
-from gsgen.sdk.exporting.eager_reference import Reference, measure_bounds, run_eager, run_watched
+from gsgen.sdk.exporting.eager_reference import (
+    EagerRuns,
+    Reference,
+    measure_bounds,
+    run_eager,
+    run_watched,
+)
 from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
+from gsgen.sdk.exporting.frame_size import check_fits, describe_size
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
 from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
+from gsgen.sdk.exporting.sh_degrees import HALF_RGB
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
 from gsgen.sdk.exporting.trace_hazards import Watch
 from gsgen.sdk.exporting.tracing import trace_generator
@@ -57,6 +67,8 @@ from gsgen.sdk.rewriting.rewrite import prepare
 # Distances of the cameras of the SDK's own probes, as a share of those of the contract's probes.
 _DISTANCES = {"close": 0.2, "far": 8.0}
 _TOLERANCES = Tolerances()
+# Probes of each set, besides the all-zero one, by thoroughness of the comparison.
+_PROBES = {"quick": 2, "full": 8}
 # Tolerances of the search for weights that may be float16; _HALF_ROUNDINGS adds the rounding of
 # stored outputs. The search measures few probes: at others, covariances were four times as far off.
 _HALF_CHOICE = Tolerances(position=1e-2, covariance=1e-3, opacity=1e-4, appearance=5e-4)
@@ -103,6 +115,7 @@ class _Options:
     opset: int
     target: str
     rewrite: bool
+    probes: int  # probes of eager torch, besides the all-zero one
 
     @property
     def searches_float16(self) -> bool:
@@ -115,11 +128,12 @@ def export(
     path: str | os.PathLike[str],
     *,
     name: str | None = None,
-    dtype: Dtype = "float32",
+    dtype: Dtype | None = None,
     capacity: int | None = None,
     opset: int = OPSET,
     target: str = "core",
     rewrite: bool = True,
+    verify: Literal["quick", "full"] = "full",
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> Exported:
@@ -131,13 +145,15 @@ def export(
         name: Name in the manifest; the file's stem if absent.
         dtype: The dtype of all outputs but the count. float16 stores weights in 16 bits, too, if
             the error is below the tolerance; arithmetic stays float32
-            (:mod:`gsgen.sdk.float16.convert_model`).
+            (:mod:`gsgen.sdk.float16.convert_model`). If absent, float32, or what the target reads
+            if that is float16 alone.
         capacity: Rows of the outputs; as many as there are Gaussians if absent.
         opset: ONNX operator set; every runtime has kernels for 18.
         target: The consumer to rewrite and validate for.
         rewrite: Whether to rewrite the graph so that it is captured; if False, it stays as torch
             exported it.
         settings: Level, limits and severities of the validation.
+        verify: How many probes are compared with eager torch: ``quick`` takes a third of them.
         progress: Called with a message when a step begins.
 
     Raises:
@@ -153,13 +169,14 @@ def export(
     generator = generator.eval().cpu()
     options = _Options(
         name=name or path.stem,
-        dtype=dtype,
+        dtype=dtype or _default_dtype(generator, target),
         capacity=capacity,
         opset=opset,
         target=target,
         rewrite=rewrite,
+        probes=_PROBES[verify],
     )
-    with padded_harmonics(generator, half=dtype == "float16", target=target) as notes:
+    with padded_harmonics(generator, half=options.dtype == "float16", target=target) as notes:
         exported = _export(generator, path, options, settings, progress)
         return replace(exported, notes=tuple(notes))
 
@@ -176,7 +193,7 @@ def _export(
     searches = options.searches_float16
     # The search needs a float32 graph, whose rounding it can measure.
     traced_dtype: Dtype = "float32" if searches else options.dtype
-    described = _describe(generator, options.name, traced_dtype, options.capacity)
+    described = _describe(generator, options, traced_dtype, progress)
     manifest, references = described.manifest, described.references
     gaussians = manifest.outputs.gaussians
     assert gaussians is not None
@@ -194,7 +211,7 @@ def _export(
     if searches:
         prepare(model)
         stride = max(1, len(references) // _HALF_PROBES)
-        probes = [reference.probe for reference in references[::stride]][:_HALF_PROBES]
+        probes = references.probes[::stride][:_HALF_PROBES]
         model, halved = to_float16(
             model,
             manifest,
@@ -234,47 +251,61 @@ def _export(
     )
 
 
+def _default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
+    """Return the dtype of the outputs if none is requested: float32, unless the target reads no such."""
+    if target not in HALF_RGB:
+        return "float32"
+    probe = _probes(_manifest(generator, "", "float32", None, 1, None))[0]
+    return "float32" if run_eager(generator, probe).gaussians.rgb is None else "float16"
+
+
 @dataclass(frozen=True, slots=True)
 class _Description:
     """Declarations of a generator module, and the results of its runs in eager torch."""
 
     manifest: GeneratorManifest  # the manifest to embed
-    references: list[Reference]  # results at the contract's probes, and at probes far from them
+    references: EagerRuns  # results at the contract's probes, and at probes far from them
     example: Probe  # the inputs to trace with
     watch: Watch  # the hazards of the first run
 
 
 def _describe(
-    generator: GaussianGenerator, name: str, dtype: Dtype, capacity: int | None
+    generator: GaussianGenerator, options: _Options, dtype: Dtype, progress: Progress
 ) -> _Description:
     """Build the manifest from the generator's declarations and its outputs in eager torch."""
     _check_inputs(generator)
     # The bounds are not known yet, so the first probes lie around the default bounds.
-    draft = _manifest(generator, name, dtype, None, 1, None)
-    first_probe, *later_probes = _probes(draft)
-    start, watch = run_watched(generator, first_probe)
+    draft = _manifest(generator, options.name, dtype, None, 1, None)
+    first_probes = _probes(draft, count=options.probes)
+    started = time.perf_counter()
+    start, watch = run_watched(generator, first_probes[0])
+    seconds = time.perf_counter() - started
     _check_cells(generator, start)
-    first_runs = [start, *(run_eager(generator, probe) for probe in later_probes)]
     gaussians = start.gaussians
-    rows = capacity if capacity is not None else len(gaussians)
+    rows = options.capacity if options.capacity is not None else len(gaussians)
     if rows < len(gaussians):
         message = f"capacity {rows} is less than the {len(gaussians)} Gaussians"
         hint = f"Give {len(gaussians)} or more."
         raise GeneratorInvalid(message, where="capacity", hint=hint)
-    bounds = measure_bounds(first_runs)
-    draft = _manifest(generator, name, dtype, gaussians.degree, rows, bounds)
+    draft = _manifest(generator, options.name, dtype, gaussians.degree, rows, None)
+    stored = float16_manifest(draft) if options.searches_float16 else draft
+    check_fits(generator, stored, options.target)
+    if size := describe_size(stored, seconds=seconds, runs=5 * options.probes):
+        progress(size)
+    first_runs = EagerRuns(generator, first_probes, [start])
+    draft = replace(draft, bounds=measure_bounds(first_runs))
     if start.cells is not None:
         per_cell = len(gaussians) // len(start.cells)
         check_whole_cells(rows, per_cell)
         cells = CellsOutput(CELLS, per_cell, dtype)
         draft = replace(draft, outputs=replace(draft.outputs, cells=cells))
     if not generator.inputs:
-        return _Description(draft, first_runs, first_probe, watch)
+        return _Description(draft, first_runs, first_probes[0], watch)
     # Cameras orbit the bounds, so probes are placed a second time, around the measured bounds.
-    references = [run_eager(generator, probe) for probe in _probes(draft)]
-    manifest = replace(draft, bounds=measure_bounds(first_runs + references))
-    far = [run_eager(generator, probe) for probe in _far_probes(manifest)]
-    return _Description(manifest, [*references, *far], references[1].probe, watch)
+    references = EagerRuns(generator, _probes(draft, count=options.probes))
+    manifest = replace(draft, bounds=measure_bounds(chain(first_runs, references)))
+    far = EagerRuns(generator, tuple(_far_probes(manifest)))
+    return _Description(manifest, references + far, references.probes[1], watch)
 
 
 def _check_inputs(generator: GaussianGenerator) -> None:

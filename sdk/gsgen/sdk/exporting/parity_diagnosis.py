@@ -10,9 +10,9 @@ import numpy as np
 from gsgen.contract.probing.probes import Probe, dependency_probes
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.generator import GaussianGenerator
-from gsgen.sdk.exporting.eager_reference import run_eager
+from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
 from gsgen.sdk.exporting.trace_hazards import Hazard
-from gsgen.sdk.parity import ModelOutput, Reference, references_equal
+from gsgen.sdk.parity import ModelOutput, references_equal
 
 Run = Callable[[list[Probe]], list[ModelOutput]]
 _MOST = 3
@@ -42,7 +42,7 @@ class Suspects:
 
 
 def diagnose(
-    suspects: Suspects, manifest: GeneratorManifest, references: list[Reference], run: Run
+    suspects: Suspects, manifest: GeneratorManifest, references: EagerRuns, run: Run
 ) -> tuple[str, str]:
     """Return the reason why a model differs from torch, as a part of a sentence, and a hint."""
     lost_roles = _lost_inputs(suspects, manifest, references, run)
@@ -50,20 +50,20 @@ def diagnose(
     return reason, _hint(suspects, references)
 
 
-def _hint(suspects: Suspects, references: list[Reference]) -> str:
+def _hint(suspects: Suspects, references: EagerRuns) -> str:
     if suspects.hazards:
         return "\n  ".join(str(hazard) for hazard in suspects.hazards[:_MOST])
-    second_run = run_eager(suspects.generator, references[-1].probe)
+    second_run = run_eager(suspects.generator, references.probes[-1])
     if not references_equal(references[-1], second_run):
         return _RANDOM
     return _UNKNOWN if suspects.rewritten else _NOT_REWRITTEN
 
 
 def _lost_inputs(
-    suspects: Suspects, manifest: GeneratorManifest, references: list[Reference], run: Run
+    suspects: Suspects, manifest: GeneratorManifest, references: EagerRuns, run: Run
 ) -> list[str]:
     """Return the roles whose inputs have an effect in torch but not in the model."""
-    base, far = suspects.traced, references[-1].probe
+    base, far = suspects.traced, references.probes[-1]
     varied = [
         (role, probe)
         for role, probes in dependency_probes(manifest, base, (far,))

@@ -278,7 +278,8 @@ def _check_parity(
 ) -> Parity:
     progress(f"comparing with eager torch at {len(probes)} probes")
     low, high = manifest.outputs.image.range
-    images = [outputs[OUTPUT] for outputs in run_exported(path, (OUTPUT,), probes)]
+    runs = run_exported(path, (OUTPUT,), probes, frame_bytes=max(e.nbytes for e in expected))
+    images = [np.array(outputs[OUTPUT]) for outputs in runs]
     compared = list(_compared(images, expected, probes, abs(high - low), allowed))
     worst = max(compared, key=lambda field: field.excess)
     parity = Parity((worst,), len(probes))

@@ -1,12 +1,16 @@
 """Chooses the SH degree to store: packed rows must fill words, and some viewers read one degree."""
 
-__all__ = ["REQUIRED_DEGREES", "stored_degree"]
+__all__ = ["HALF_RGB", "REQUIRED_DEGREES", "stored_degree"]
 
 from collections.abc import Mapping
 from typing import Final
 
 REQUIRED_DEGREES: Final[Mapping[str, int]] = {"visionary": 3}
 """Consumers that read rows of one width alone (rule TV104)."""
+
+
+HALF_RGB: Final = frozenset({"visionary"})
+"""Consumers that read RGB as float16 alone (rule TV104)."""
 
 
 def stored_degree(degree: int, *, half: bool, target: str = "core") -> tuple[int, str]:

@@ -2,7 +2,7 @@
 
 __all__ = ["check_memory", "check_parity", "run_exported"]
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,16 +10,17 @@ import numpy as np
 
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.authoring.packed_module import output_names
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
-from gsgen.sdk.exporting.eager_reference import run_eager
+from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
+from gsgen.sdk.exporting.frame_size import frame_bytes
 from gsgen.sdk.exporting.parity_diagnosis import Suspects, diagnose
 from gsgen.sdk.exporting.pipeline import Progress
 from gsgen.sdk.exporting.trace_hazards import Watch
+from gsgen.sdk.model_runs import run_in_groups
 from gsgen.sdk.parity import ModelOutput, Parity, Reference, compare, references_equal
 
 # Relative change of inputs that finds rows at a threshold: a few times the rounding of kernels.
@@ -32,7 +33,7 @@ _ROUNDING = 1e-5
 def check_parity(
     path: Path,
     manifest: GeneratorManifest,
-    references: list[Reference],
+    references: EagerRuns,
     suspects: Suspects,
     progress: Progress,
     allowed: Tolerances | None = None,
@@ -43,18 +44,18 @@ def check_parity(
     ``allowed`` are the manifest's tolerances by default; the rounding of stored outputs is added to
     them ``roundings`` times. The error names the field, the row, and the likely cause.
     """
-    progress(f"comparing with eager torch at {len(references)} probes")
-    outputs = _run(path, manifest, [reference.probe for reference in references])
     tolerances = allowed or manifest.tolerances or Tolerances()
-    parity = compare(references, outputs, tolerances, roundings=roundings)
-    if not parity.holds:
-        near = _neighbours(suspects.generator, references, outputs, tolerances)
-        parity = compare(references, outputs, tolerances, roundings=roundings, neighbours=near)
+
+    def nearby(reference: Reference) -> Iterator[Reference]:
+        return (run_eager(suspects.generator, probe) for probe in _nudged(reference.probe))
+
+    outputs = _told(_run(path, manifest, references.probes), len(references), progress)
+    parity = compare(references, outputs, tolerances, roundings=roundings, nearby=nearby)
     if parity.holds:
         return parity
 
     def run(probes: list[Probe]) -> list[ModelOutput]:
-        return _run(path, manifest, probes)
+        return [output.copy() for output in _run(path, manifest, probes)]
 
     worst = max(parity.fields, key=lambda field: field.excess)
     element = "cell" if worst.field.startswith("cell") else "Gaussian"
@@ -69,22 +70,11 @@ def check_parity(
     )
 
 
-def _neighbours(
-    generator: GaussianGenerator,
-    references: list[Reference],
-    outputs: list[ModelOutput],
-    tolerances: Tolerances,
-) -> dict[int, list[Reference]]:
-    """Run torch at slightly changed inputs wherever the exported model differs from torch."""
-    differing = [
-        index
-        for index, (reference, output) in enumerate(zip(references, outputs, strict=True))
-        if not compare([reference], [output], tolerances).holds
-    ]
-    return {
-        index: [run_eager(generator, probe) for probe in _nudged(references[index].probe)]
-        for index in differing
-    }
+def _told(outputs: Iterable[ModelOutput], total: int, progress: Progress) -> Iterator[ModelOutput]:
+    """Yield the model's outputs, and report the number of each probe as progress."""
+    for number, output in enumerate(outputs, start=1):
+        progress(f"comparing with eager torch: probe {number} of {total}")
+        yield output
 
 
 def _nudged(probe: Probe) -> Iterator[Probe]:
@@ -102,36 +92,33 @@ def _nudged(probe: Probe) -> Iterator[Probe]:
             yield replace(probe, inputs=moved)
 
 
-def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[ModelOutput]:
+def _run(path: Path, manifest: GeneratorManifest, probes: Sequence[Probe]) -> Iterator[ModelOutput]:
+    """Yield the model's outputs for each probe; each is valid until the next is asked for."""
     rows, color, count, *cells = names = output_names(manifest)
-    return [
-        ModelOutput(
-            run_outputs[rows],
-            run_outputs[color],
-            int(np.ravel(run_outputs[count])[0]),
-            *(run_outputs[n] for n in cells),
+    for outputs in run_exported(path, names, probes, frame_bytes=frame_bytes(manifest)):
+        yield ModelOutput(
+            outputs[rows],
+            outputs[color],
+            int(np.ravel(outputs[count])[0]),
+            *(outputs[name] for name in cells),
         )
-        for run_outputs in run_exported(path, names, probes)
-    ]
 
 
 def run_exported(
-    path: Path, names: Sequence[str], probes: Sequence[Probe]
-) -> list[dict[str, np.ndarray]]:
-    """Run an exported model for each set of test inputs, and return its outputs by name."""
-    limits = Limits().for_model(open_model(path).weight_bytes)
-    with execute(path, names, probes, limits) as execution:
-        if execution.fault is not None:
-            message = f"ONNX Runtime cannot run the exported model: {execution.fault.message}"
-            raise ParityFailed(message, where=path.name)
-        # Samples lie in files that the execution deletes when it ends.
-        return [
-            {name: np.array(execution.samples[run.sample].outputs[name]) for name in names}
-            for run in execution.runs
-        ]
+    path: Path, names: Sequence[str], probes: Sequence[Probe], *, frame_bytes: int
+) -> Iterator[dict[str, np.ndarray]]:
+    """Run an exported model for each set of test inputs, and yield its outputs by name."""
+
+    def failure(message: str) -> ParityFailed:
+        return ParityFailed(
+            f"ONNX Runtime cannot run the exported model: {message}", where=path.name
+        )
+
+    limits = Limits().for_model(open_model(path).weight_bytes + frame_bytes)
+    return run_in_groups(path, names, probes, limits, frame_bytes=frame_bytes, failure=failure)
 
 
-def check_memory(generator: GaussianGenerator, watch: Watch, references: list[Reference]) -> None:
+def check_memory(generator: GaussianGenerator, watch: Watch, references: EagerRuns) -> None:
     """Raise if a module that changes its own state gives another result from its initial state.
 
     A value that forward keeps from its first frame stays the same in the model, too, so comparing

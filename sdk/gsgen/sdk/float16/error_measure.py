@@ -3,19 +3,21 @@
 __all__ = ["ErrorProbe"]
 
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import cached_property
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.probing.probes import Probe, default_probes
-from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.instrumented_model import InstrumentedModel
+from gsgen.sdk.model_runs import KEPT_BYTES, run_in_groups
 from gsgen.sdk.parity import FieldParity, ModelOutput, Parity, Reference, compare
 from gsgen.sdk.rewriting.model_io import has_external_weights, save_model
 
@@ -65,20 +67,22 @@ class ErrorProbe:
         self.model = InstrumentedModel(model)
         self.weights, self.sizes = self.model.weights, self.model.sizes
         self.stored: Collection[int] = ()
-        self._references = [self._reference(probe) for probe in probes]
-        self._unseen = [self._reference(probe) for probe in _unseen(manifest, probes)]
+        # The search compares every step-th row of large outputs; the result is compared in full.
+        self._step = max(1, -(-len(probes) * self.frame_bytes // KEPT_BYTES))
+        self._references = [self._reference(probe, self._step) for probe in probes]
+        self._unseen = _unseen(manifest, probes)
         self.rounded = self.parity(frozenset())
         self._stored = {field.field: _excess(field) for field in self.rounded.fields}
 
-    @property
+    @cached_property
     def frame_bytes(self) -> int:
         """The size in bytes of the float32 outputs of a frame."""
         outputs = self.model.run(self.probes[0].inputs, np.zeros(len(self.model.units), np.bool_))
         return sum(outputs[name].nbytes for name in self.names if outputs[name].dtype.kind == "f")
 
-    def _reference(self, probe: Probe) -> Reference:
+    def _reference(self, probe: Probe, step: int = 1) -> Reference:
         nothing = np.zeros(len(self.model.units), np.bool_)
-        output = self._read(self.model.run(probe.inputs, nothing))
+        output = self._read(self.model.run(probe.inputs, nothing)).every(step)
         if output.rows.dtype != np.float32:
             message = f"is {output.rows.dtype} already"
             raise RewriteFailed(message, where=f"output {self.names[0]}")
@@ -104,10 +108,10 @@ class ErrorProbe:
         stored = np.zeros(len(self.weights), np.bool_)
         stored[list(self.stored)] = True
         runs = (self.model.run(probe.inputs, flags, stored) for probe in self.probes)
-        outputs = [self._stored_as(self._read(run)) for run in runs]
+        outputs = (self._stored_as(self._read(run).every(self._step)) for run in runs)
         return self._compared(self._references, outputs)
 
-    def _compared(self, references: Sequence[Reference], outputs: Sequence[ModelOutput]) -> Parity:
+    def _compared(self, references: Iterable[Reference], outputs: Iterable[ModelOutput]) -> Parity:
         return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
@@ -128,20 +132,26 @@ class ErrorProbe:
 
     def of_model(self, model: ir.Model, limits: Limits) -> Parity:
         """Compare a float16 model with float32, also at test inputs that the search did not use."""
-        references = [*self._references, *self._unseen]
-        probes = [reference.probe for reference in references]
+        probes = [*self.probes, *self._unseen]
+        known = self._references if self._step == 1 else ()
+        references = chain(known, (self._reference(probe) for probe in probes[len(known) :]))
         with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
             file = Path(folder) / "float16.onnx"
             save_model(model, file, external_weights=has_external_weights(model))
             size = sum(path.stat().st_size for path in Path(folder).iterdir())
-            with execute(file, self.names, probes, limits.for_model(size)) as execution:
-                if execution.fault is not None:
-                    message = f"ONNX Runtime cannot run the result: {execution.fault.message}"
-                    raise RewriteFailed(message, where="float16")
-                outputs = [
-                    self._read(execution.samples[run.sample].outputs) for run in execution.runs
-                ]
-                return self._compared(references, outputs)
+            runs = run_in_groups(
+                file,
+                self.names,
+                probes,
+                limits.for_model(size + self.frame_bytes),
+                frame_bytes=self.frame_bytes,
+                failure=_cannot_run,
+            )
+            return self._compared(references, (self._read(outputs) for outputs in runs))
+
+
+def _cannot_run(message: str) -> RewriteFailed:
+    return RewriteFailed(f"ONNX Runtime cannot run the result: {message}", where="float16")
 
 
 def _unseen(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:

@@ -87,15 +87,17 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
     from gsgen.sdk.exporting.exporter import export
     from gsgen.sdk.exporting.post_process_exporter import export_post_process
 
-    options |= {"dtype": request.dtype or "float32", "rewrite": request.rewrite}
+    options["rewrite"] = request.rewrite
     # Case 2: a model from image to image.
     if isinstance(module, PostProcess):
         if request.capacity is not None:
             message = "a post-process model returns an image, which has no rows"
             raise ConfigInvalid(message, where="--capacity", hint="Leave the option out.")
-        return export_post_process(module, request.output, **options)
+        dtype = request.dtype or "float32"
+        return export_post_process(module, request.output, dtype=dtype, **options)
     # Case 3: a generator.
-    return export(module, request.output, capacity=request.capacity, **options)
+    options |= {"dtype": request.dtype, "capacity": request.capacity, "verify": request.verify}
+    return export(module, request.output, **options)
 
 
 def _built(build: Callable[[], Any]) -> Any:

@@ -37,6 +37,7 @@ class ExportRequest:
     opset: int = OPSET  # ONNX operator set
     target: str = "core"  # the consumer to rewrite and validate for
     level: str = "behaviour"  # the last level of the validation
+    verify: Literal["quick", "full"] = "full"  # how many probes are compared with eager torch
     rewrite: bool = True  # whether to rewrite the graph for runtimes
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
 
@@ -58,7 +59,7 @@ def _request(
         typer.Option(
             help="Dtype of the outputs; float16 stores weights in 16 bits, too, where the error is "
             "small.",
-            show_default="float32, or that of packed rows",
+            show_default="float32, or that of packed rows or of the target",
         ),
     ] = None,
     capacity: Annotated[
@@ -80,6 +81,10 @@ def _request(
     level: Annotated[
         str, typer.Option(help="Last level to validate: static, values, behaviour, live or render.")
     ] = "behaviour",
+    verify: Annotated[
+        Literal["quick", "full"],
+        typer.Option(help="Compare with eager torch at a third of the probes, or at all of them."),
+    ] = "full",
     no_rewrite: Annotated[
         bool, typer.Option("--no-rewrite", help="Leave the graph as torch exports it.")
     ] = False,
@@ -95,6 +100,7 @@ def _request(
         opset=opset,
         target=target,
         level=level,
+        verify=verify,
         rewrite=not no_rewrite,
         report=report,
     )

@@ -1,1 +1,1 @@
-"""How do outputs change from run to run, and with camera, time and pose?"""
+"""Do a model's outputs depend on camera, time, pose and run order as the contract requires?"""

@@ -1,10 +1,10 @@
-"""GI and GB rules of cameras: matrix order, projection sign, and conservative culling."""
+"""Rules of cameras (GI, GB): matrix order, projection sign, and conservative culling."""
 
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.probes import as_tensor
 from gsgen.contract.probing.run_comparison import Behaviour, difference
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
@@ -28,7 +28,7 @@ _CULLED_SHARE = 0.01
     needs=(*REPRODUCIBLE, "GI001", "GM006"),
 )
 def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
-    """The view matrix is read in the memory order that the manifest declares.
+    """The model reads the view matrix in the memory order that the manifest declares.
 
     Why:
         The same sixteen numbers are a matrix or its transpose. Read as the other one, the
@@ -59,7 +59,7 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GI002"),
 )
 def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
-    """Turning the y axis of clip space around changes no output.
+    """Negating the y axis of clip space in the projection matrix changes no output.
 
     Why:
         Some hosts pass a projection with +y up, some with +y down, and a generator has no use for
@@ -89,7 +89,7 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017"),
 )
 def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
-    """A Gaussian in the middle of the view is not transparent where another camera sees it.
+    """A Gaussian in the middle of a camera's view is not transparent if another camera sees it.
 
     Why:
         Models cull what their camera cannot see by setting its opacity to zero. Culling with a
@@ -140,7 +140,7 @@ def _in_cone(
     needs=("GV025", "GO010", "GO011", "GV016"),
 )
 def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
-    """No camera that sees the bounds gets an empty scene, where others do not.
+    """No camera that sees the declared bounds gets an empty scene, if other cameras do not.
 
     Why:
         All probes look at the middle of the bounds. A count of zero for some of them is culling

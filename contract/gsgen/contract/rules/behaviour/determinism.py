@@ -1,4 +1,4 @@
-"""GB rules of determinism: outputs depend on the inputs alone, and as `depends_on` declares."""
+"""Rules of determinism (GB): outputs depend only on the inputs, as `depends_on` declares."""
 
 from collections.abc import Iterator
 
@@ -29,7 +29,7 @@ def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
-    """The same inputs twice in a row give the same bits.
+    """Two consecutive runs with the same inputs give the same bits.
 
     Why:
         A still camera would show a flickering picture, and no test could compare results.
@@ -50,7 +50,7 @@ def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def stateless(behaviour: Behaviour) -> Iterator[Violation]:
-    """The same inputs give the same bits, regardless of the runs in between.
+    """The same inputs give the same bits, regardless of other runs in between.
 
     Why:
         Scrubbing back to an earlier time must show the same picture again.
@@ -72,7 +72,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     needs=REPRODUCIBLE,
 )
 def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
-    """Each input changes some output, unless `depends_on` says that it does not.
+    """Each input changes some output, unless `depends_on` declares that it does not.
 
     Why:
         An input without effect was usually turned into a constant when the model was traced: the
@@ -96,7 +96,7 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _zero_changes(behaviour: Behaviour, role: str) -> bool:
-    """Return whether zeros as the role's input change an output: cameras that cull nothing may not."""
+    """Return whether all-zero inputs of a role change an output; zero cameras may cull nothing."""
     zero_runs = [
         run
         for run in behaviour.visits("edges")
@@ -120,7 +120,7 @@ def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
     needs=REPRODUCIBLE,
 )
 def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
-    """Where `depends_on` says that a role changes nothing, no output changes with it.
+    """If `depends_on` declares that a role changes nothing, no output changes with this input.
 
     Why:
         A runtime keeps the result while only such an input changes: the scene stands still, or
@@ -147,7 +147,7 @@ def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
     needs=REPRODUCIBLE,
 )
 def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
-    """Where `depends_on` says that the camera changes nothing, no output changes with it.
+    """If `depends_on` declares that the camera changes nothing, no output changes with the camera.
 
     Why:
         A runtime runs such a model once and keeps the result while the camera moves: the picture

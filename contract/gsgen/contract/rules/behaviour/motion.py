@@ -1,4 +1,4 @@
-"""GB rules of time: declared loops close, motion has no jumps, every frame is reached."""
+"""Rules of time (GB): declared loops close, motion has no jumps, every frame is reached."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -34,7 +34,7 @@ def _floats(run: ProbeRun) -> dict[str, np.ndarray]:
     needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"),
 )
 def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
-    """Where time is declared to loop, its end continues at its start.
+    """If time is declared to loop, the outputs at its end continue those at its start.
 
     Why:
         Viewers wrap around at the end of the range: any difference there is a jump in every loop.
@@ -65,7 +65,7 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GM009", "GM010", "GO001", "GO002"),
 )
 def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
-    """No visible Gaussian crosses a tenth of the bounds between two pictures of a 60 Hz screen.
+    """No visible Gaussian moves a tenth of the bounds between two refreshes of a 60 Hz screen.
 
     Why:
         At the declared speed the eye sees a jump instead of motion. Usually two frames are not of
@@ -101,7 +101,7 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"),
 )
 def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
-    """Where frames are declared, each of them shows another picture.
+    """If the manifest declares frames, each frame gives other outputs than the one before.
 
     Why:
         Rounding time down to one frame less than there are shows a frame twice, and the last one
@@ -117,4 +117,4 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     ]
     if twice:
         actual = f"{len(twice)} of {len(runs)} frames show what the frame before did, {twice[0]}"
-        yield Violation.at("role time", actual, "a picture a frame", certainty="possible")
+        yield Violation.at("role time", actual, "other outputs in each frame", certainty="possible")

@@ -1,4 +1,4 @@
-"""GB and GI rules of robustness: extreme inputs, optimisations, and the order of runs."""
+"""Rules of robustness (GB, GI): extreme inputs, optimisations, and the order of runs."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -43,7 +43,7 @@ def _broken(runs: list[ProbeRun]) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, *FINITE_OUTPUTS),
 )
 def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
-    """Every output is finite while one input is all zero, and at both ends of all ranges.
+    """Every output is finite when one input is all zero, and at both ends of all input ranges.
 
     Why:
         A rest pose is all zeros, a slider rests at its end, a joint turns by half a circle: norms
@@ -64,7 +64,7 @@ def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"),
 )
 def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
-    """Just outside the declared ranges, every output is finite and nothing fails.
+    """Just outside the declared input ranges, every output is finite and the model does not fail.
 
     Why:
         Timelines overshoot by a rounding error, and sliders by a pixel. An index computed from time
@@ -86,7 +86,7 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
-    """With the optimisations of ONNX Runtime switched off, outputs agree within the tolerances.
+    """Without ONNX Runtime's graph optimisations, outputs agree within the tolerances.
 
     Why:
         Optimisers rewrite graphs, and some rewrites are wrong or amplify rounding. Every runtime
@@ -134,7 +134,7 @@ def _too_far(error: FieldError, emission: ModelOutputs) -> Violation:
 
 
 def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[Violation]:
-    """Compare an output without a tolerance, relative to its largest value."""
+    """Compare an output that has no tolerance, relative to its largest value."""
     peak = float(np.abs(value.astype(np.float64)).max(initial=0))
     least = 1.0 if value.dtype.kind in "iu" else 0.0
     largest = difference(value, unoptimised)
@@ -154,7 +154,7 @@ def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[
     kinds=KINDS,
 )
 def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
-    """After all other runs, the probes give the same bits in reverse order.
+    """The probes give the same bits when they are repeated in reverse order after all other runs.
 
     Why:
         State that persists between runs may show only after a while.
@@ -166,7 +166,9 @@ def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
     for later_run in behaviour.visits("again"):
         label = later_run.probe.label.removesuffix(f" {REPEATED}")
         if later_run.digest and later_run.digest != first[label]:
-            yield Violation.at(f"probe {label!r}", "other bits than at first", "the same bits")
+            yield Violation.at(
+                f"probe {label!r}", "other output bits than in the first run", "the same bits"
+            )
 
 
 @rule(
@@ -178,7 +180,7 @@ def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
     needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003"),
 )
 def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
-    """An exact count counts rows that are drawn: most of them are not fully transparent.
+    """With an exact count, most rows before the count are not fully transparent.
 
     Why:
         A renderer sorts and visits all rows before an exact count. If most are inert, the live ones
@@ -212,7 +214,7 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
-    """Every test vector names a probe, and the model gives the outputs that it promises.
+    """Every test vector names a probe, and the model reproduces the outputs of the vector.
 
     Why:
         A vector shows a user of the model that it runs as it did on the author's machine. The
@@ -233,7 +235,7 @@ def vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
-    """Return the digest of the outputs at the vector's probe, or a violation without one."""
+    """Return the digest of the model's outputs at a test vector's probe, or a violation."""
     manifest, plan = behaviour.subject.manifest, behaviour.trial.plan
     assert manifest is not None
     label, same_seed = vector_label(vector.inputs, vector.seed), vector.seed == plan.seed
@@ -248,6 +250,6 @@ def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
     planned = [plan.probes[index].label for index in plan.trials.get("vectors", ())]
     if not same_seed and label in planned:
         actual = f"no outputs at {label!r}"
-        return Violation.at("", actual, "a run in time", certainty="possible")
+        return Violation.at("", actual, "a run within the time limit", certainty="possible")
     actual = f"no probe {vector.inputs!r} with seed {vector.seed}"
     return Violation.at("", actual, f"one of {', '.join(map(repr, known))}")

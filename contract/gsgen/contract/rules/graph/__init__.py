@@ -1,1 +1,1 @@
-"""Will the graph load, stay the same, and be captured by a GPU?"""
+"""Is an ONNX graph well formed and portable, and can WebGPU record it once and replay it?"""

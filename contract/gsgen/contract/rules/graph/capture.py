@@ -1,4 +1,4 @@
-"""GG rules of graph capture: the target's WebGPU provider can record every node of the frame.
+"""Rules of graph capture (GG): the target's WebGPU provider can record every node of a frame.
 
 The provider's kernels are known from measured tables, see :mod:`gsgen.contract.spec.operator_tables`.
 Each node that is not captured has one cause, and each cause one rule.
@@ -29,7 +29,7 @@ def _of_cause(subject: InspectedModel, cause: Cause) -> list[Placement]:
 
 
 def _outcomes_text(placement: Placement) -> str:
-    """Return the fate of a node in each runtime release, as text."""
+    """Return as text how each runtime release executes a node."""
     runtimes_by_text = {
         FAILURES[outcome]: [
             r for r, runtime_outcome in placement.outcomes.items() if runtime_outcome == outcome
@@ -51,7 +51,7 @@ def _outcomes_text(placement: Placement) -> str:
     limit=_CAPTURE,
 )
 def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
-    """No tensor's shape depends on what the frame's inputs hold.
+    """No tensor's shape depends on the values of a frame's inputs.
 
     Why:
         A recorded frame has fixed buffers. NonZero, Compress, Unique, and any shape computed from
@@ -80,7 +80,7 @@ def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
     limit=_CAPTURE,
 )
 def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
-    """No operator of the frame computes in int64 without a kernel for it.
+    """No operator of the frame computes in int64 without an int64 kernel on the target.
 
     Why:
         WebGPU has no 64-bit integers. Few operators take them by way of 32 bits; the others fall to
@@ -197,7 +197,7 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     limit=_CAPTURE,
 )
 def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
-    """Operators that the target's WebGPU provider knows are of an operator set it knows them in.
+    """Operators with a WebGPU kernel on the target are of an operator set that has the kernel.
 
     Why:
         ONNX Runtime matches a kernel only up to the last version of the operator that it was
@@ -224,7 +224,7 @@ def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
     limit=_CAPTURE,
 )
 def capture_foreseen(subject: InspectedModel) -> Iterator[Violation]:
-    """Nothing in the graph stands against graph capture.
+    """By the operator tables, the target's GPU provider captures every node of the graph.
 
     Why:
         One node that is not captured makes the provider refuse capture for the whole model. This

@@ -1,4 +1,4 @@
-"""GG rules of the graph: it is well formed, portable and deterministic."""
+"""Rules of the graph (GG): it is well formed, portable and deterministic."""
 
 from collections.abc import Iterator
 
@@ -20,7 +20,7 @@ def _node_location(node: NodeProto) -> str:
     "GG001", "opset-supported", Severity.ERROR, over="model", fixture="ancient_opset", kinds=KINDS
 )
 def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
-    """Operator set and IR version are ones that the target runs.
+    """The target runs the model's operator set and IR version.
 
     Why:
         A runtime refuses an operator set it does not know, and old sets lack operators and types
@@ -52,7 +52,7 @@ def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def standard_operators(subject: InspectedModel) -> Iterator[Violation]:
-    """Every operator is a standard one, or a function that the model defines.
+    """Every operator is a standard ONNX operator, or a function that the model defines.
 
     Why:
         No runtime but the author's has kernels for operators of another domain.
@@ -82,7 +82,7 @@ def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
     """
     for node in subject.graph.all_nodes():
         if node.op_type in CONTROL_FLOW and node.domain in MAIN_DOMAIN:
-            yield Violation.at(_node_location(node), node.op_type, "straight-line operators")
+            yield Violation.at(_node_location(node), node.op_type, "a graph without control flow")
 
 
 @rule(
@@ -142,7 +142,7 @@ def no_float64(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GG019",),
 )
 def shapes_agree(subject: InspectedModel) -> Iterator[Violation]:
-    """Declared shapes and dtypes agree with what the operators compute.
+    """Declared shapes and dtypes agree with the shapes and dtypes that operators compute.
 
     Why:
         Readers allocate buffers from declared shapes; ONNX Runtime computes the real ones, and
@@ -168,7 +168,7 @@ def shapes_agree(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GG019",),
 )
 def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]:
-    """No MatMul multiplies the result of a Transpose with a vector of one axis.
+    """No MatMul multiplies the result of a Transpose by a vector of rank 1.
 
     Why:
         ONNX Runtime's optimiser (seen in 1.31) fuses the Transpose into the product, and then
@@ -187,7 +187,7 @@ def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]
         turned = maker is not None and maker.op_type == "Transpose"
         if turned and right is not None and right.dims is not None and len(right.dims) == 1:
             yield Violation.at(
-                _node_location(node), f"Transpose times {right}", "a right side of two axes"
+                _node_location(node), f"Transpose times {right}", "a right operand of rank 2"
             )
 
 

@@ -1,4 +1,4 @@
-"""GG rules of naming and storage: unique printable names, and weights as initialisers."""
+"""Rules of naming and storage (GG): unique printable names, and weights as initialisers."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ _NOTHING = Tensor("", None, None)
     "GG012", "names-are-clean", Severity.ERROR, over="model", fixture="node_name_twice", kinds=KINDS
 )
 def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
-    """Node names are unique where there are any, and names of inputs and outputs are plain words.
+    """Names of nodes are unique, and names of inputs and outputs are plain words.
 
     Why:
         ONNX Runtime refuses a model in which two nodes share a name, though ONNX's own checker takes
@@ -37,11 +37,13 @@ def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
     names = Counter(node.name for node in subject.graph.nodes if node.name)
     for name, count in names.items():
         if count > 1:
-            yield Violation.at(f"node {name}", f"{count} nodes of that name", "one node a name")
+            yield Violation.at(f"node {name}", f"{count} nodes have this name", "unique node names")
     for kind, tensors in (("input", subject.graph.inputs), ("output", subject.graph.outputs)):
         for tensor in tensors:
             if not tensor.name.isprintable() or " " in tensor.name:
-                yield Violation.at(f"{kind} {tensor.name!r}", "a blank in it", "a plain word")
+                yield Violation.at(
+                    f"{kind} {tensor.name!r}", "the name contains a blank", "a name without blanks"
+                )
 
 
 @rule(
@@ -53,7 +55,7 @@ def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def weights_are_loadable(subject: InspectedModel) -> Iterator[Violation]:
-    """The file is below 1500 MiB, and large weights are initialisers, not constants of nodes.
+    """The model file is below 1500 MiB, and large weights are initialisers, not Constant nodes.
 
     Why:
         A protobuf message ends at 2 GiB, and a browser needs several times the file in memory. A

@@ -1,4 +1,4 @@
-"""GG rule of replay: a captured graph updates its outputs in every frame."""
+"""Rule of replay (GG): a captured graph updates its outputs in every frame."""
 
 from collections.abc import Iterator
 
@@ -30,7 +30,7 @@ def _node_location(node: NodeProto) -> str:
     needs=("GG019",),
 )
 def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
-    """Every output that varies is written by an operator that computes, not by a view of a buffer.
+    """Every output that varies is written by a computing operator, not by a view of a buffer.
 
     Why:
         Graph capture records kernels, not buffer copies. An output made by Reshape, Flatten,

@@ -1,4 +1,4 @@
-"""GM rules of declarations: colours, time, provenance and dependencies."""
+"""Rules of declarations (GM): colours, time, provenance and dependencies."""
 
 import json
 import re
@@ -26,7 +26,7 @@ _SPDX = re.compile(rf"^{_TERM}(?:\s+(?:AND|OR|WITH)\s+{_TERM})*$")
     needs=MANIFEST_PARSED,
 )
 def sh_declared_as_sh(subject: InspectedModel) -> Iterator[Violation]:
-    """A degree is declared for SH alone.
+    """An SH degree is declared only for SH colours, not for raw RGB.
 
     Why:
         Three channels are a colour or the constant term of SH; the two differ by 0.5 + 0.282 · c.
@@ -76,7 +76,7 @@ def color_space_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM004",),
 )
 def time_domain(subject: InspectedModel) -> Iterator[Violation]:
-    """Time has a range whose beginning and end differ.
+    """The declared time range has a beginning and an end that differ.
 
     Why:
         A viewer's timeline runs from one end of the range to the other; without one it guesses, and
@@ -104,7 +104,7 @@ def time_domain(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
-    """Where the producer is declared, its licence is an SPDX expression and its tool has a version.
+    """The producer's declared licence is an SPDX expression, and the declared tool has a version.
 
     Why:
         Collections of models filter by licence, and a fault in an exporter can be traced to its
@@ -133,7 +133,7 @@ def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
-    """Nothing of the contract is stored in the metadata of single tensors.
+    """Contract data is stored in the model's metadata, not in the metadata of single tensors.
 
     Why:
         Simplifiers and optimisers keep the model's metadata and drop that of tensors: declarations
@@ -166,7 +166,7 @@ def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
-    """`depends_on` names only roles that some input has.
+    """`depends_on` names only roles of declared inputs.
 
     Why:
         A misspelt role says nothing of the one that was meant, which then counts as one that the

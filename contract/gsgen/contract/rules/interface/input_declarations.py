@@ -1,4 +1,4 @@
-"""GI rules of declared inputs: ranges, defaults and conventions that a runtime can use."""
+"""Rules of declared inputs (GI): ranges, defaults and conventions that a runtime can use."""
 
 from collections.abc import Iterator
 from math import prod
@@ -36,7 +36,7 @@ def _entries(subject: InspectedModel) -> tuple[Input, ...]:
 
 
 def _shape(subject: InspectedModel, entry: Input) -> tuple[int, ...] | None:
-    """Return the size of every axis, from the graph or else from the manifest."""
+    """Return the size of every axis of an input, from the graph or else from the manifest."""
     tensor = subject.graph.input(entry.name)
     dims = static_dims(tensor) if tensor else None
     return entry.shape if dims is None else tuple(int(dim) for dim in dims)
@@ -52,7 +52,7 @@ def _shape(subject: InspectedModel, entry: Input) -> tuple[int, ...] | None:
     kinds=KINDS,
 )
 def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
-    """A declared range runs from low to high, and between whole numbers where the input counts.
+    """A declared input range runs from low to high, with whole numbers for integer inputs.
 
     Why:
         A slider drawn for [1, 0] runs backwards or not at all, a clip to it gives one constant, and
@@ -82,7 +82,7 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
-    """A declared default fills its input, lies in its range, and is whole where the input counts.
+    """A declared default fills its input, lies in its range, and is whole for integer inputs.
 
     Why:
         It is what every runtime feeds first. One of another size cannot be fed, and one outside the
@@ -102,7 +102,7 @@ def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _misfit(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
-    """Return the fault of a default and the expectation, or None if it fits."""
+    """Return what is wrong with a default value and the expectation, or None if it fits."""
     default = entry.default
     turns = entry.role == "pose" and shape[-1:] == (_QUATERNION,)
     if default == "identity" and not (shape in _SQUARE or turns):
@@ -122,7 +122,7 @@ def _misfit(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
 
 
 def _numbers(entry: Input) -> tuple[float, ...]:
-    """Return the distinct numbers that a default consists of."""
+    """Return the distinct numbers that an input's default consists of."""
     words: dict[object, tuple[float, ...]] = {"zeros": (0.0,), "identity": (0.0, 1.0)}
     default = entry.default
     if isinstance(default, str):
@@ -140,7 +140,7 @@ def _numbers(entry: Input) -> tuple[float, ...]:
     kinds=KINDS,
 )
 def input_convention_known(subject: InspectedModel) -> Iterator[Violation]:
-    """A declared convention is one of the role's, and of the shape that the input has.
+    """A declared input convention is one of the role's, and fits the input's shape.
 
     Why:
         A runtime that drives an avatar writes rotations as the convention says. It cannot follow
@@ -180,7 +180,7 @@ def _holds(convention: str, shape: tuple[int, ...]) -> bool:
     kinds=KINDS,
 )
 def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
-    """Only time has frames, fps and loop, and rates and steps of time are above 0.
+    """Only time inputs declare frames, fps and loop; rates and steps of time are above 0.
 
     Why:
         A player divides by fps and by step_seconds: at 0 the time stands still or is infinite. A
@@ -212,7 +212,7 @@ def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
-    """The range of a rotation vector lies within ±2π, since angles are radians.
+    """The declared range of a rotation vector lies within ±2π, since angles are in radians.
 
     Why:
         A slider in degrees turns a joint 57 times too far: almost its whole length shows a body
@@ -241,7 +241,7 @@ def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def input_has_a_start(subject: InspectedModel) -> Iterator[Violation]:
-    """An input that no runtime can know has a default.
+    """An input whose value no runtime can know has a default.
 
     Why:
         Cameras, clocks and windows are known everywhere; a pose or a body shape is not. Without a

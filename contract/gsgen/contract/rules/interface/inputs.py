@@ -1,4 +1,4 @@
-"""GI rules of inputs: shapes and dtypes that any runtime can feed."""
+"""Rules of inputs (GI): shapes and dtypes that any runtime can feed."""
 
 from collections.abc import Iterator
 
@@ -118,7 +118,7 @@ def input_dtype(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def inputs_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """Every graph input is declared with a role, and any runtime can feed it.
+    """Every graph input is declared with a role, so that any runtime can feed it.
 
     Why:
         An input that no role explains is never fed, and the first frame fails with "Required
@@ -221,7 +221,11 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
         used |= graph.ancestors(tensor.name)[0]
     for entry in subject.manifest.inputs if subject.manifest else ():
         if entry.name not in used and idle.get(entry.role, True):
-            yield Violation.at(f"input {entry.name}", "leads to no output", "an effect")
+            yield Violation.at(
+                f"input {entry.name}",
+                "no output depends on it",
+                "an input that some output depends on",
+            )
 
 
 @rule(
@@ -233,7 +237,7 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
-    """No weight is listed among the inputs.
+    """No weight is listed among the graph inputs.
 
     Why:
         Old exporters list them, which lets a runtime feed other numbers: so no optimiser folds
@@ -244,4 +248,6 @@ def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """
     for value in subject.file.proto.graph.input:
         if value.name in subject.graph.initializers:
-            yield Violation.at(f"input {value.name}", "a weight of that name", "a weight alone")
+            yield Violation.at(
+                f"input {value.name}", "is also a weight", "a weight that is not an input"
+            )

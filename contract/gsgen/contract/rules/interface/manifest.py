@@ -1,4 +1,4 @@
-"""GM rules of the manifest: it exists, is valid, and agrees with the graph."""
+"""Rules of the manifest (GM): it exists, is valid, and agrees with the graph."""
 
 from collections.abc import Iterator
 
@@ -20,7 +20,7 @@ _MANIFEST_OPENING = 1 << 16
 
 @rule("GM001", "manifest-present", Severity.ERROR, over="model", fixture="no_manifest", kinds=KINDS)
 def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
-    """The model carries a manifest.
+    """The model carries a manifest in its metadata.
 
     Why:
         Without one a viewer guesses the meaning of tensors from parts of their names, and a wrong
@@ -37,7 +37,7 @@ def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _misplaced_manifest(subject: InspectedModel) -> str:
-    """Describe where a text that looks like a manifest is stored instead; empty if nowhere."""
+    """Return where else a text that looks like a manifest is stored; empty if nowhere."""
     proto = subject.file.proto
     for key, value in subject.file.metadata.items():
         if key.lower() == MANIFEST_KEY:
@@ -96,7 +96,7 @@ def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
-    """The manifest declares a contract version that this reader knows.
+    """The manifest declares a contract version that this validator supports.
 
     Why:
         A newer major version may change what a field means, so guessing would be wrong in silence.
@@ -119,7 +119,7 @@ def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
-    """Every tensor that the manifest names is an input or output of the graph, and named once.
+    """Every tensor that the manifest names is a graph input or output, and is named only once.
 
     Why:
         A role that points at no tensor cannot be fed or read; the runtime fails at the first frame.
@@ -144,7 +144,7 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     for names in (declared, list(subject.output_names)):
         for name in sorted({entry for entry in names if names.count(entry) > 1}):
             yield Violation.at(
-                f"manifest name {name!r}", "declared more than once", "one role a tensor"
+                f"manifest name {name!r}", "declared more than once", "one role per tensor"
             )
 
 
@@ -162,7 +162,7 @@ def _one_of(names: list[str]) -> str:
     needs=("GM004",),
 )
 def manifest_agrees_with_graph(subject: InspectedModel) -> Iterator[Violation]:
-    """What the manifest says of dtypes and sizes is compatible with the graph.
+    """The dtypes and sizes that the manifest declares are compatible with the graph.
 
     Why:
         Runtimes allocate buffers from the manifest; a buffer of another size or dtype is read as
@@ -265,7 +265,7 @@ def coordinate_frame_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """The manifest declares the box that the Gaussians stay in.
+    """The manifest declares the bounding box that the Gaussians stay in.
 
     Why:
         Without it a viewer cannot frame the model, cull it, or choose near and far planes; the
@@ -288,7 +288,7 @@ def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
-    """Declared bounds run from low to high on every axis, and are no point if rows are several.
+    """Declared bounds run from low to high on every axis; bounds of several rows are not a point.
 
     Why:
         A viewer frames the camera by the box. A box that is inside out or a point has no size:
@@ -319,7 +319,7 @@ def bounds_are_a_box(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
-    """The manifest is of no newer minor version than this reader knows.
+    """The manifest is of no newer minor version than this validator supports.
 
     Why:
         Fields that came with the newer version are left unread.

@@ -1,4 +1,4 @@
-"""GO rules of companion models: images and camera states have the declared sizes."""
+"""Rules of companion models (GO): images and camera states have the declared sizes."""
 
 from collections.abc import Iterator
 
@@ -24,7 +24,7 @@ _STATE = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
     kinds=(POST_PROCESS,),
 )
 def image_out_as_in(subject: InspectedModel) -> Iterator[Violation]:
-    """The image that comes out has the declared dtype, and the size of the one that goes in.
+    """The output image has the declared dtype and the size of the input image.
 
     Why:
         The result takes the place of the rendered image: it is read with the declared dtype, and
@@ -57,7 +57,7 @@ def _image(
 
 
 def _sizes_agree(input_image: Tensor, output_image: Tensor) -> bool:
-    """Return whether the known sizes agree, and the output has 3 or 4 channels."""
+    """Return whether known image sizes agree, and the output has 3 or 4 channels."""
     if input_image.dims is None or output_image.dims is None:
         return True
     if len(input_image.dims) != len(output_image.dims) or len(output_image.dims) != 4:
@@ -79,7 +79,7 @@ def _sizes_agree(input_image: Tensor, output_image: Tensor) -> bool:
     kinds=(TRAJECTORY,),
 )
 def states_as_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """Predicted states, their uncertainty and the history have the sizes that the manifest fixes.
+    """Predicted states, uncertainty and history have the sizes that the manifest declares.
 
     Why:
         A prefetcher reads row k as the camera at k steps from now, and its numbers by the declared

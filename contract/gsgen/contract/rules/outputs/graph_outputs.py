@@ -1,4 +1,4 @@
-"""GO rules of graph outputs: each is computed, distinct and declared."""
+"""Rules of graph outputs (GO): each is computed, distinct and declared."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from gsgen.contract.validation.rule import rule
     needs=("GG019",),
 )
 def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
-    """Every output is made by an operator, and is not a weight itself.
+    """Every output is computed by an operator, and is not itself a weight.
 
     Why:
         Exporters and optimisers rename weights: the output's name is lost, and has been repaired by
@@ -43,7 +43,7 @@ def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def outputs_are_distinct(subject: InspectedModel) -> Iterator[Violation]:
-    """No tensor is listed as an output twice.
+    """No tensor is listed as a graph output twice.
 
     Why:
         Two buffers are bound to one name. A recorded frame writes one of them, and the other keeps

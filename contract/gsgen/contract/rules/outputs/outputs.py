@@ -1,4 +1,4 @@
-"""GO rules of outputs: names, shapes and dtypes of the packed layout, checked without a run."""
+"""Rules of outputs (GO): names, shapes and dtypes of the packed layout, checked without a run."""
 
 from collections.abc import Iterator
 
@@ -34,7 +34,7 @@ def _dim(tensor: Tensor | None, axis: int) -> int | str | None:
     needs=DECLARED,
 )
 def gaussians_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """Exactly one output holds the packed Gaussians.
+    """The manifest declares one output that holds the packed Gaussians.
 
     Why:
         It is what a generator is for. Viewers that do not find it fall back to two million rows of
@@ -58,7 +58,7 @@ def gaussians_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO001", "GO003"),
 )
 def gaussian_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
-    """The last dimension of the packed Gaussians is a static 10.
+    """The last dimension of the packed Gaussians is the static number 10.
 
     Why:
         A row is x y z opacity xx xy xz yy yz zz. A reader that steps by ten through rows of nine
@@ -75,7 +75,7 @@ def gaussian_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _likely_columns(tensor: Tensor) -> str:
-    """Return what rows of another width usually hold, to be appended; empty if unknown."""
+    """Return the usual columns of packed rows with another width, as text; empty if unknown."""
     columns = _dim(tensor, -1)
     if _dim(tensor, 0) == ROW:
         return "; this one is transposed, channels first"
@@ -93,7 +93,7 @@ def _likely_columns(tensor: Tensor) -> str:
     needs=("GO001",),
 )
 def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
-    """The packed Gaussians are a matrix, without a batch axis.
+    """The packed Gaussians are a tensor of rank 2, without a batch axis.
 
     Why:
         Readers take the first dimension as the capacity: [1, N, 10] is read as one Gaussian.
@@ -117,7 +117,7 @@ def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO001", "GO003"),
 )
 def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
-    """The number of rows is a positive number in the graph, not a symbol.
+    """The number of packed rows is a positive number in the graph, not a symbol.
 
     Why:
         Viewers allocate buffers from it before the first frame: a symbol becomes NaN bytes. Graph
@@ -143,7 +143,7 @@ def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
     needs=DECLARED,
 )
 def appearance_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """Exactly one output holds the appearance.
+    """The manifest declares one output that holds the appearance.
 
     Why:
         Without it there is no colour to draw.
@@ -164,7 +164,7 @@ def appearance_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO005",),
 )
 def appearance_channels_known(subject: InspectedModel) -> Iterator[Violation]:
-    """The appearance is [N, C] with a C that its declared space has.
+    """The appearance is [N, C] with a channel count C that the declared colour space allows.
 
     Why:
         Readers step through the buffer by C: 3 or 4 for RGB, 3, 12, 27 or 48 for SH. Any other
@@ -268,7 +268,7 @@ def output_dtypes_match(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO002", "GO006", "GO008"),
 )
 def rows_fill_words(subject: InspectedModel) -> Iterator[Violation]:
-    """A row of each output is a whole number of 4-byte words.
+    """A row of each output fills a whole number of 4-byte words.
 
     Why:
         Shaders read storage buffers in words. A float16 row of three colours is six bytes, so

@@ -1,1 +1,1 @@
-"""Does the model run on a given target: its limits, and the Visionary viewer?"""
+"""Does the model fit a target: buffer limits, and the Visionary web viewer?"""

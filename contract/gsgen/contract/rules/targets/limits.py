@@ -1,4 +1,4 @@
-"""GL rules of buffers: outputs and weights fit the limits of the target."""
+"""Rules of buffers (GL): outputs and weights fit the limits of the target."""
 
 from collections.abc import Iterator
 
@@ -23,7 +23,7 @@ def _buffers(subject: InspectedModel) -> Iterator[tuple[str, int]]:
 
 
 def _computed_once(graph: Graph) -> Iterator[Tensor]:
-    """Yield tensors that a runtime computes once at loading and every frame reads."""
+    """Yield the tensors that a runtime computes once at loading and reads every frame."""
     running = frame_nodes(graph)
     frame_tensors = {name for node in running for name in node.output}
     outputs = {tensor.name for tensor in graph.outputs}
@@ -102,7 +102,7 @@ def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
     limit="workgroups",
 )
 def fits_dispatch(subject: InspectedModel) -> Iterator[Violation]:
-    """One dispatch can visit every row.
+    """One GPU dispatch can visit every packed row.
 
     Why:
         WebGPU launches at most 65,535 workgroups along an axis. With 256 rows a workgroup, rows

@@ -1,4 +1,4 @@
-"""TV rules of binding: predict how the Visionary web viewer 1.0.1 binds inputs and outputs.
+"""Rules of binding (TV): predict how the Visionary web viewer 1.0.1 binds inputs and outputs.
 
 Only these rules look at parts of tensor names, because the viewer does.
 Source: its ``onnx_gpu_io.ts`` and ``preprocess.wgsl``, version 1.0.1.
@@ -19,7 +19,7 @@ _SH_CHANNELS = 48
 
 
 def bound_role(name: str) -> str:
-    """Return the role that the viewer feeds to an input called ``name``; empty for none."""
+    """Return the role that the Visionary viewer feeds to an input called ``name``, or ""."""
     lower = name.lower()
     if any(word in lower for word in ("camera", "view", "matrix")):
         return "view"
@@ -38,7 +38,7 @@ def bound_role(name: str) -> str:
     needs=("GO001",),
 )
 def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
-    """The Gaussian output is the first whose name starts with `gauss`.
+    """The Gaussian output is the first output whose name starts with `gauss`, as Visionary expects.
 
     Why:
         The viewer takes the first output with that prefix, in lower case, and falls back to
@@ -98,7 +98,7 @@ def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM004", "GI005"),
 )
 def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
-    """Every input is fed, and with what its role says.
+    """The Visionary viewer feeds every input, with the data of the input's role.
 
     Why:
         The viewer tests for `camera`, `view` and `matrix` before `proj`: an input called
@@ -125,7 +125,7 @@ def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO006", "GO008", "GM005"),
 )
 def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
-    """The appearance is SH with 48 channels, or float16 RGB with 4.
+    """The appearance is SH with 48 channels or float16 RGB with 4, as Visionary reads it.
 
     Why:
         The shader's row strides are fixed for these two. All other layouts are accepted and drawn
@@ -155,7 +155,7 @@ def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM004",),
 )
 def visionary_time_range(subject: InspectedModel) -> Iterator[Violation]:
-    """Time runs from 0 to 1.
+    """The declared time range is 0 to 1, which the Visionary viewer feeds.
 
     Why:
         The viewer feeds (timeline · 0.4) mod 1, regardless of the manifest.

@@ -1,4 +1,4 @@
-"""TV and GL rules of drawing: predict how the Visionary web viewer 1.0.1 draws the outputs.
+"""Rules of drawing (TV, GL): predict how the Visionary web viewer 1.0.1 draws the outputs.
 
 Source: its ``gaussian_preprocessor.ts`` and ``preprocess.wgsl``, version 1.0.1.
 """
@@ -33,7 +33,7 @@ _FADED = 0.5
     needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
 )
 def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
-    """A capacity that has padding is a multiple of 256.
+    """A capacity that includes padding is a multiple of 256.
 
     Why:
         The viewer draws with workgroups of 256 and does not stop at the end of the buffer. The values
@@ -59,7 +59,7 @@ def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
     needs=("GO010",),
 )
 def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
-    """The count does not vary, because the viewer draws all rows regardless of it.
+    """The row count is constant, because the Visionary viewer draws all rows regardless of it.
 
     Why:
         The test of the count is commented out in the viewer's shader. Rows behind it are drawn as
@@ -70,7 +70,7 @@ def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
     """
     declared = subject.declared_count
     if declared is not None and subject.graph.varies(declared.name):
-        yield Violation.at(f"output {declared.name}", "varies", "a constant count")
+        yield Violation.at(f"output {declared.name}", "the count varies", "a constant count")
 
 
 @rule(
@@ -83,7 +83,7 @@ def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO008", "GG019"),
 )
 def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
-    """A model with float32 outputs does not compute in float16.
+    """A model with float32 outputs does not compute in float16, which needs a GPU feature.
 
     Why:
         Kernels in float16 need the WebGPU feature shader-f16. Outputs in float32 look as if the
@@ -114,7 +114,7 @@ def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GV025", "GO001", "GO002", "GO008", "GM009"),
 )
 def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
-    """Most Gaussians are large enough that the viewer's low-pass filter does not fade them.
+    """Most Gaussians are so large that Visionary's low-pass filter does not fade them.
 
     Why:
         The viewer always compensates for its filter, regardless of the manifest: a Gaussian
@@ -152,7 +152,7 @@ def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
     needs=("GO005", *MANIFEST_PARSED),
 )
 def visionary_shows_srgb(subject: InspectedModel) -> Iterator[Violation]:
-    """Colours are sRGB.
+    """The declared colours are sRGB, as the Visionary viewer shows them.
 
     Why:
         The viewer writes colours to the screen as they are: linear ones are too dark.
@@ -175,7 +175,7 @@ def visionary_shows_srgb(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM017",),
 )
 def visionary_sorts(subject: InspectedModel) -> Iterator[Violation]:
-    """Gaussians are blended by sorting.
+    """Gaussians are blended by sorting, not by a weighted sum, which Visionary does not support.
 
     Why:
         The viewer knows no other way: it sorts Gaussians by depth, and neither reads cells nor

@@ -1,1 +1,1 @@
-"""Do the numbers of one run describe Gaussians?"""
+"""Do the output values of a model run describe Gaussians?"""

@@ -1,10 +1,10 @@
-"""GV rules of appearance: colour range, and order and magnitude of SH coefficients."""
+"""Rules of appearance (GV): colour range, and order and magnitude of SH coefficients."""
 
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.rules.values.range_diagnosis import diagnose_rgb
 from gsgen.contract.spec.severity import Severity
@@ -68,7 +68,7 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
     needs=APPEARANCE,
 )
 def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
-    """SH coefficients stand coefficient by coefficient, red, green and blue innermost.
+    """SH coefficients are stored coefficient by coefficient, with red, green and blue innermost.
 
     Why:
         A 3DGS PLY stores all red coefficients first. Copied as they are, green and blue constants
@@ -96,7 +96,7 @@ def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
 
 
 def _orders(size: int) -> dict[str, np.ndarray]:
-    """Return, for each order, the slot that holds coefficient k of channel c, as [K, 3]."""
+    """Return for each storage order the slot of SH coefficient k and channel c, as [K, 3]."""
     k = size // 3
     flat = np.arange(size)
     twice = (flat % k) * 3 + flat // k  # interleaved a second time
@@ -153,7 +153,7 @@ def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
     needs=APPEARANCE,
 )
 def fourth_channel_unused(emission: ModelOutputs) -> Iterator[Violation]:
-    """The fourth channel of RGB holds the same number in all rows.
+    """The fourth channel of RGB has the same value in all rows.
 
     Why:
         It only fills the row up to whole words, and no reader looks at it. Varying values there were

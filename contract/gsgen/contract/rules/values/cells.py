@@ -1,11 +1,11 @@
-"""GM, GO and GV rules of cells: declarations, sizes and values for weighted sums."""
+"""Rules of cells (GM, GO, GV): declarations, sizes and values for weighted sums."""
 
 import json
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.rules.values.covariance import PSD_FLOOR, PSD_SLACK
@@ -67,7 +67,7 @@ def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def weighted_sum_has_cells(subject: InspectedModel) -> Iterator[Violation]:
-    """A manifest of contract 1.0 does not say `blend: wsr`.
+    """A manifest that declares `blend: wsr` is of contract 1.1 or newer.
 
     Why:
         1.0 had the word and no way to say which rows form a cell, so no renderer can draw such a model
@@ -92,7 +92,7 @@ def weighted_sum_has_cells(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM004", "GM017"),
 )
 def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
-    """Cells are a matrix of ten columns and a fixed number of rows.
+    """The cells output is a matrix of ten columns and a fixed number of rows.
 
     Why:
         A row is x y z visibility xx xy xz yy yz zz, read by position. Buffers are allocated before
@@ -121,7 +121,7 @@ def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO020", "GO002", "GO004"),
 )
 def cells_hold_all_rows(subject: InspectedModel) -> Iterator[Violation]:
-    """The number of cells times `per_cell` is the number of rows.
+    """The number of cells times `per_cell` is the number of packed rows.
 
     Why:
         Row r belongs to cell r // per_cell, and to no other. With too few cells the last rows
@@ -155,7 +155,7 @@ def _per_cell(emission: ModelOutputs) -> int:
 
 
 def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
-    """Return a mask of the cells that have a row before the count."""
+    """Return the mask of the cells that have a row before the count."""
     assert emission.cells is not None
     first = np.arange(len(emission.cells)) * _per_cell(emission)
     return np.asarray(first < emission.count)
@@ -163,7 +163,7 @@ def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
 
 @rule("GV026", "cells-finite", Severity.ERROR, over="emission", fixture="nan_cell", needs=CELLS)
 def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
-    """Every value of every cell is finite, and less than float16's largest where it is float16.
+    """Every value of every cell is finite, and below float16's maximum in float16 cells.
 
     Why:
         Renderers sort cells: a NaN sorts anywhere, and takes all Gaussians of the cell along.
@@ -188,7 +188,7 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     needs=CELLS,
 )
 def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
-    """Visibility, column 3 of a cell, lies in [0, 1].
+    """The visibility of a cell, column 3, lies in [0, 1].
 
     Why:
         The weight of every Gaussian of the cell is multiplied by it: beyond 1 the cell outweighs
@@ -221,7 +221,7 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     needs=CELLS,
 )
 def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
-    """The covariance of every cell that is seen is positive semi-definite, up to rounding.
+    """The covariance of every visible cell is positive semi-definite, up to rounding.
 
     Why:
         A renderer looks for a cell's Gaussians where its ellipsoid shows. An indefinite one
@@ -291,7 +291,7 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     needs=(*CELLS, "GO010", "GO011"),
 )
 def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
-    """Visibility is 0 in every cell that has no row before the count.
+    """The visibility of every cell without a row before the count is 0.
 
     Why:
         Renderers sort all cells that are visible, and look for their Gaussians in every tile that

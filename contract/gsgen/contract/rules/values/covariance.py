@@ -1,10 +1,10 @@
-"""GV rules of covariance: every drawn Gaussian is an ellipsoid."""
+"""Rules of covariance (GV): every drawn Gaussian is an ellipsoid."""
 
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool
 
+from gsgen.contract._array_types import Bool
 from gsgen.contract.probing.outputs import Rows
 from gsgen.contract.spec.geometry import smallest_eigenvalue
 from gsgen.contract.spec.severity import Severity
@@ -31,7 +31,7 @@ _DET_FLOOR = np.float32(1e-30)
     needs=ORDERED_ROWS,
 )
 def variance_not_negative(rows: Rows) -> Iterator[Violation]:
-    """The variances xx, yy and zz are not negative in any drawn row.
+    """The variances xx, yy and zz of every drawn row are not negative.
 
     Why:
         A negative variance has no axes: the projected ellipse is NaN or covers the screen.
@@ -90,7 +90,7 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
 
 
 def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
-    """Return rows that pass Sylvester's criterion on Σ + slack·tr(Σ)·I with a safe margin."""
+    """Return the mask of rows that clearly pass Sylvester's criterion on Σ + slack·tr(Σ)·I."""
     xx, xy, xz, yy, yz, zz = rows.covariance
     lift = np.float32(slack) * rows.trace
     a, b, c = xx + lift, yy + lift, zz + lift
@@ -110,7 +110,7 @@ def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
     needs=ORDERED_ROWS,
 )
 def covariance_not_zero(rows: Rows) -> Iterator[Violation]:
-    """The covariance of a drawn row is not all zero.
+    """No drawn row has a covariance of all zeros.
 
     Why:
         The Gaussian has no extent of its own and shows only as the renderer's low-pass filter. A

@@ -1,4 +1,4 @@
-"""GV rules of execution: the model runs, and its outputs have the declared shapes."""
+"""Rules of execution (GV): the model runs, and its outputs have the declared shapes."""
 
 from collections.abc import Iterator
 
@@ -81,7 +81,7 @@ def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
     needs=("GV025", "GO004", "GO010", "GO011"),
 )
 def something_is_drawn(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """The count is above 0 at some probe.
+    """The row count is above 0 at some probe.
 
     Why:
         A generator without a live row at any time, camera or pose draws nothing, and a viewer

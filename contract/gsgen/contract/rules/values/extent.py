@@ -1,4 +1,4 @@
-"""GV rules of extent: field order, size, position, and float16 resolution."""
+"""Rules of extent (GV): field order, size, position, and float16 resolution."""
 
 from collections.abc import Iterator
 
@@ -33,7 +33,7 @@ _EQUAL_SHARE = 0.1
     needs=PACKED_ROWS,
 )
 def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
-    """The fields of a row stand in the order x y z opacity xx xy xz yy yz zz.
+    """The columns of a packed row are x y z opacity xx xy xz yy yz zz, in this order.
 
     Why:
         The contract fixes the order, and readers take it by position. With another one opacities
@@ -63,7 +63,7 @@ def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     limit="subnormal_permille",
 )
 def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
-    """Float16 variances are not so small that a shader may take them for zero.
+    """Float16 variances are not so small that a shader may flush them to zero.
 
     Why:
         WGSL lets a device flush numbers below 2⁻¹⁴ to zero. A Gaussian whose largest variance is
@@ -93,7 +93,7 @@ def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
     needs=ORDERED_ROWS,
 )
 def position_resolution(rows: Rows) -> Iterator[Violation]:
-    """Steps between neighbouring float16 positions do not exceed the size of the Gaussians.
+    """The spacing of float16 numbers at a Gaussian's position does not exceed the Gaussian's size.
 
     Why:
         Float16 has steps of 0.0078 at 8 and of 0.5 at 512. Where a step is larger than a Gaussian's
@@ -168,7 +168,7 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     needs=(*ORDERED_ROWS, "GM009", "GM019"),
 )
 def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
-    """The declared bounds hold the centres of 99.9 % of the drawn rows, at every probe.
+    """The declared bounds contain the centres of 99.9 % of the drawn rows, at every probe.
 
     Why:
         Viewers frame the camera, cull the whole model and choose near and far planes by the bounds:

@@ -1,9 +1,10 @@
-"""Names the usual mistake behind opacities or colours that leave [0, 1]."""
+"""Diagnoses the usual mistake behind opacities or colours outside [0, 1]."""
 
 __all__ = ["diagnose_opacity", "diagnose_rgb"]
 
 import numpy as np
-from jaxtyping import Float
+
+from gsgen.contract._array_types import Float
 
 # Shares of values that a mistake explains; the rest are outliers.
 _NEARLY_ALL = 0.995
@@ -15,7 +16,7 @@ _FEWEST = 8
 
 
 def diagnose_opacity(values: Float[np.ndarray, " n"]) -> str:
-    """Return the likely cause of opacities outside [0, 1], with its repair; empty if unclear.
+    """Return the likely cause of opacities outside [0, 1] and its repair; empty if unclear.
 
     Args:
         values: Finite opacities of live rows, [n].
@@ -33,7 +34,7 @@ def diagnose_opacity(values: Float[np.ndarray, " n"]) -> str:
 
 
 def diagnose_rgb(values: Float[np.ndarray, "n 3"]) -> str:
-    """Return the likely cause of RGB outside [0, 1], with its repair; empty if unclear.
+    """Return the likely cause of RGB outside [0, 1] and its repair; empty if unclear.
 
     Args:
         values: Finite colours of drawn rows, [n, 3].
@@ -56,7 +57,7 @@ def _extent(values: Float[np.ndarray, "..."]) -> tuple[float, float]:
 
 
 def _are_bytes(values: Float[np.ndarray, "..."]) -> bool:
-    """Return whether nearly all values are whole, up to 255, and some are far above 1."""
+    """Return whether nearly all values are whole numbers up to 255, and some are far above 1."""
     if values.size < _FEWEST or not 2 < values.max() <= _BYTE:
         return False
     return bool(np.mean(values == np.round(values)) >= _NEARLY_ALL)

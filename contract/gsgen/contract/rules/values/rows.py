@@ -1,4 +1,4 @@
-"""GV rules of rows: finite values, opacity, saturation, count and padding.
+"""Rules of packed rows (GV): finite values, opacity, saturation, count and padding.
 
 NaN fails every comparison. Rows that are not finite are reported by GV001 and GV002 alone, so
 that one cause gives one finding.
@@ -7,8 +7,8 @@ that one cause gives one finding.
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.model.graph import static_dims
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.rules.values.range_diagnosis import diagnose_opacity
@@ -27,7 +27,7 @@ _OPACITY_SLACK = 1e-3
 
 
 def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iterator[Violation]:
-    """Report rows of ``among`` with a value that is NaN or infinite, output by output."""
+    """Report the selected rows with a value that is NaN or infinite, output by output."""
     if not checked:
         return
     packed = ~np.isfinite(rows.wide).all(axis=0) & among
@@ -152,7 +152,7 @@ def mostly_visible(rows: Rows) -> Iterator[Violation]:
     needs=PACKED_ROWS,
 )
 def float16_saturation(rows: Rows) -> Iterator[Violation]:
-    """No float16 value is as large as float16 can be.
+    """No float16 value is as large as the largest float16.
 
     Why:
         65504 means that the value was clamped on its way into float16: the true one is lost.

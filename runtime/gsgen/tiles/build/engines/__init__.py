@@ -1,1 +1,1 @@
-"""Engines: where do the tasks of a build run? No byte of the result depends on the engine."""
+"""Where do the tasks of a build run? No byte of the result depends on the engine."""

@@ -1,4 +1,4 @@
-"""The engine ``dask``: futures on a cluster, local or by its address.
+"""The build engine ``dask``: runs tasks on a Dask cluster, local or remote.
 
 Futures alone: the shuffle is files, and neither DataFrames nor their peer-to-peer shuffle, which
 loses rows when a worker dies (dask/distributed#8426), take part.
@@ -33,7 +33,7 @@ _SETTINGS: Final = {
 
 @final
 class DaskEngine(Engine):
-    """Futures on a Dask cluster; a task of a killed worker is run again on another.
+    """Runs tasks on a Dask cluster; a task of a killed worker is run again on another worker.
 
     Args:
         address: Of a scheduler; None starts a cluster on this machine. Workers have to see the
@@ -88,7 +88,6 @@ class DaskEngine(Engine):
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Disconnect, and end a local cluster."""
         if self._client is not None:
             self._client.close()
         if self._cluster is not None:
@@ -97,7 +96,7 @@ class DaskEngine(Engine):
     def run(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
     ) -> Iterator[tuple[int, _Result]]:
-        """Run the tasks on the workers of the cluster."""
+        """Run build tasks on the workers of the Dask cluster."""
         futures = [
             self._client.submit(function, task, pure=False, retries=RETRIES) for task in tasks
         ]
@@ -107,7 +106,7 @@ class DaskEngine(Engine):
                 yield index[future.key], future.result()
         except self._distributed.scheduler.KilledWorker as error:
             raise EngineFailed(
-                f"workers died again and again: {error}",
+                f"Dask workers died repeatedly: {error}",
                 hint="A task may need more memory than a worker has.",
             ) from error
         finally:

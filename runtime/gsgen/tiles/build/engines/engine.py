@@ -1,4 +1,4 @@
-"""The protocol of engines, which run the tasks of a build, and the error for lost workers."""
+"""The protocol of build engines, which run tasks, and the error for lost workers."""
 
 __all__ = ["RETRIES", "Engine", "EngineFailed"]
 
@@ -16,16 +16,16 @@ RETRIES: Final = 5
 
 
 class EngineFailed(GsgenError):
-    """Workers died again and again, or a cluster went away."""
+    """Raised if workers died repeatedly, or if a cluster disappeared."""
 
 
 class Engine(AbstractContextManager["Engine"], Protocol):
-    """Runs tasks that are independent of each other."""
+    """Protocol of build engines: runs tasks that are independent of each other."""
 
     def run(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
     ) -> Iterator[tuple[int, _Result]]:
-        """Run ``function`` on every task; yield index and result as they are done.
+        """Run ``function`` on every task; yield each index and result when it is done.
 
         Raises:
             EngineFailed: A worker died more than ``RETRIES`` times.

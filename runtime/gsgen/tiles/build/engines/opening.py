@@ -1,4 +1,4 @@
-"""Open the engine that a user names."""
+"""Opens the build engine that a user names."""
 
 __all__ = ["open_engine"]
 
@@ -11,7 +11,7 @@ from gsgen.tiles.build.engines.serial import Serial
 
 
 def open_engine(name: str, workers: int | None = None) -> Engine:
-    """Return an engine, to be used in a ``with`` statement.
+    """Return a build engine as a context manager.
 
     Args:
         name: ``serial``, ``processes``, ``dask`` (a local cluster) or ``dask=ADDRESS``.

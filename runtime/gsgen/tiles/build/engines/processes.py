@@ -1,4 +1,4 @@
-"""The engine ``processes``: worker processes of this machine."""
+"""The build engine ``processes``: runs tasks in worker processes of this machine."""
 
 __all__ = ["Processes"]
 
@@ -27,22 +27,16 @@ def _start_worker() -> None:
 
 @final
 class Processes(Engine):
-    """Worker processes of this machine; a killed worker is replaced and its tasks run again.
-
-    Args:
-        workers: Processes.
-    """
+    """Runs tasks in worker processes; a killed worker is replaced and its tasks run again."""
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> "Processes":
-        """Return the engine; processes start with the first tasks."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End the processes, at once if there was an error."""
         if self._pool is not None:
             if error[0] is not None:
                 self._kill(self._pool)
@@ -63,7 +57,7 @@ class Processes(Engine):
     def run(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
     ) -> Iterator[tuple[int, _Result]]:
-        """Run the tasks on all processes, in order of their index as far as possible."""
+        """Run build tasks on all worker processes, in order of their index as far as possible."""
         pending = list(range(len(tasks)))[::-1]
         failures = 0
         running: dict[Future[_Result], int] = {}
@@ -81,7 +75,7 @@ class Processes(Engine):
                 failures += 1
                 if failures > RETRIES:
                     raise EngineFailed(
-                        f"workers died {failures} times", hint=_MEMORY_HINT
+                        f"worker processes died {failures} times", hint=_MEMORY_HINT
                     ) from error
                 # Tasks that finished but were not yielded return at once: their marker file exists.
                 pending += sorted(running.values(), reverse=True)

@@ -1,4 +1,4 @@
-"""The engine ``serial``: one task after the other, in this process."""
+"""The build engine ``serial``: runs one task after the other in this process."""
 
 __all__ = ["Serial"]
 
@@ -13,18 +13,16 @@ _Result = TypeVar("_Result")
 
 @final
 class Serial(Engine):
-    """One task after the other, in this process."""
+    """Runs one build task after the other in this process."""
 
     def __enter__(self) -> "Serial":
-        """Return the engine."""
         return self
 
-    def __exit__(self, *error: object) -> None:
-        """Do nothing: there is nothing to close."""
+    def __exit__(self, *error: object) -> None: ...
 
     def run(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
     ) -> Iterator[tuple[int, _Result]]:
-        """Run the tasks in order."""
+        """Run the build tasks in order."""
         for index, task in enumerate(tasks):
             yield index, function(task)

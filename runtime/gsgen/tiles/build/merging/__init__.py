@@ -1,1 +1,1 @@
-"""Merging: how do many Gaussians become few that look the same from afar?"""
+"""How are many Gaussians merged into few that look the same from afar?"""

@@ -1,4 +1,4 @@
-"""Levels of detail: choose the cells in which the splats of a tile are merged, and merge them."""
+"""Levels of detail: chooses the cells in which a tile's splats are merged, and merges them."""
 
 __all__ = ["Level", "choose_cells", "merge_level", "stored_degree"]
 
@@ -27,12 +27,7 @@ RETAINED_SIZE: Final = 0.5
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Level:
-    """The merged splats of a tile.
-
-    Attributes:
-        mixture: The splats.
-        depth: Of the cells that they were merged in.
-    """
+    """The merged splats of a tile, for one level of detail."""
 
     mixture: Mixture
     depth: int
@@ -41,15 +36,10 @@ class Level:
 def choose_cells(
     code: UInt64[np.ndarray, " n"], depth: int, target: float
 ) -> tuple[int, Int64[np.ndarray, " m"]]:
-    """Choose cells so that about ``target`` of them are occupied.
+    """Choose a cell size with which about ``target`` cells are occupied by splats.
 
     The side of a cell is that of the tile divided by a power of two: lattices of tiles nest, and
     no cell crosses the edge of a tile.
-
-    Args:
-        code: Sorted Morton codes.
-        depth: Of the tile; cells are at this depth or deeper.
-        target: Wanted number of occupied cells.
 
     Returns:
         The depth of the cells, and the first row of each occupied one.
@@ -97,7 +87,7 @@ def merge_level(mixture: Mixture, depth: int, most: int, side: float) -> Level:
 
 
 def _largest(mixture: Mixture, cell: float, count: int) -> Bool[np.ndarray, " n"]:
-    """Return a mask of the largest splats, at most ``count``, that are large relative to ``cell``."""
+    """Return the mask of at most ``count`` largest splats that are large relative to ``cell``."""
     x, y, z = mixture.scale.T
     size = np.maximum(np.maximum(x, y), z)
     order = np.argsort(-size, kind="stable")[:count]

@@ -1,4 +1,4 @@
-"""Gaussians to be merged, sorted along Morton's curve."""
+"""The data class of Gaussians to be merged, sorted along Morton's curve."""
 
 __all__ = ["Mixture", "concatenate", "surface_area"]
 
@@ -42,16 +42,16 @@ class Mixture:
 
     @property
     def mass(self) -> Float64[np.ndarray, " n"]:
-        """Opacity times surface area: the weight of each Gaussian in its cluster."""
+        """The weight of each Gaussian in its cluster: opacity times surface area."""
         return np.asarray(self.opacity * surface_area(self.scale))
 
     def rows(self, index: "np.ndarray | slice") -> "Mixture":
-        """Return the Gaussians that ``index`` selects."""
+        """Return the Gaussians of the rows ``index``."""
         return Mixture(**{name: getattr(self, name)[index] for name in self.__slots__})
 
 
 def concatenate(parts: Sequence[Mixture]) -> Mixture:
-    """Return the Gaussians of ``parts`` sorted by code; of equal codes, earlier parts first."""
+    """Return the Gaussians of ``parts`` sorted by Morton code; ties retain the order of parts."""
     names = Mixture.__slots__
     joined = Mixture(
         **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
@@ -62,11 +62,7 @@ def concatenate(parts: Sequence[Mixture]) -> Mixture:
 
 
 def surface_area(scale: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-    """Return the surfaces of ellipsoids of one standard deviation (Thomsen 2004).
-
-    Args:
-        scale: Semi-axes, in scene units.
-    """
+    """Return the surface areas of one-standard-deviation ellipsoids (Thomsen 2004)."""
     a, b, c = np.asarray(scale, np.float64).T
     largest = np.maximum(np.maximum(a, b), c)
     unit = np.where(largest > 0, largest, 1.0)  # powers of tiny numbers would vanish

@@ -1,4 +1,4 @@
-"""Merge Gaussians by matching moments, with conserved mass.
+"""Merges Gaussians by matching moments, with conserved mass.
 
 For members i of a cluster with centre μᵢ, covariance Σᵢ, opacity αᵢ and harmonics cᵢ::
 
@@ -47,7 +47,7 @@ def merge_clusters(
     spread: float = SPREAD,
     widen: float = WIDEN,
 ) -> Mixture:
-    """Merge each run of Gaussians into one; see the module for the equations.
+    """Merge each run of Gaussians with the same cluster into one Gaussian by moment matching.
 
     A cluster without mass (nothing in it can be seen) vanishes; where all do, the first
     Gaussian stays, so that the result is never empty.
@@ -117,7 +117,7 @@ def _weighted(
 def _sums(
     number: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"], clusters: int
 ) -> Float64[np.ndarray, " m"]:
-    """Add up ``values`` by cluster, in float64 and in the order of the rows."""
+    """Sum ``values`` by cluster, in float64 and in the order of the rows."""
     return np.bincount(number, weights=values, minlength=clusters)
 
 
@@ -128,9 +128,6 @@ def ellipsoids(
 
     Eigenvectors are rounded to 1e-6 and the largest component of the first two is positive: a
     matrix has the same rotation on every machine. A ball has the identity.
-
-    Args:
-        covariance: Upper triangles of positive semidefinite matrices.
 
     Returns:
         Standard deviations [n, 3] and unit quaternions (w, x, y, z) [n, 4].

@@ -1,4 +1,4 @@
-"""Morton codes of positions in the root cube, and the octree cells that they name.
+"""Morton codes of positions in the root cube, and the octree cells that codes name.
 
 G. M. Morton 1966, "A computer oriented geodetic data base": the bits of the coordinates,
 interleaved. A cell at depth d of the octree is the first 3d bits of the codes of its points, so
@@ -13,7 +13,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float, Float64, Int64, UInt64
 
-from gsgen.runtime.gpu.morton_order import spread_bits
+from gsgen.formats.shared.morton import spread_bits
 
 DEPTH: Final = 21
 """Bits of a code along each axis, and the deepest level of the octree."""
@@ -24,7 +24,7 @@ _CELLS: Final = 1 << DEPTH
 @final
 @dataclass(frozen=True, slots=True)
 class Cube:
-    """An axis-parallel cube.
+    """An axis-aligned cube, such as the root cell of an octree.
 
     Attributes:
         low: The corner with the least coordinates, in scene units.
@@ -36,7 +36,7 @@ class Cube:
 
     @classmethod
     def around(cls, low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> "Cube":
-        """Return a cube that holds the box from ``low`` to ``high``, with its centre.
+        """Return a cube around the box from ``low`` to ``high``, with the same centre.
 
         The side is a little longer than the box, and never shorter than float64 can divide.
         """
@@ -58,7 +58,7 @@ class Cube:
 
     @property
     def center(self) -> Float64[np.ndarray, "3"]:
-        """The centre."""
+        """The centre of the cube."""
         return np.asarray(self.low) + self.side / 2
 
 
@@ -74,12 +74,12 @@ def morton_codes(position: Float[np.ndarray, "n 3"], cube: Cube) -> UInt64[np.nd
 
 
 def cell_codes(codes: UInt64[np.ndarray, " n"], depth: int) -> UInt64[np.ndarray, " n"]:
-    """Return the cells at ``depth`` of ``codes``: their first 3 ``depth`` bits."""
+    """Return the octree cells at ``depth`` of Morton codes: their first 3 ``depth`` bits."""
     return np.asarray(codes >> np.uint64(3 * (DEPTH - depth)))
 
 
 def separation_depths(codes: UInt64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
-    """Return at which depth each of the sorted ``codes`` leaves the cell of the one before.
+    """Return the octree depth at which each sorted Morton code leaves its predecessor's cell.
 
     Returns:
         For rows 1 … n−1, the least depth at which the row and its predecessor are in different

@@ -1,6 +1,6 @@
-"""The rules GT: what must hold for a tileset of splats?
+"""Which rules (GT) must hold for a tileset of splats?
 
-Registered under the entry point group ``gsgen.rules``; importing this costs little.
+Registered under the entry point group ``gsgen.file_rules``.
 """
 
 from gsgen.tiles.validation.rules.contents import (

@@ -1,4 +1,4 @@
-"""GT, static: what the headers of contents say, and whether they agree."""
+"""Static rules (GT) of content headers: completeness, counts, extensions, SPZ version."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -29,7 +29,7 @@ _BOTH: Final = (TILESET, TILE_CONTENT)
     kinds=_BOTH,
 )
 def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Every file that the tileset names is there, is whole, and is glTF 2.0 with splats.
+    """Every file that the tileset names exists, is complete, and is glTF 2.0 with splats.
 
     Why:
         A tile that cannot be loaded leaves a hole, or keeps its coarse parent for ever.
@@ -60,7 +60,7 @@ def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
     kinds=_BOTH,
 )
 def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Accessors, SPZ and metadata say the same number of splats.
+    """Accessors, SPZ header and metadata of a content declare the same number of splats.
 
     Why:
         Viewers allocate by one of the numbers and fill by another: the splats between
@@ -73,7 +73,7 @@ def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     for primitive in primitives(inspected):
         if len(set(primitive.counts.values())) > 1:
             text = ", ".join(f"{name} {count}" for name, count in primitive.counts.items())
-            yield Violation.at(f"content {primitive.location}", text, "one number for all")
+            yield Violation.at(f"content {primitive.location}", text, "equal numbers of splats")
     for content in inspected.contents:
         tile, header = content.tile, content.header
         if tile is None or header is None or len(tile.contents) > 1:
@@ -97,7 +97,7 @@ def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     kinds=(TILESET,),
 )
 def both_extensions_required(inspected: InspectedTileset) -> Iterator[Violation]:
-    """3DTILES_content_gltf requires the extensions of splats that the contents use.
+    """A tileset's 3DTILES_content_gltf requires the splat extensions that its contents use.
 
     Why:
         CesiumJS 1.145 decides by this list whether it draws splats at all: without it the
@@ -136,7 +136,7 @@ def both_extensions_required(inspected: InspectedTileset) -> Iterator[Violation]
     kinds=_BOTH,
 )
 def spz_version(inspected: InspectedTileset) -> Iterator[Violation]:
-    """SPZ in a content is of version 2.
+    """SPZ data in a tile's content are of version 2.
 
     Why:
         The extension is written for version 2, and viewers decode no other: a later one loads

@@ -1,4 +1,4 @@
-"""GT, static: the files of splats as a whole: counts, digests, sizes, names."""
+"""Static rules (GT) of splat files: counts, digests, sizes, names."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -29,7 +29,7 @@ _WHOLE: Final = (SCHEMA_RULE, "GT005", "GT010", "GT011", "GT013")
     kinds=(TILESET,),
 )
 def leaves_match_source(inspected: InspectedTileset) -> Iterator[Violation]:
-    """All leaves together have as many splats as the tileset says that the scene has.
+    """All leaves together have as many splats as the tileset declares for the scene.
 
     Why:
         A build that lost a part, or wrote one twice, looks right from afar.
@@ -83,7 +83,9 @@ def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
         uri, digest = content.content.uri, content.sha256
         entry = record.files.get(uri)
         if entry is None:
-            yield Violation.at(f"content {uri}", f"not in {record.location}", "an entry there")
+            yield Violation.at(
+                f"content {uri}", f"not in {record.location}", "an entry for the content"
+            )
         elif (entry.size, entry.sha256) != (header.size, digest):
             yield Violation.at(
                 f"content {uri}",
@@ -102,7 +104,7 @@ def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
     kinds=_BOTH,
 )
 def content_size(inspected: InspectedTileset) -> Iterator[Violation]:
-    """A content has at most 262,144 splats and 8 MiB.
+    """A tile's content has at most 262,144 splats and 8 MiB.
 
     Why:
         A tile appears when all of it has come. Large ones come late and in jerks, and a viewer
@@ -130,7 +132,7 @@ def content_size(inspected: InspectedTileset) -> Iterator[Violation]:
     kinds=(TILESET,),
 )
 def empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Every leaf has content, and every content has splats.
+    """Every leaf has a content, and every content has splats.
 
     Why:
         An empty leaf that replaces its parent makes a hole; an empty file costs a request.
@@ -146,7 +148,7 @@ def empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
             yield Violation.at(
                 f"tile {tile.location}",
                 "a leaf without content",
-                "content, or no such tile",
+                "content, or no leaf tile",
                 certainty=certainty(inspected),
             )
 
@@ -161,7 +163,7 @@ def empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
     kinds=_BOTH,
 )
 def draft_names(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Contents use the names of the ratified extension, not those of its drafts.
+    """Contents use the attribute names of the ratified glTF extension, not those of its drafts.
 
     Why:
         Viewers drop the names of drafts, one after the other; CesiumJS has dropped the first.

@@ -1,4 +1,4 @@
-"""The headers of contents, each file once."""
+"""Yields the headers of tile contents, each file once."""
 
 __all__ = ["headers", "primitives"]
 
@@ -18,6 +18,6 @@ def headers(inspected: InspectedTileset) -> Iterator[tuple[InspectedContent, Con
 
 
 def primitives(inspected: InspectedTileset) -> Iterator[SplatPrimitive]:
-    """Yield the sets of splats of all files, each once."""
+    """Yield the glTF primitives with splats of all files, each once."""
     for _, header in headers(inspected):
         yield from header.primitives

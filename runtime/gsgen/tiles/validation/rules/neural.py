@@ -1,4 +1,4 @@
-"""GT, neural tiles: the generator that a tile holds."""
+"""Rules (GT) of neural tiles: the generator that a tile holds."""
 
 import hashlib
 import tempfile
@@ -58,7 +58,9 @@ def neural_content(inspected: InspectedTileset) -> Iterator[Violation]:
 def _check(inspected: InspectedTileset, tile: Tile, neural: NeuralTile) -> Iterator[Violation]:
     location = f"tile {neural.location}"
     if not tile.contents:
-        yield Violation.at(location, "no content", "splats of the first time, for other viewers")
+        yield Violation.at(
+            location, "no content", "splats at the first time, for viewers without generators"
+        )
     try:
         data = inspected.store.read(neural.uri, limit=MAX_MODEL)
     except TilesetInvalid as error:
@@ -77,7 +79,7 @@ def _check(inspected: InspectedTileset, tile: Tile, neural: NeuralTile) -> Itera
 
 
 def _check_model(path: Path, tile: Tile, neural: NeuralTile, location: str) -> Iterator[Violation]:
-    """Check the model against the contract, whose probes test its bounds."""
+    """Check a neural tile's generator against the contract, whose probes test its bounds."""
     from gsgen.contract import Level, Settings, open_model, validate
 
     settings = Settings(level=Level.VALUES, severities={_BOUNDS_HOLD: Severity.ERROR})

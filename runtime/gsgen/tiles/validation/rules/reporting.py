@@ -1,4 +1,4 @@
-"""Convert faults of reading to violations of rules."""
+"""Converts faults of reading a tileset to violations of rules."""
 
 __all__ = ["SCHEMA_RULE", "certainty", "faults_of"]
 
@@ -13,12 +13,12 @@ SCHEMA_RULE: Final = Fault.SCHEMA.value
 
 
 def faults_of(inspected: InspectedTileset, fault: Fault) -> Iterator[Violation]:
-    """Yield the faults of one kind as violations."""
+    """Yield the tileset faults of one kind as violations."""
     for error in inspected.faults.get(fault, ()):
         expected = error.expected or "a file that follows the specification"
         yield Violation.at(f"tileset {error.location}", error.actual, expected)
 
 
 def certainty(inspected: InspectedTileset) -> Certainty:
-    """Return the certainty of a violation of the gsgen profile: others need not follow it."""
+    """Return the certainty of a violation: lower in tilesets outside the gsgen profile."""
     return "confirmed" if inspected.is_ours else "possible"

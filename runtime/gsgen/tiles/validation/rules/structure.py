@@ -1,4 +1,4 @@
-"""GT, static: the index, its tree, volumes and transforms."""
+"""Static rules (GT) of the tileset index, its tree, volumes and transforms."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -26,7 +26,7 @@ _RELATIVE: Final = 1e-6
     kinds=(TILESET,),
 )
 def tileset_schema(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Every index follows the schema of 3D Tiles 1.1, and asks for no extension unknown here.
+    """Every index follows the schema of 3D Tiles 1.1, and requires only supported extensions.
 
     Why:
         A viewer reads as far as it can: a tile with a wrong member is left out without a word,
@@ -49,7 +49,7 @@ def tileset_schema(inspected: InspectedTileset) -> Iterator[Violation]:
     kinds=(TILESET,),
 )
 def child_in_parent(inspected: InspectedTileset) -> Iterator[Violation]:
-    """The volume of every tile lies in that of its parent.
+    """The bounding volume of every tile lies within that of its parent.
 
     Why:
         Viewers skip a tile and all below it when its volume is out of sight. What sticks out
@@ -111,7 +111,7 @@ def error_does_not_grow(inspected: InspectedTileset) -> Iterator[Violation]:
     kinds=(TILESET,),
 )
 def uri_stays(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Every uri stays in the folder of the tileset, and no tileset holds itself.
+    """Every uri stays in the folder of the tileset, and no tileset contains itself.
 
     Why:
         A downloaded tileset could make a viewer fetch from anywhere, or for ever.
@@ -132,7 +132,7 @@ def uri_stays(inspected: InspectedTileset) -> Iterator[Violation]:
     kinds=(TILESET,),
 )
 def transform_similarity(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Every transform is a rotation, one positive scale and a translation.
+    """Every tile transform is a rotation, one positive scale and a translation.
 
     Why:
         Splats are ellipsoids with colours by direction: a mirrored or sheared frame changes

@@ -1,4 +1,4 @@
-"""GT, values: splats as they are decoded, against volumes and ranges."""
+"""Rules (GT) of decoded splats: positions within volumes, and valid values."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -25,7 +25,7 @@ _NEEDS: Final = (SCHEMA_RULE, "GT005", "GT011", "GT012")
     level=Level.VALUES,
 )
 def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Splats lie in the volume of their content, out to three standard deviations.
+    """Splats lie in the bounding volume of their content, out to three standard deviations.
 
     Why:
         Viewers cull by volumes: a splat that sticks out blinks at the edges of the picture,
@@ -61,7 +61,7 @@ def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
     level=Level.VALUES,
 )
 def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Where children replace a tile, each of its splats has its centre in one of them.
+    """If children replace a tile, the centre of each of its splats lies in one of them.
 
     Why:
         Replacing takes the parent away: a part that no child covers is a hole that opens when the
@@ -92,7 +92,7 @@ def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
     level=Level.VALUES,
 )
 def values_valid(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Values are finite, quaternions unit, scales 0 or more, opacities in [0, 1].
+    """Splat values are finite, quaternions unit, scales 0 or more, opacities in [0, 1].
 
     Why:
         One NaN can take a whole tile off the screen, and an opacity above 1 burns in.

@@ -1,0 +1,49 @@
+"""Files that a command line names: files, folders and globs."""
+
+__all__ = ["expand_paths"]
+
+import glob
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.file_validators import find_validator
+from gsgen.contract.process.atomic_files import MODEL_SUFFIX
+
+_WILDCARDS = frozenset("*?[")
+
+
+def expand_paths(names: Iterable[Path]) -> list[Path]:
+    """Return the files to validate, each once, in the order of ``names``.
+
+    A folder gives the models in it and below, sorted by path, without hidden files and folders. A
+    folder that an installed validator recognises, such as that of a tileset, stays one entry. A
+    name with wildcards that no file has by itself is a glob, in which ``**`` matches any folders.
+
+    Raises:
+        ConfigInvalid: A folder holds no model, or a glob matches no file.
+    """
+    return list(dict.fromkeys(path for name in names for path in _expand(name)))
+
+
+def _expand(name: Path) -> Iterator[Path]:
+    if not name.is_dir() and not name.exists() and _WILDCARDS & set(str(name)):
+        matches = sorted(glob.glob(str(name), recursive=True))
+        if not matches:
+            hint = "Check the folder that the command runs in."
+            raise ConfigInvalid("matches no file", where=str(name), hint=hint)
+        for match in matches:
+            yield from _expand(Path(match))
+    elif name.is_dir() and find_validator(name) is None:
+        models = sorted(path for path in name.rglob(f"*{MODEL_SUFFIX}") if _is_visible(path, name))
+        if not models:
+            hint = f"Name a folder with {MODEL_SUFFIX} files, or a file."
+            raise ConfigInvalid("holds no model", where=str(name), hint=hint)
+        yield from models
+    else:
+        yield name
+
+
+def _is_visible(path: Path, folder: Path) -> bool:
+    hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+    return path.is_file() and not hidden

@@ -1,0 +1,85 @@
+"""Worker processes that validate files at once; imported only where several are asked for."""
+
+__all__ = ["WorkerDied", "validate_in_processes"]
+
+import multiprocessing
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
+from typing import ClassVar
+
+from gsgen.contract.errors import ExitCode, GsgenError
+from gsgen.contract.process.parent_watchdog import exit_with_parent
+from gsgen.contract.rules.catalogue import installed_rules, model_rules
+from gsgen.contract.validation.engine import Progress
+from gsgen.contract.validation.report import Entry
+from gsgen.contract.validation.rule import Rule
+from gsgen.contract.validation.settings import Settings
+
+
+class WorkerDied(GsgenError):
+    """A worker process ended without a report, as when the system runs out of memory."""
+
+    exit_code: ClassVar[int] = ExitCode.INTERNAL
+
+
+def validate_in_processes(
+    validate: Callable[[Path, Settings], Entry],
+    paths: Sequence[Path],
+    settings: Settings,
+    jobs: int,
+    progress: Progress,
+) -> list[Entry]:
+    """Validate files in ``jobs`` processes, and return the results in the order of ``paths``.
+
+    Args:
+        validate: Validates one file; a function of a module, which the processes import.
+        paths: The files.
+        settings: Level, target, limits and severities.
+        jobs: Number of processes.
+        progress: Called with a short text after each file.
+
+    Raises:
+        WorkerDied: A process was killed.
+    """
+    context = multiprocessing.get_context("spawn")  # a fork would copy the threads' locks
+    with ProcessPoolExecutor(jobs, context, _start_worker) as pool:
+        futures = [pool.submit(validate, path, settings) for path in paths]
+        try:
+            return [
+                _result(future, f"{number} of {len(paths)} validated", progress)
+                for number, future in enumerate(futures, 1)
+            ]
+        except BrokenProcessPool as error:
+            hint = "Give it fewer --jobs, or less --memory."
+            raise WorkerDied("a process ended without a report", hint=hint) from error
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
+
+
+def _result(future: "Future[Entry]", text: str, progress: Progress) -> Entry:
+    entry = future.result()
+    progress(text)
+    return entry
+
+
+def _start_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
+    exit_with_parent()
+    ForkingPickler.register(Rule, _reduce_rule)
+
+
+def _reduce_rule(rule: Rule) -> tuple[Callable[[str], Rule], tuple[str]]:
+    """Send a rule as its id: the parent has the same rules installed."""
+    return _find_rule, (rule.id,)
+
+
+def _find_rule(rule_id: str) -> Rule:
+    known = model_rules().rules
+    return known[rule_id] if rule_id in known else installed_rules().rules[rule_id]

@@ -1,0 +1,199 @@
+"""Writes SOG files, version 2: splats in lossless WebP images, zipped or next to meta.json."""
+
+import json
+import math
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64, UInt8
+
+from gsgen.formats.shared.errors import NotSupported
+from gsgen.formats.shared.files import FilePath, naming, replacing
+from gsgen.formats.shared.morton import grid_order
+from gsgen.formats.shared.quantities import rounded, sigmoid, to_bytes, unit, without_largest
+from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.splats import SH_COUNTS, Splats
+from gsgen.formats.sog.codebook import codes, make_codebook
+from gsgen.formats.sog.image import encode_image
+from gsgen.formats.sog.meta import ANTIALIASED, META, MOST_PALETTE, PALETTE_WIDTH, QUATERNION_TAG
+from gsgen.formats.sog.palette import make_palette, nearest_entries
+
+__all__ = ["sog_order", "write_sog"]
+
+_MOST_DEGREE: Final = 3
+_LAST_STEP: Final = 65535
+_FLAT: Final = -20.0  # the logarithm of the scale of a flat axis, whose own is -inf
+_ROWS: Final = 1 << 18
+_SMALL: Final = 1 << 10  # splats of a scene whose palette has an entry for each
+_WIDEST: Final = 16383  # pixels of a side, the limit of WebP
+
+Rows = Int64[np.ndarray, " m"]
+
+
+def write_sog(path: FilePath, splats: Splats) -> None:
+    """Write ``splats`` as a SOG: an archive, or the files of one if ``path`` is a meta.json.
+
+    Splats are written in the order of ``sog_order``. The bytes depend on the splats alone.
+
+    Raises:
+        ValueInvalid: ``splats`` is empty or holds values that cannot be drawn.
+        NotSupported: Harmonics are above degree 3, there are more splats than an image holds,
+            or Pillow is not installed.
+        FileUnwritable: A file cannot be written.
+    """
+    with naming(path):
+        require_drawable(splats)
+        if splats.degree > _MOST_DEGREE:
+            raise NotSupported(
+                f"harmonics of degree {splats.degree}", expected=f"degree {_MOST_DEGREE} or less"
+            )
+        if len(splats) > _WIDEST**2:
+            raise NotSupported(
+                f"{len(splats)} splats",
+                expected=f"{_WIDEST**2} or fewer, the pixels of an image",
+                hint="write lod-meta.json, whose files hold a part each",
+            )
+        files = _files(splats)
+    if Path(path).name.lower() == META:
+        for name, content in files.items():  # meta.json is the last
+            with replacing(Path(path).with_name(name) if name != META else path) as file:
+                file.write(content)
+        return
+    with replacing(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name), content)
+
+
+def sog_order(splats: Splats) -> Int64[np.ndarray, " n"]:
+    """Return the order in which ``write_sog`` writes: Morton's, of the stored positions."""
+    return grid_order(_stored_positions(splats)[0])
+
+
+@final
+class _Images:
+    """The images of a SOG, whose pixels follow the splats in Morton order.
+
+    Attributes:
+        files: The content of each image, by name.
+        order: The splat of each pixel.
+    """
+
+    def __init__(self, order: Int64[np.ndarray, " n"]) -> None:
+        self.files: dict[str, bytes] = {}
+        self.order = order
+
+    def add(self, name: str, pixels: Callable[[Rows], UInt8[np.ndarray, "m c"]]) -> str:
+        """Encode the pixels of all splats; channels that ``pixels`` leaves out are 255."""
+        table = np.full((len(self.order), 4), 255, np.uint8)
+        for start in range(0, len(table), _ROWS):
+            part = pixels(self.order[start : start + _ROWS])
+            table[start : start + _ROWS, : part.shape[1]] = part
+        self.files[name] = encode_image(table)
+        return name
+
+
+def _files(splats: Splats) -> dict[str, bytes]:
+    """Return the content of each file, meta.json last."""
+    steps, low, high = _stored_positions(splats)
+    images = _Images(grid_order(steps))
+    meta: dict[str, Any] = {"version": 2, "count": len(splats)}
+    if splats.antialiased:
+        meta["model"] = ANTIALIASED
+    means = [
+        images.add("means_l.webp", lambda rows: (steps[rows] & 255).astype(np.uint8)),
+        images.add("means_u.webp", lambda rows: (steps[rows] >> 8).astype(np.uint8)),
+    ]
+    meta["means"] = {"mins": low.tolist(), "maxs": high.tolist(), "files": means}
+    log_scale = _finite_scales(splats.log_scale)
+    sizes, colors = make_codebook(log_scale), make_codebook(splats.sh[:, 0])
+    scales = images.add("scales.webp", lambda rows: codes(log_scale[rows], sizes))
+    meta["scales"] = {"codebook": _numbers(sizes), "files": [scales]}
+    turns = images.add("quats.webp", lambda rows: _turns(splats.rotation[rows]))
+    meta["quats"] = {"files": [turns]}
+
+    def colored(rows: Rows) -> UInt8[np.ndarray, "m 4"]:
+        alpha = to_bytes(sigmoid(splats.logit_opacity[rows]) * np.float32(255))
+        return np.column_stack([codes(splats.sh[rows, 0], colors), alpha])
+
+    meta["sh0"] = {"codebook": _numbers(colors), "files": [images.add("sh0.webp", colored)]}
+    if splats.degree:
+        meta["shN"] = _add_palette(splats, images)
+    return images.files | {META: json.dumps(meta, separators=(",", ":")).encode()}
+
+
+def _stored_positions(
+    splats: Splats,
+) -> tuple[Int64[np.ndarray, "n 3"], Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """Return positions as steps of their range after sgn(x) ln(1 + |x|), and the range."""
+    ends = np.stack([splats.position.min(axis=0), splats.position.max(axis=0)]).astype(np.float64)
+    low, high = np.sign(ends) * np.log1p(np.abs(ends))
+    size = np.where(high > low, high - low, 1.0)
+    steps = np.empty((len(splats), 3), np.uint16)
+    for start in range(0, len(splats), _ROWS):
+        part = splats.position[start : start + _ROWS].astype(np.float64)
+        stored = np.sign(part) * np.log1p(np.abs(part))
+        steps[start : start + _ROWS] = rounded((stored - low) / size * _LAST_STEP, 0, _LAST_STEP)
+    return steps, low, high
+
+
+def _finite_scales(log_scale: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
+    """Replace -inf, which JSON lacks, by a scale that is as good as flat."""
+    is_flat = np.isneginf(log_scale)
+    if not is_flat.any():
+        return log_scale
+    least = np.min(log_scale, initial=_FLAT, where=~is_flat)
+    return np.where(is_flat, np.float32(least), log_scale)
+
+
+def _turns(rotation: Float32[np.ndarray, "m 4"]) -> UInt8[np.ndarray, "m 4"]:
+    largest, smaller = without_largest(unit(rotation))
+    return np.column_stack(
+        [
+            to_bytes((smaller * math.sqrt(2) + 1) * 127.5),
+            (QUATERNION_TAG + largest).astype(np.uint8),
+        ]
+    )
+
+
+def _add_palette(splats: Splats, images: _Images) -> dict[str, Any]:
+    """Add the images of the palette and of its labels; return their description.
+
+    The palette is rounded to its codebook before each splat takes the nearest entry.
+    """
+    width = PALETTE_WIDTH * (SH_COUNTS[splats.degree] - 1)
+    higher = splats.sh[:, 1:].reshape(len(splats), -1)
+    palette = make_palette(higher, _palette_size(len(splats)))
+    members = np.bincount(nearest_entries(higher, palette), minlength=len(palette))
+    book = make_codebook(palette, np.repeat(members, palette.shape[1]))
+    coded = codes(palette, book)
+    labels = nearest_entries(higher, book[coded])
+    pixels = np.full((-(-len(palette) // PALETTE_WIDTH) * width, 4), 255, np.uint8)
+    pixels[: coded.size // 3, :3] = coded.reshape(-1, 3)
+    centroids = "shN_centroids.webp"
+    images.files[centroids] = encode_image(pixels, width)
+
+    def label_pixels(rows: Rows) -> UInt8[np.ndarray, "m 3"]:
+        label = labels[rows]
+        return np.stack([label & 255, label >> 8, 0 * label], axis=1).astype(np.uint8)
+
+    return {
+        "count": len(palette),
+        "bands": splats.degree,
+        "codebook": _numbers(book),
+        "files": [centroids, images.add("shN_labels.webp", label_pixels)],
+    }
+
+
+def _palette_size(count: int) -> int:
+    """Return an entry a splat in small scenes, and else a power of two, as splat-transform takes."""
+    if count <= _SMALL:
+        return count
+    return min(MOST_PALETTE, 1 << (count.bit_length() - 1))
+
+
+def _numbers(book: Float32[np.ndarray, "256"]) -> list[float]:
+    """Return the shortest decimals that read back as these float32."""
+    return [float(str(number)) for number in book]

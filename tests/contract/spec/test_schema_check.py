@@ -1,0 +1,81 @@
+import copy
+import json
+from importlib import resources
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from gsgen.contract.spec.schema_check import accepts
+
+FOLDER = resources.files("gsgen.contract").joinpath("schemas")
+SCHEMAS = {
+    file.name: json.loads(file.read_text("utf-8"))
+    for file in FOLDER.iterdir()
+    if file.name.startswith(("gaussian", "post", "trajectory"))
+}
+DOCUMENT = {
+    "contract": "1.1",
+    "kind": "gaussian-generator",
+    "name": "a",
+    "inputs": [{"name": "t", "role": "time", "range": [0, 1], "default": [0.5], "frames": 3.0}],
+    "outputs": {
+        "gaussians": {"name": "g", "capacity": 5},
+        "appearance": {"name": "c", "space": "sh", "degree": 0},
+        "count": {"name": "n"},
+    },
+    "bounds": {"min": [0, 0, 0], "max": [1, 1, 1]},
+    "depends_on": {"time": True},
+    "x-own": {"any": [None]},
+}
+VALUES = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-3, 70000),
+    st.floats(-4, 4),
+    st.sampled_from(["", "zeros", "identity", "sh", "float16", "1.1", "a" * 64, "-y"]),
+    st.lists(st.one_of(st.integers(-1, 4), st.floats(-1, 1), st.just("x")), max_size=4),
+    st.dictionaries(st.sampled_from(["x-a", "name", "odd"]), st.integers(0, 2), max_size=2),
+)
+
+
+def places(document, path=()):
+    yield path
+    members = document.items() if isinstance(document, dict) else ()
+    members = enumerate(document) if isinstance(document, list) else members
+    for key, value in list(members):
+        yield from places(value, (*path, key))
+
+
+@given(data=st.data(), name=st.sampled_from(sorted(SCHEMAS)))
+@settings(max_examples=400, deadline=None)
+def test_quick_acceptance_agrees_with_the_library(data, name):
+    document = copy.deepcopy(DOCUMENT)
+    for _ in range(data.draw(st.integers(0, 2))):
+        *path, last = data.draw(st.sampled_from([p for p in places(document) if p]))
+        target = document
+        for key in path:
+            target = target[key]
+        if isinstance(target, dict) and data.draw(st.booleans()):
+            key = data.draw(
+                st.sampled_from(["x-1", "label", "fps", "degree", "name", "shape", last])
+            )
+            target[key] = data.draw(VALUES)
+        elif isinstance(target, dict) and data.draw(st.booleans()):
+            del target[last]
+        else:
+            target[last] = data.draw(VALUES)
+    schema = SCHEMAS[name]
+    assert accepts(schema, document) == Draft202012Validator(schema).is_valid(document)
+
+
+@pytest.mark.parametrize("keyword", ["not", "if", "contains", "uniqueItems"])
+def test_an_unknown_keyword_is_left_to_the_library(keyword):
+    assert not accepts({keyword: True}, [])
+
+
+def test_true_is_not_one():
+    assert not accepts({"enum": [1]}, True)
+    assert not accepts({"type": "integer"}, True)
+    assert accepts({"type": "integer"}, 3.0)
