@@ -1,4 +1,4 @@
-"""Draw docs/assets/data-flow.svg: what the stages of a frame give to each other.
+"""Draw docs/assets/data-flow.svg: the data flow between the stages of a frame.
 
 The names are those of `Plan.stages`, and the files those of the shaders; a test compares both.
 Run it after a change to the stages: .venv/bin/python scripts/draw_data_flow.py
@@ -21,7 +21,7 @@ INK, LINE = "#242a33", "#6b7480"
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Something that is computed, or that it is computed from.
+    """A box of the diagram: data or a stage of a frame.
 
     Attributes:
         column: Which of the columns it stands in.

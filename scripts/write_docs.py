@@ -1,13 +1,13 @@
-"""Write anew the parts of the documentation that state what the code states.
+"""Generate the parts of the documentation that repeat facts of the code.
 
-A part stands in a page between two comments, and what follows the colon says which it is:
+A part of a page is between two comments; the text after the colon names the part:
 
     <!-- generated: roles gaussian-generator -->
     …
     <!-- end generated -->
 
-Run it after a change to the contract: .venv/bin/python scripts/write_docs.py
-With --check it writes nothing, lists the pages that are not current, and exits 1 if there are any.
+Run the script after a change to the contract: .venv/bin/python scripts/write_docs.py
+With --check it writes no file, lists outdated pages, and exits 1 if there are any.
 """
 
 import json
@@ -53,6 +53,7 @@ PARTS: dict[str, Part] = {
     "kinds": manifest.kinds,
     "fields": manifest.fields,
     "limits": contract.limits,
+    "operator-profiles": contract.operator_profiles,
     "plugin-commands": commands.plugins,
     "plugin-list": commands.plugin_list,
     "plugins": commands.plugin_table,
@@ -77,7 +78,7 @@ _MARKED = re.compile(
 
 
 def fill(text: str) -> str:
-    """Return a page with all of its generated parts made anew."""
+    """Return the text of a page with current generated parts."""
 
     def made(match: "re.Match[str]") -> str:
         name, *words = match["name"].split()
@@ -87,7 +88,7 @@ def fill(text: str) -> str:
 
 
 def generated() -> dict[Path, str]:
-    """Return every file that is generated as a whole or in part: path → what it should hold."""
+    """Return the current content of every file that is generated, wholly or in part."""
     registry = rules.ours()
     pages = {
         DOCS / "rules" / f"{rule.id}.md": page(rule, registry) for rule in registry.rules.values()
@@ -115,7 +116,7 @@ def orphans(current: dict[Path, str]) -> list[Path]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write what is not current, or only say so; return the exit code."""
+    """Write the outdated files, or only list them; return the exit code."""
     pages = generated()
     stale = [
         path

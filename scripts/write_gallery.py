@@ -1,16 +1,16 @@
-"""Make the pictures of docs/gallery.md anew, by running its blocks: `make gallery`.
+"""Draw the pictures of docs/gallery.md by running the page's blocks: `make gallery`.
 
-A comment before a block says what comes of it:
+A comment before a block names its result:
 
     <!-- gallery: things.py -->                      a script, or with another name commands
     <!-- gallery: frame.jpg 3 = a.png b.png -->      a picture: these files, three in a row
     <!-- gallery: small.jpg 2 x4 = a.png b.png -->   the same, each pixel enlarged to 4 × 4
-    <!-- gallery: garden.jpg = a.png; needs data.npz -->  left out where that file is missing
+    <!-- gallery: garden.jpg = a.png; needs data.npz -->  skipped if that file is missing
 
-Data lie in `data/garden` of the folder that GSGEN_SHARED names, as for the demo.
+Data are in `data/garden` of the folder that GSGEN_SHARED names, as for the demo.
 
-All run in one folder, in the order of the page, as a reader would run them. A picture keeps, as
-the comment of its JPEG, a digest of the blocks that it comes from: a test sees when they changed.
+All blocks run in one folder, in the order of the page, as a reader would run them. The comment of a
+picture's JPEG is a digest of the blocks that it depends on: a test sees when they change.
 """
 
 import hashlib
@@ -42,7 +42,7 @@ _BLOCK = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Code of the page, and what comes of it.
+    """A code block of the gallery page, with its result.
 
     Attributes:
         name: Of the picture or the script.
@@ -80,7 +80,7 @@ def blocks(text: str) -> list[Block]:
 
 
 def digests(page: list[Block]) -> dict[str, str]:
-    """Return the digest of each picture: of its own block, and of all before it that are none."""
+    """Return the digest of each picture's block and of all earlier blocks without pictures."""
     page_digests, before = {}, hashlib.sha256()
     for block in page:
         digest = hashlib.sha256(before.digest() + repr(block).encode())
@@ -113,7 +113,7 @@ def run(block: Block, folder: Path) -> None:
 
 
 def assembled(block: Block, folder: Path) -> Image.Image:
-    """Return the parts of a picture, row by row on white."""
+    """Compose the parts of a picture, row by row on white."""
     parts = []
     for part in block.parts:
         with Image.open(folder / part) as picture:
@@ -129,20 +129,20 @@ def assembled(block: Block, folder: Path) -> Image.Image:
     return sheet
 
 
-def compressed(picture: Image.Image, comment: str) -> bytes:
-    """Return a JPEG of the best quality that is not larger than the limit.
+def compressed(picture: Image.Image, limit: int, comment: str = "") -> bytes:
+    """Return a JPEG of the best quality that is not larger than ``limit`` bytes.
 
     Raises:
-        ValueError: There is none.
+        ValueError: Even the lowest quality is larger.
     """
     for quality in range(90, 20, -4):
         buffer = io.BytesIO()
         picture.save(
             buffer, "JPEG", quality=quality, optimize=True, progressive=True, comment=comment
         )
-        if buffer.tell() <= LIMIT:
+        if buffer.tell() <= limit:
             return buffer.getvalue()
-    raise ValueError(f"no quality makes it {LIMIT} bytes")
+    raise ValueError(f"is larger than {limit} bytes at every quality")
 
 
 def main(folder: Path = ROOT / "out" / "gallery", assets: Path = ASSETS) -> None:
@@ -160,7 +160,7 @@ def main(folder: Path = ROOT / "out" / "gallery", assets: Path = ASSETS) -> None
             shutil.copy(DATA / block.needs, folder)
         run(block, folder)
         if block.parts:
-            data = compressed(assembled(block, folder), digest[block.name])
+            data = compressed(assembled(block, folder), LIMIT, digest[block.name])
             (assets / block.name).write_bytes(data)
             sys.stdout.write(f"{block.name}: {len(data):,} bytes\n")
 

@@ -1,4 +1,4 @@
-"""Write the published schemas of manifests and reports anew, from the dataclasses they describe.
+"""Write the published JSON Schemas of manifests and reports from their dataclasses.
 
 Run it after a change to `gsgen.contract.spec.manifest` or `gsgen.contract.reporters.document`:
 .venv/bin/python scripts/write_schemas.py
@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parents[1] / "contract/gsgen/contract/schemas"
 
 
 def main(folder: Path = FOLDER) -> None:
-    """Write one file a kind of manifest, and one for reports, into ``folder``."""
+    """Write one schema file per kind of manifest, and one for reports, into ``folder``."""
     for name, document in {**schemas(), REPORT_SCHEMA_FILE: schema()}.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         (folder / name).write_text(text, "utf-8")

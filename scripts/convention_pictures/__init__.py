@@ -1,1 +1,1 @@
-"""Pictures of the conventions: each module draws some, each function one."""
+"""Draws the pictures of the conventions: one function per picture."""

@@ -1,4 +1,4 @@
-"""Pictures of the order of numbers: matrices in memory, and quaternions."""
+"""Draws pictures of the order of numbers: matrices in memory, and quaternions."""
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -26,7 +26,7 @@ TRANSLATION = (RED, GREEN, BLUE)
 
 
 def matrix_order(renderer: Renderer) -> Image.Image:
-    """A matrix, and its sixteen numbers in both orders of memory."""
+    """Draw a matrix, and its sixteen numbers in row-major and column-major order."""
     image = paper(680, 250)
     _cells(image, (20, 44), MATRIX, across=4)
     write(image, (20 + 2 * 34, 22), "M, as it is written", INK, 16)
@@ -51,7 +51,7 @@ def _cells(
 
 
 def quaternions(renderer: Renderer) -> Image.Image:
-    """A turn of 60° about z, read as (w, x, y, z) and by mistake as (x, y, z, w)."""
+    """Draw a rotation of 60° about z, read as (w, x, y, z) and wrongly as (x, y, z, w)."""
     half = np.radians(30)
     stored = np.array([np.cos(half), 0, 0, np.sin(half)])
     right = _board(renderer, stored, "read as w x y z: 60° about z")

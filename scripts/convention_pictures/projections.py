@@ -1,4 +1,4 @@
-"""Pictures of what cameras do: kinds, principal point, and depth in clip space."""
+"""Draws pictures of cameras: kinds, principal point, and depth in clip space."""
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -10,7 +10,7 @@ from gsgen.runtime.scene.camera import Camera
 
 
 def camera_kinds(renderer: Renderer) -> Image.Image:
-    """A pinhole, an orthographic camera and a panorama in one room."""
+    """Draw a scene by a pinhole, an orthographic camera and a panorama."""
     scene = scene_of(room())
     pinhole = Camera.look_at((-0.9, -1.1, -3.2), (0.1, 0.2, 1.6), width=330, height=240, fov_y=56)
     flat = pinhole.flattened(5.2)
@@ -31,7 +31,7 @@ def camera_kinds(renderer: Renderer) -> Image.Image:
 
 
 def principal_point(renderer: Renderer) -> Image.Image:
-    """The same camera with the axis in the middle, and off it."""
+    """Draw a scene with the principal point in the middle of the image, and beside it."""
     scene = scene_of(room())
     base = Camera.look_at((-0.9, -1.1, -3.2), (0.1, 0.2, 1.6), width=330, height=240, fov_y=56)
     pictures = []
@@ -48,7 +48,7 @@ def principal_point(renderer: Renderer) -> Image.Image:
 
 
 def clip_depth(renderer: Renderer) -> Image.Image:
-    """What becomes of z: 0 at the near plane, 1 at the far plane, and most in between near 1."""
+    """Draw the depth in clip space over z, from the near plane to the far plane."""
     image, x0, top, width, high = paper(560, 260), 56, 24, 470, 180
     pen = ImageDraw.Draw(image)
     near, far = 0.5, 8.0

@@ -1,4 +1,4 @@
-"""A synthetic scene that tells left from right, up from down and near from far."""
+"""A synthetic scene in which left and right, up and down, near and far differ."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ YELLOW, VIOLET, TEAL = (232, 178, 32), (140, 84, 190), (24, 150, 160)
 
 
 def room() -> list[Dots]:
-    """A tiled floor of 8 × 8 with things on it; y is down, the floor is at y = 1.
+    """Return a scene of objects on a tiled floor of 8 × 8; y is down, the floor is at y = 1.
 
     Ahead (+z) a red ball before a tower, to the right (+x) green, behind blue, to the left yellow.
     """
@@ -17,7 +17,7 @@ def room() -> list[Dots]:
 
 
 def floor(half: int = 4, step: float = 0.05) -> list[Dots]:
-    """Tiles of one unit, alternately light and dark."""
+    """Return the floor: tiles of one unit, alternately light and dark."""
     side = np.arange(-half, half, step) + step / 2
     x, z = (axis.ravel() for axis in np.meshgrid(side, side))
     dark = (np.floor(x) + np.floor(z)) % 2 == 1
@@ -26,7 +26,7 @@ def floor(half: int = 4, step: float = 0.05) -> list[Dots]:
 
 
 def ball(ground: tuple[float, float], color: tuple[int, int, int]) -> list[Dots]:
-    """A ball of many small ones, lighter above, that lies on the floor."""
+    """Return a ball on the floor, made of many small balls, lighter above."""
     n = np.arange(2500) + 0.5
     height, turn = 1 - 2 * n / len(n), np.pi * (1 + np.sqrt(5)) * n  # Fibonacci's sphere
     level = np.sqrt(1 - height**2)
@@ -37,7 +37,7 @@ def ball(ground: tuple[float, float], color: tuple[int, int, int]) -> list[Dots]
 
 
 def tower(ground: tuple[float, float], color: tuple[int, int, int]) -> list[Dots]:
-    """Four edges and rings between them, which show what is parallel."""
+    """Return a tower of four edges and rings between them, to show parallel lines."""
     x, z = ground
     corners = [(x + a * 0.35, z + b * 0.35) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     dots = [line((a, 1, b), (a, -1.5, b), 0.05, color) for a, b in corners]

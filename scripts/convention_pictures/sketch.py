@@ -1,4 +1,4 @@
-"""Draw with the renderer, and write on what it drew."""
+"""Draws balls and arrows with the renderer, and labels on the picture."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ AXES = (RED, GREEN, BLUE)
 
 @dataclass(frozen=True, slots=True)
 class Dots:
-    """Balls of one size: where, how large, of which colours from 0 to 255."""
+    """Balls with positions, sizes and colours from 0 to 255."""
 
     position: np.ndarray
     radius: float
@@ -28,7 +28,7 @@ class Dots:
 
     @classmethod
     def at(cls, position: np.ndarray, radius: float, color: Sequence[float]) -> "Dots":
-        """Balls of one colour."""
+        """Return balls of one size and one colour."""
         centers = np.atleast_2d(np.asarray(position, float))
         return cls(centers, radius, np.tile(np.asarray(color, float), (len(centers), 1)))
 
@@ -36,7 +36,7 @@ class Dots:
 def line(
     start: Sequence[float], end: Sequence[float], radius: float, color: Sequence[float]
 ) -> Dots:
-    """A line, as balls that touch each other."""
+    """Return a line of balls that touch each other."""
     a, b = np.asarray(start, float), np.asarray(end, float)
     count = max(2, int(np.linalg.norm(b - a) / radius * 2))
     return Dots.at(a + np.linspace(0, 1, count)[:, None] * (b - a), radius, color)
@@ -45,7 +45,7 @@ def line(
 def arrow(
     start: Sequence[float], end: Sequence[float], radius: float, color: Sequence[float]
 ) -> list[Dots]:
-    """A line with a cone at its end."""
+    """Return an arrow: a line of balls with a cone at the end."""
     a, b = np.asarray(start, float), np.asarray(end, float)
     along = (b - a) / np.linalg.norm(b - a)
     side = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
@@ -66,7 +66,7 @@ def arrow(
 def axes(
     origin: np.ndarray, length: float, radius: float, turn: np.ndarray | None = None
 ) -> list[Dots]:
-    """Arrows along x (red), y (green) and z (blue), the columns of ``turn``."""
+    """Return arrows along x (red), y (green) and z (blue), the columns of ``turn``."""
     columns = np.eye(3) if turn is None else turn
     return [
         dots
@@ -76,7 +76,7 @@ def axes(
 
 
 def scene_of(dots: Iterable[Dots]) -> Scene:
-    """The balls as Gaussians whose flank is where a ball would end."""
+    """Return the balls as a scene of Gaussians of about the same size."""
     several = list(dots)
     position = np.concatenate([dots.position for dots in several])
     rows = np.zeros((len(position), 10), np.float32)
@@ -90,7 +90,7 @@ def scene_of(dots: Iterable[Dots]) -> Scene:
 
 
 def drawn(renderer: Renderer, scene: Scene, camera: Camera) -> Image.Image:
-    """The scene on paper."""
+    """Draw a scene on a white background."""
     behind = (*(channel / 255 for channel in PAPER), 1.0)
     rgba = renderer.render(scene, camera, background=behind).rgba
     assert rgba is not None
@@ -98,12 +98,12 @@ def drawn(renderer: Renderer, scene: Scene, camera: Camera) -> Image.Image:
 
 
 def paper(width: int, height: int) -> Image.Image:
-    """An empty sheet."""
+    """Return an empty white image."""
     return Image.new("RGB", (width, height), PAPER)
 
 
 def beside(pictures: Sequence[Image.Image], gap: int = 12) -> Image.Image:
-    """Pictures in a row."""
+    """Return pictures side by side as one image."""
     width = sum(picture.width for picture in pictures) + gap * (len(pictures) - 1)
     row, x = paper(width, max(picture.height for picture in pictures)), 0
     for picture in pictures:
@@ -120,7 +120,7 @@ def write(
     size: int = 17,
     anchor: str = "mm",
 ) -> None:
-    """Write ``text`` at a pixel, on a rim of paper."""
+    """Write ``text`` at a pixel, with a white outline."""
     ImageDraw.Draw(picture).text(
         (float(position[0]), float(position[1])),
         text,
@@ -133,7 +133,7 @@ def write(
 
 
 def pixel(camera: Camera, point: Sequence[float]) -> np.ndarray:
-    """Where a pinhole or an orthographic camera sees a point."""
+    """Return the pixel at which a pinhole or an orthographic camera sees a point."""
     x, y, z = camera.view[:3, :3] @ np.asarray(point, float) + camera.view[:3, 3]
     distance = 1.0 if camera.kind == "orthographic" else z
     return np.array([camera.fx * x / distance + camera.cx, camera.fy * y / distance + camera.cy])
@@ -147,5 +147,5 @@ def label(
     color: tuple[int, int, int] = INK,
     shift: tuple[float, float] = (0, 0),
 ) -> None:
-    """Write at a point of the world."""
+    """Write a text at a point of the world."""
     write(picture, pixel(camera, point) + shift, text, color)

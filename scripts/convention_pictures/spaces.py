@@ -1,4 +1,4 @@
-"""Pictures of spaces: the world's axes, and the axes of cameras."""
+"""Draws pictures of spaces: the axes of worlds, and of cameras."""
 
 import numpy as np
 from PIL import Image
@@ -27,7 +27,7 @@ NAMES = ("x", "y", "z")
 
 
 def world_axes(renderer: Renderer) -> Image.Image:
-    """Two worlds that differ in what is up; both are right-handed."""
+    """Draw two right-handed worlds with different upward axes."""
     return beside([_world(renderer, "-y"), _world(renderer, "+z")])
 
 
@@ -61,7 +61,7 @@ def _world(renderer: Renderer, up: str) -> Image.Image:
 
 
 def camera_axes(renderer: Renderer) -> Image.Image:
-    """One place, two ways to call its axes: OpenCV's, which we use, and OpenGL's."""
+    """Draw the axes of one camera in the conventions of OpenCV (gsgen's) and OpenGL."""
     opencv = np.eye(3)
     opengl = np.diag([1.0, -1, -1])
     return beside(
@@ -92,7 +92,7 @@ def _camera(renderer: Renderer, turn: np.ndarray, title: str) -> Image.Image:
 
 
 def sh_directions(renderer: Renderer) -> Image.Image:
-    """A Gaussian whose colour is its direction's: from the camera to it, never back."""
+    """Draw the direction of SH colours: from the camera to the Gaussian."""
     camera = Camera.look_at(
         (0, -4.2, 0.001), (0, 0, 0), up=(0, 0, 1), width=420, height=400, fov_y=47
     )

@@ -1,1 +1,1 @@
-"""What the generated parts of the documentation say, one module a subject."""
+"""The generated parts of the documentation, one module per subject."""

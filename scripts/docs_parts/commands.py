@@ -28,7 +28,7 @@ def _find(*words: str) -> Any:
 
 
 def command(*words: str) -> str:
-    """Return what a command takes: its arguments and options."""
+    """Return the arguments and options of a command as Markdown."""
     click_command = _find(*words)
     rows = [_row(parameter) for parameter in click_command.params if _shown(parameter)]
     usage = f"```text\ngsgen {' '.join([*words, *_usage(click_command)])}\n```"
@@ -68,7 +68,7 @@ def _row(parameter: Any) -> tuple[str, str, str]:
 
 
 def _default(parameter: Any) -> str:
-    """Return the default as people read it; empty where there is none, or where none says more."""
+    """Return an option's default for readers; empty without one."""
     if isinstance(parameter.show_default, str):
         return parameter.show_default
     default = parameter.default
@@ -95,7 +95,7 @@ def _takes(parameter: Any) -> str:
 
 
 def overview() -> str:
-    """Return every command of ours with the first sentence of its help."""
+    """Return a table of gsgen's commands, each with the first sentence of its help."""
     rows = []
     for point in _ours("gsgen.commands"):
         click_command = _find(point.name)
@@ -105,7 +105,7 @@ def overview() -> str:
 
 
 def besides(*described: str) -> str:
-    """Return a section for each command of ours that the page does not describe by itself."""
+    """Return a section for each command that the page does not describe itself."""
     parts = []
     for point in _ours("gsgen.commands"):
         if point.name not in described:

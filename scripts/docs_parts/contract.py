@@ -17,6 +17,7 @@ from gsgen.contract.spec.manifest import (
     Space,
     Tolerances,
 )
+from gsgen.contract.spec.reader_needs import PROFILES
 from gsgen.contract.spec.roles import ROLES
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.spec.targets import load_target
@@ -52,8 +53,21 @@ def roles(kind: str) -> str:
     return table(("role", "dtype", "shape", "`range`", "`convention`", "meaning"), rows)
 
 
+def operator_profiles() -> str:
+    """Return the operator profiles: operator sets and operators."""
+    rows = [
+        (
+            f"`{profile.name}`",
+            f"{profile.opset[0]} to {profile.opset[1]}",
+            f"{profile.summary} {', '.join(sorted(profile.operators))}",
+        )
+        for profile in PROFILES.values()
+    ]
+    return table(("profile", "operator sets", "operators"), rows)
+
+
 def row(of: str = "gaussians") -> str:
-    """Return where each field of a packed row lies, of Gaussians or of cells."""
+    """Return the offset of each field of a packed row, of Gaussians or of cells."""
     rows = [
         (str(column), f"`{name}`", str(4 * column), str(2 * column))
         for column, name in enumerate(CELL_FIELDS if of == "cells" else FIELDS)
@@ -110,7 +124,7 @@ def limits() -> str:
 
 
 def severities() -> str:
-    """Return the severities that targets change, and the rules that are theirs alone."""
+    """Return a table of the severities that targets change, and of their own rules."""
     registry = ours()
     rows = []
     for name in _TARGETS:
@@ -171,7 +185,7 @@ def waiver_keys() -> str:
 
 
 def _kind(entry: dict[str, Any]) -> str:
-    """Say what a key of ``gsgen.toml`` takes."""
+    """Return the type of a key of ``gsgen.toml`` in words."""
     if "enum" in entry:
         return code(f'"{word}"' for word in entry["enum"])
     kind = {"array": "array of strings"}.get(entry["type"], entry["type"])
@@ -184,7 +198,7 @@ def _kind(entry: dict[str, Any]) -> str:
 
 
 def tolerances() -> str:
-    """Return the tolerances that hold where the manifest declares none."""
+    """Return a table of the default tolerances."""
     rows = [(f"`{name}`", f"{value:g}") for name, value in to_json(Tolerances()).items()]
     return table(("field", "if absent"), rows)
 

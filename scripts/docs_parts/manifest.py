@@ -48,7 +48,7 @@ def _of_item(entry: dict[str, Any]) -> str:
 
 
 def type_in_words(entry: dict[str, Any]) -> str:
-    """Say in words what a schema asks for."""
+    """Return the type of a JSON Schema entry in words."""
     if "$ref" in entry:
         name = entry["$ref"].rpartition("/")[2]
         return f"object [{name}](#{name.lower()})"

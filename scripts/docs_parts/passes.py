@@ -41,7 +41,7 @@ def index() -> str:
 
 
 def marked(text: str) -> str:
-    """Turn the marks of a docstring into Markdown's."""
+    """Convert the markup of a docstring to Markdown."""
     unquoted = re.sub(r":[a-z]+:`~?([^`]+)`", r"`\1`", text)
     return unquoted.replace("``", "`").replace("|", "\\|")
 
@@ -59,7 +59,7 @@ def _fenced(match: "re.Match[str]") -> str:
 
 
 def _flowing(text: str) -> str:
-    """Join the lines of each paragraph; a list keeps its own."""
+    """Join the lines of each paragraph, except those of lists."""
     paragraphs = [
         part if part.lstrip().startswith(("*", "-")) else " ".join(part.split("\n"))
         for part in text.split("\n\n")

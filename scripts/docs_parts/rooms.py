@@ -1,4 +1,4 @@
-"""The rooms of the house: the order that import-linter holds, questions and imports of each."""
+"""The packages of the product: their order by import-linter, questions and imports."""
 
 __all__ = ["Room", "imported_rooms", "layer_order", "rooms", "table"]
 

@@ -7,9 +7,9 @@ from gsgen.contract.validation.rule import Registry
 
 
 def ours() -> Registry:
-    """Return the rules of this project alone, whatever else is installed.
+    """Return the rules of this project, without those of installed third parties.
 
-    Those of a third party have its name in front of their ids.
+    Ids of third parties' rules begin with a name and a slash.
     """
     registry = installed_rules()
     contract_rules = [rule for rule in registry.rules.values() if "/" not in rule.id]
@@ -17,7 +17,7 @@ def ours() -> Registry:
 
 
 def by_level() -> str:
-    """Return how many rules each level adds, and which families they are of."""
+    """Return a table of the number and the families of rules of each level."""
     rows = []
     for level in Level:
         level_rules = [rule for rule in ours().rules.values() if rule.level is level]

@@ -1,4 +1,4 @@
-"""Commands that are really run, and what they print."""
+"""Runs commands, and returns their output for the documentation."""
 
 import json
 import os

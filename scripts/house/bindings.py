@@ -40,7 +40,7 @@ class _Scope:
         self.foreign: set[str] = set()  # declared global or nonlocal
 
     def bind(self, name: str, line: int, kind: str) -> None:
-        """Remember the earliest line at which the scope binds a name."""
+        """Record the earliest line at which the scope binds a name."""
         known = self.names.get(name)
         if name in self.foreign or name in _CONVENTIONAL or name.startswith("__"):
             return
@@ -48,19 +48,19 @@ class _Scope:
             self.names[name] = Binding(name, line, kind, self.qualname)
 
     def enclosing(self, *kinds: str) -> "_Scope | None":
-        """Return the nearest scope of one of the kinds, this one included."""
+        """Return the nearest enclosing scope of one of the kinds, this scope included."""
         scope: _Scope | None = self
         while scope is not None and scope.kind not in kinds:
             scope = scope.parent
         return scope
 
     def named(self, name: str) -> str:
-        """Return the qualified name of a definition that stands in this scope."""
+        """Return the qualified name of a definition in this scope."""
         return f"{self.qualname}.{name}" if self.qualname else name
 
 
 def bindings(tree: ast.Module) -> Iterator[Binding]:
-    """Yield each name once for every scope that binds it; ``self`` and dunder names are left out."""
+    """Yield each binding once per scope, except ``self`` and dunder names."""
     scopes = [_Scope("module", "", None)]
     pending: list[tuple[ast.AST, _Scope]] = [(tree, scopes[0])]
     while pending:
@@ -75,7 +75,7 @@ def bindings(tree: ast.Module) -> Iterator[Binding]:
 
 
 def _children(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield what `ast.iter_child_nodes` yields, without the leaves, which bind nothing."""
+    """Yield the child nodes of an AST node, except leaves, which bind no names."""
     for field in node._fields:
         value = getattr(node, field, None)
         if isinstance(value, list):
@@ -87,7 +87,7 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def _inner_scope(node: ast.AST, scope: _Scope) -> _Scope:
-    """Return the scope in which a node's children stand."""
+    """Return the scope of an AST node's children."""
     if isinstance(node, ast.ClassDef):
         return _Scope("class", scope.named(node.name), scope)
     if isinstance(node, _FUNCTIONS):
@@ -117,7 +117,7 @@ def _foreign_names(function: ast.AST) -> set[str]:
 
 
 def _bind(node: ast.AST, scope: _Scope) -> None:
-    """Enter what a single node binds."""
+    """Record the names that a single AST node binds."""
     match node:
         case ast.NamedExpr(target=ast.Name(id=name)):  # binds outside of comprehensions
             holder = scope.enclosing("function", "class", "module")

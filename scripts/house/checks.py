@@ -1,4 +1,4 @@
-"""The checks of the house with their bars, and how a bar is compared with what was measured."""
+"""The style checks with their bars, and the comparison of measured figures with bars."""
 
 __all__ = ["CHECKS", "Check", "Result", "run_checks"]
 
@@ -21,7 +21,7 @@ from house.violation import Measurement, Violation
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One rule of style.
+    """A style check with its bar.
 
     Attributes:
         name: What ``--only`` and the table of exceptions call it.
@@ -81,7 +81,7 @@ CHECKS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """The figure of one check, and the violations behind it, without those that are excepted."""
+    """The figure of one style check, and its violations without exceptions."""
 
     check: Check
     figure: float
@@ -90,7 +90,7 @@ class Result:
 
     @property
     def passed(self) -> bool:
-        """Whether the figure is within the bar; a figure without a bar always is."""
+        """Whether the figure is within the bar; always true without a bar."""
         return self.check.bar is None or self.figure <= self.check.bar
 
     def __str__(self) -> str:
@@ -105,7 +105,7 @@ class Result:
 def run_checks(
     repository: Repository, checks: Iterable[Check], exceptions: list[StyleException]
 ) -> list[Result]:
-    """Run checks and leave out what the table of exceptions permits.
+    """Run style checks, and remove violations that the table of exceptions permits.
 
     Args:
         repository: The files.

@@ -1,4 +1,4 @@
-"""Constants of equal value and like name in several modules: copies that will come to disagree."""
+"""Finds constants of equal value and similar name in several modules: copies."""
 
 __all__ = ["copied_constants"]
 
@@ -24,7 +24,7 @@ _TRIVIAL = frozenset(["None", "True", "False", "0", "1", "2", "0.0", "1.0", "''"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Constant:
-    """One constant; ``value`` is equal for equal values, ``text`` is how the module spells it."""
+    """A module constant; ``value`` is comparable, ``text`` is the source text."""
 
     path: str
     line: int
@@ -34,20 +34,20 @@ class _Constant:
 
     @property
     def rank(self) -> tuple[int, bool, str, int]:
-        """Sorts the constant that others should import to the front."""
+        """The sort key, which puts the constant that others should import first."""
         root = self.path.partition("/")[0]
         layer = PRODUCT.index(root) if root in PRODUCT else len(PRODUCT)
         return layer, self.name.startswith("_"), self.path, self.line
 
     @property
     def words(self) -> frozenset[str]:
-        """The words of the name, without a plural's s."""
+        """The words of the constant's name, in the singular."""
         words = self.name.strip("_").lower().split("_")
         return frozenset(word.rstrip("s") or word for word in words)
 
     @property
     def is_distinctive(self) -> bool:
-        """Whether the value alone makes a coincidence unlikely: no round number, no single word."""
+        """Whether an equal value is no coincidence: not a round number or a single word."""
         digits = self.value.lstrip("-").lower().partition("e")[0].replace(".", "").strip("0")
         if digits.isdigit():
             whole = int(digits)
@@ -55,7 +55,7 @@ class _Constant:
         return self.value not in _TRIVIAL
 
     def resembles(self, candidate: "_Constant") -> bool:
-        """Return whether two constants of equal value seem to state the same fact.
+        """Return whether two constants of equal value have similar names or distinctive values.
 
         Case 1: the names agree, and say of what, or the value is distinctive. Case 2: one name
         says all that the other one says, and the value is distinctive.
@@ -68,7 +68,7 @@ class _Constant:
 
 
 def copied_constants(repository: Repository) -> Measurement:
-    """Find constants of the product and the scripts that a module defines again."""
+    """Find constants of the product and the scripts that several modules define."""
     constants = [
         constant
         for file in repository.python
@@ -134,7 +134,7 @@ def _is_literal(node: ast.expr) -> bool:
 
 
 def _normal(node: ast.expr) -> str:
-    """Return the value as text, so that sets compare without order and sums as their result."""
+    """Return a constant's value as text, with sets sorted and arithmetic computed."""
     match node:
         case ast.Call(args=[argument]):
             return _normal(argument)
@@ -149,7 +149,7 @@ def _normal(node: ast.expr) -> str:
 
 
 def _computed(left: ast.expr, op: ast.operator, right: ast.expr) -> str:
-    """Return the result of integer powers, shifts and products: ``1 << 20`` is ``1024 * 1024``."""
+    """Return the result of integer powers, shifts and products, such as ``1 << 20``."""
     try:
         first, second = int(_normal(left)), int(_normal(right))
     except ValueError:
@@ -170,7 +170,7 @@ def _computed(left: ast.expr, op: ast.operator, right: ast.expr) -> str:
 
 
 def _copies(group: list[_Constant]) -> list[tuple[_Constant, _Constant]]:
-    """Return each constant that repeats one of another module, behind the one it repeats.
+    """Return pairs of constants: the original, and its copy in another module.
 
     The original is that of the lowest layer, and in one layer the public one.
     """

@@ -1,4 +1,4 @@
-"""Imports of the documentation: its code must use the public paths alone."""
+"""Checks that code in the documentation imports public names only."""
 
 __all__ = ["PUBLIC_MODULES", "documentation"]
 
@@ -54,7 +54,7 @@ def documentation(repository: Repository) -> Measurement:
 
 
 def _trees(repository: Repository) -> Iterator[tuple[str, int, ast.Module]]:
-    """Yield the code of pages and examples: path, lines before it, syntax tree."""
+    """Yield the code of pages and examples: path, number of lines before it, syntax tree."""
     for file in repository.selected:
         if file.root == "docs":
             yield file.path, 0, file.tree
@@ -69,7 +69,7 @@ def _trees(repository: Repository) -> Iterator[tuple[str, int, ast.Module]]:
 
 
 def _parsed(path: str, offset: int, code: str) -> Iterator[tuple[str, int, ast.Module]]:
-    """Yield a block's tree; of a block that is an excerpt, each import by itself."""
+    """Yield the syntax tree of a code block; from an excerpt, each import by itself."""
     try:
         yield path, offset, ast.parse(code)
     except SyntaxError:
@@ -83,7 +83,7 @@ def _import_statements(tree: ast.Module) -> list[ast.Import | ast.ImportFrom]:
 
 
 def _imported(node: ast.stmt, modules: dict[str, PythonFile]) -> Iterator[tuple[str, str]]:
-    """Yield the modules of the project that a statement imports, with the name taken from each."""
+    """Yield the project's modules that a statement imports, each with the imported name."""
     match node:
         case ast.Import(names=aliases):
             for alias in aliases:

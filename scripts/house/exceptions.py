@@ -1,4 +1,4 @@
-"""The table of exceptions: read, validated and applied."""
+"""Reads, validates and applies the table of exceptions from style checks."""
 
 __all__ = ["ExceptionsInvalid", "StyleException", "excepted", "read_exceptions"]
 
@@ -21,7 +21,7 @@ class ExceptionsInvalid(Exception):
 
 @dataclass(frozen=True, slots=True)
 class StyleException:
-    """Permission to break one rule: which check, in which files, for which subjects, and why."""
+    """An exception from one style check: files, subjects and the reason."""
 
     check: str
     path: str
@@ -29,7 +29,7 @@ class StyleException:
     reason: str
 
     def allows(self, check: str, violation: Violation) -> bool:
-        """Return whether the violation is permitted."""
+        """Return whether the exception permits a violation."""
         return (
             check == self.check
             and fnmatchcase(violation.path, self.path)
@@ -41,7 +41,7 @@ class StyleException:
 
 
 def read_exceptions(path: Path, checks: Collection[str]) -> list[StyleException]:
-    """Read the table.
+    """Read the table of exceptions.
 
     Args:
         path: TOML file with ``[[exception]]`` entries.
@@ -60,7 +60,7 @@ def read_exceptions(path: Path, checks: Collection[str]) -> list[StyleException]
 def excepted(
     check: str, violations: list[Violation], exceptions: list[StyleException]
 ) -> tuple[list[Violation], set[StyleException]]:
-    """Return the violations without permission, and the exceptions that permitted others."""
+    """Return the violations that no exception permits, and the exceptions that were used."""
     remaining: list[Violation] = []
     used: set[StyleException] = set()
     for violation in violations:

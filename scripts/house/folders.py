@@ -1,4 +1,4 @@
-"""Folders that hold more modules than a reader can survey."""
+"""Finds folders with too many modules."""
 
 __all__ = ["folders"]
 

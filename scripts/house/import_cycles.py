@@ -1,4 +1,4 @@
-"""Import cycles of the product, imports in functions and for type checkers included."""
+"""Finds import cycles of the product, with imports in functions and for type checkers."""
 
 __all__ = ["import_cycles", "imports_of", "strong_components"]
 
@@ -18,7 +18,7 @@ Graph = dict[str, dict[str, int]]
 
 
 def import_cycles(repository: Repository) -> Measurement:
-    """Find groups of modules that import each other, and show a shortest cycle of each."""
+    """Find groups of modules that import each other, each with a shortest cycle."""
     files = {module_name(file.path): file for file in repository.product}
     if not files:
         return Measurement([])

@@ -1,4 +1,4 @@
-"""Phrases that a reader stumbles over: relative clauses without a noun, and household words."""
+"""Finds banned phrases, such as relative clauses without a noun."""
 
 __all__ = ["PHRASES", "Phrase", "phrases"]
 
@@ -15,7 +15,7 @@ from house.violation import Measurement, Violation
 
 @dataclass(frozen=True, slots=True)
 class Phrase:
-    """A pattern that must not stand in prose, and what an editor writes in its stead."""
+    """A banned pattern of prose, and the wording to use instead."""
 
     name: str
     pattern: str

@@ -1,4 +1,4 @@
-"""Placeholder names: bindings called after no noun, so that a reader must look up what they hold."""
+"""Finds placeholder names, which do not say what a variable holds."""
 
 __all__ = ["WORDS", "placeholders", "placeholders_in_tests"]
 
@@ -89,7 +89,7 @@ def _is_placeholder(binding: Binding) -> bool:
 
 
 def _word(binding: Binding) -> str:
-    """Return the name without what does not make it a better one: underscores, digits, case."""
+    """Return a name without underscores, digits and case."""
     return binding.name.strip("_").rstrip("0123456789").lower()
 
 

@@ -1,4 +1,4 @@
-"""The sentences of the project: docstrings, messages, comments and pages, with their lines."""
+"""Extracts the prose of the project: docstrings, messages, comments and pages."""
 
 __all__ = ["Passage", "page_passages", "python_passages", "shader_passages", "word_count"]
 
@@ -22,7 +22,7 @@ _SHADER_COMMENT = re.compile(r"(?:^[ \t]*//(?!!)[^\n]*\n?)+|//(?!!)[^\n]*", re.M
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """Text in one place of a file.
+    """A passage of prose with its file and line.
 
     Attributes:
         path: The file, from the root.
@@ -36,7 +36,7 @@ class Passage:
 
 
 def word_count(passages: list[Passage]) -> int:
-    """Return the number of words, code not counted."""
+    """Return the number of words of a text, without code."""
     return sum(len(_WORD.findall(passage.text)) for passage in passages)
 
 
@@ -46,7 +46,7 @@ def python_passages(file: PythonFile) -> list[Passage]:
 
 
 def shader_passages(shader: Shader) -> list[Passage]:
-    """Return the comments of a shader; neighbouring lines are one passage."""
+    """Return the comments of a shader; consecutive lines are one passage."""
     passages = []
     for match in _SHADER_COMMENT.finditer(shader.text):
         line = shader.text.count("\n", 0, match.start()) + 1
@@ -56,7 +56,7 @@ def shader_passages(shader: Shader) -> list[Passage]:
 
 
 def page_passages(page: Page) -> list[Passage]:
-    """Return the text of a page; code and what is generated from docstrings are left out."""
+    """Return the prose of a page, without code and parts generated from docstrings."""
     text = page.text
     for pattern in (_GENERATED, _CODE_BLOCK, _LINK_TARGET):
         text = pattern.sub(_blank, text)
@@ -89,7 +89,7 @@ def _strings(file: PythonFile) -> Iterator[Passage]:
 
 
 def _comments(file: PythonFile) -> Iterator[Passage]:
-    """Yield the comments; those on lines that follow each other are one passage."""
+    """Yield the comments of a Python file; consecutive lines are one passage."""
     first, last, texts = 0, 0, list[str]()
     if "#" not in file.text:
         return
@@ -111,5 +111,5 @@ def _without_code(text: str) -> str:
 
 
 def _blank(match: re.Match[str]) -> str:
-    """Return as many line ends as the match has, behind a mark that is no word."""
+    """Return a placeholder with as many line ends as the matched text."""
     return "…" + "\n" * match[0].count("\n")

@@ -17,11 +17,11 @@ Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 
 
 class FileUnreadable(Exception):
-    """A file cannot be decoded or parsed, so no check can say anything about it."""
+    """A file cannot be decoded or parsed, so it cannot be checked."""
 
 
 class PythonFile:
-    """One Python file: its path from the root, its text and its syntax tree."""
+    """A Python file: path from the root, text and syntax tree."""
 
     def __init__(self, path: str, text: str) -> None:
         self.path = path
@@ -41,12 +41,12 @@ class PythonFile:
 
     @cached_property
     def nodes(self) -> list[ast.AST]:
-        """All nodes of the tree, parents before children."""
+        """All nodes of the file's syntax tree, parents before children."""
         return list(ast.walk(self.tree))
 
     @cached_property
     def definitions(self) -> list[tuple[str, Definition]]:
-        """Every function and class with its name from the module, ``Class.method``."""
+        """Every function and class of the file with its qualified name, ``Class.method``."""
         definitions: list[tuple[str, Definition]] = []
         pending: list[tuple[str, ast.AST]] = [("", self.tree)]
         while pending:
@@ -61,12 +61,12 @@ class PythonFile:
 
     @cached_property
     def lines(self) -> list[str]:
-        """The lines without their ends."""
+        """The lines of the file without line ends."""
         return self.text.split("\n")
 
     @property
     def root(self) -> str:
-        """The first folder of the path."""
+        """The first folder of the file's path."""
         return PurePosixPath(self.path).parts[0]
 
     @property
@@ -77,7 +77,7 @@ class PythonFile:
 
 @dataclass(frozen=True, slots=True)
 class Shader:
-    """One WGSL file."""
+    """A WGSL shader file."""
 
     path: str
     text: str
@@ -90,14 +90,14 @@ class Shader:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """One Markdown page."""
+    """A Markdown page."""
 
     path: str
     text: str
 
 
 class Repository:
-    """All files that are checked.
+    """All files of the repository that are checked.
 
     Args:
         root: Folder of the checkout.
@@ -109,7 +109,7 @@ class Repository:
         self.selection = selection
 
     def selects(self, path: str) -> bool:
-        """Return whether violations of the file are reported."""
+        """Return whether violations in a file are reported."""
         return not self.selection or any(
             path == selected or path.startswith(selected.rstrip("/") + "/")
             for selected in self.selection

@@ -1,4 +1,4 @@
-"""Shaders that are not whole: text that only makes sense in the middle of another file's function."""
+"""Finds shader files that are fragments of another file's function."""
 
 __all__ = ["shaders"]
 
@@ -16,7 +16,7 @@ _DECLARATION = re.compile(
 
 
 def shaders(repository: Repository) -> Measurement:
-    """Find shader files that are no sequence of whole WGSL declarations, or are included in one."""
+    """Find shader files that are not whole WGSL declarations, or are included inside one."""
     violations: list[Violation] = []
     for shader in repository.shaders:
         if repository.selects(shader.path):
@@ -50,7 +50,7 @@ def _fragment(shader: Shader) -> Iterator[Violation]:
 
 
 def _included_in_function(shader: Shader) -> Iterator[Violation]:
-    """Yield every include directive that stands inside of brackets."""
+    """Yield every include directive inside brackets."""
     for match in _INCLUDE.finditer(shader.text):
         before = _COMMENT.sub("", shader.text[: match.start()])
         if before.count("{") > before.count("}"):

@@ -1,4 +1,4 @@
-"""Calls that a reader cannot understand: many positional fields, positional booleans, ``Any``."""
+"""Finds unclear signatures: many positional fields, positional booleans, ``Any``."""
 
 __all__ = ["any_types", "positional_booleans", "positional_fields"]
 
@@ -40,7 +40,7 @@ def positional_fields(repository: Repository) -> Measurement:
 
 
 def _classes(repository: Repository) -> dict[str, ast.ClassDef]:
-    """Return the product's classes by name; a name of several classes stands for none of them."""
+    """Return the product's classes by name, without names of several classes."""
     classes: dict[str, ast.ClassDef] = {}
     ambiguous: set[str] = set()
     for file in repository.product:
@@ -115,7 +115,7 @@ def _last_name(node: ast.expr) -> str:
 
 
 def _fields(node: ast.ClassDef, classes: dict[str, ast.ClassDef]) -> list[str]:
-    """Return the fields, inherited ones first, that may be passed by position."""
+    """Return the fields of a class that may be passed by position, inherited ones first."""
     decorator = _dataclass_decorator(node)
     if _keywords(decorator).get("kw_only") == "True":
         return []

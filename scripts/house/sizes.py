@@ -1,4 +1,4 @@
-"""Functions and files that are too long to read at once."""
+"""Finds functions and files that are too long."""
 
 __all__ = ["long_files", "long_functions"]
 

@@ -1,4 +1,4 @@
-"""What a check reports: violations with their location, and the size of what was searched."""
+"""Violations with locations, and the number of searched things."""
 
 __all__ = ["Measurement", "Violation"]
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Violation:
-    """One place where a rule of style is broken.
+    """One violation of a style rule, with its location.
 
     Attributes:
         path: File or folder, from the root of the checkout.
@@ -32,7 +32,7 @@ class Violation:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """The violations of one rule, and the number of things among which they were found."""
+    """The violations of one style rule, and the number of searched things."""
 
     violations: list[Violation]
     total: int = 0

@@ -68,7 +68,7 @@ def test_the_wheel_holds_every_room_and_its_data(wheel: Path) -> None:
     for part in (
         "gsgen/contract/py.typed",
         "gsgen/contract/schemas/gaussian-generator-1.0.schema.json",
-        "gsgen/contract/schemas/gaussian-generator-1.1.schema.json",
+        "gsgen/contract/schemas/gaussian-generator-1.2.schema.json",
         "gsgen/contract/targets_data/webgpu.json",
         "gsgen/conformance/fixtures/__init__.py",
         "gsgen/sdk/py.typed",

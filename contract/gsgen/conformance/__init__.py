@@ -13,11 +13,4 @@ if TYPE_CHECKING:
 
 __all__ = ["Check", "GeneratorConformance", "RuleWarning", "parametrize_with_rules"]
 
-_HOME = {
-    "Check": "pytest.testing",
-    "GeneratorConformance": "pytest.generator",
-    "RuleWarning": "pytest.testing",
-    "parametrize_with_rules": "pytest.testing",
-}
-
-__getattr__ = lazy_getattr(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__)

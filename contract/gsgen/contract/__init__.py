@@ -44,28 +44,4 @@ __all__ = [
     "write_manifest",
 ]
 
-_HOME = {
-    "Baseline": "validation.baseline",
-    "Violation": "validation.finding",
-    "Finding": "validation.finding",
-    "DecodedGaussians": "spec.layout",
-    "GeneratorManifest": "spec.manifest",
-    "GsgenError": "errors",
-    "Level": "spec.severity",
-    "Manifest": "spec.manifest",
-    "Report": "validation.report",
-    "Settings": "validation.settings",
-    "Severity": "spec.severity",
-    "Target": "spec.targets",
-    "Waiver": "validation.waivers",
-    "decode": "spec.layout",
-    "encode": "spec.layout",
-    "load_target": "spec.targets",
-    "open_model": "model.model_file",
-    "read_baseline": "validation.baseline",
-    "validate": "validator",
-    "write_manifest": "model.model_file",
-}
-
-
-__getattr__ = lazy_getattr(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__)

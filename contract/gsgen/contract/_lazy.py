@@ -3,26 +3,44 @@
 __all__ = ["lazy_getattr"]
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 
 
-def lazy_getattr(package: str, home: Mapping[str, str]) -> Callable[[str], object]:
+def lazy_getattr(package: str) -> Callable[[str], object]:
     """Return a module ``__getattr__`` (PEP 562) that imports the public names of ``package``.
 
-    Args:
-        package: The package's ``__name__``.
-        home: Name → the submodule that defines it; a submodule that is itself public stands for
-            itself.
+    The modules of the names are those that the package's source imports them from under
+    ``if TYPE_CHECKING:``, so that no second list has to agree with these imports.
     """
 
     def load(name: str) -> object:
-        if name not in home:
+        if name not in vars(sys.modules[package])["__all__"]:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module = import_module(f"{package}.{home[name]}")
-        is_submodule = home[name].rpartition(".")[2] == name
-        value: object = module if is_submodule else getattr(module, name)
+        home = import_module(_home(package)[name])
+        is_member = name in vars(home)  # else a submodule, which is itself public
+        value: object = (
+            getattr(home, name) if is_member else import_module(f"{home.__name__}.{name}")
+        )
         setattr(sys.modules[package], name, value)
         return value
 
     return load
+
+
+@cache
+def _home(package: str) -> dict[str, str]:
+    """Return the module of each name that a package imports for type checkers."""
+    import ast
+    import inspect
+
+    tree = ast.parse(inspect.getsource(sys.modules[package]))
+    return {
+        alias.name: node.module
+        for block in tree.body
+        if isinstance(block, ast.If)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom) and node.module
+        for alias in node.names
+    }

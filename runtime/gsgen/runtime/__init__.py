@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.scene.mesh import Mesh, MeshData
     from gsgen.runtime.scene.scene import Box, Scene, SplatSet
     from gsgen.runtime.scene.splat_data import SplatData
+    from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
     from gsgen.runtime.sources.mesh_files import read_mesh
     from gsgen.runtime.sources.scene_file import open_scene
     from gsgen.runtime.viewer.window import view
@@ -43,10 +44,12 @@ __all__ = [
     "Mesh",
     "MeshData",
     "Player",
+    "PooledSet",
     "Renderer",
     "Scene",
     "SceneInvalid",
     "SplatData",
+    "SplatPool",
     "SplatSet",
     "bake",
     "open_cameras",
@@ -56,31 +59,4 @@ __all__ = [
     "view",
 ]
 
-_HOME = {
-    "NOTHING": "scene.frame",
-    "Box": "scene.scene",
-    "Camera": "scene.camera",
-    "CameraFile": "camera_files",
-    "CapacityExceeded": "errors",
-    "Device": "gpu.device",
-    "DeviceUnavailable": "errors",
-    "Frame": "scene.frame",
-    "GeneratorPlayer": "playback.player",
-    "Mesh": "scene.mesh",
-    "MeshData": "scene.mesh",
-    "Player": "playback.player",
-    "Renderer": "renderer.renderer",
-    "Scene": "scene.scene",
-    "SceneInvalid": "errors",
-    "FrameRequest": "playback.player",
-    "SplatData": "scene.splat_data",
-    "SplatSet": "scene.scene",
-    "open_cameras": "camera_files",
-    "open_scene": "sources.scene_file",
-    "post_process": "playback.image_tiling",
-    "read_mesh": "sources.mesh_files",
-    "bake": "baking.bake_frames",
-    "view": "viewer.window",
-}
-
-__getattr__ = lazy_getattr(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__)

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 
 from gsgen.contract.tools.doctor import Check, check_package
 
@@ -75,7 +76,7 @@ def _adapters() -> Iterator[Check]:
 
 
 def _screen() -> Check:
-    """Check whether a window can be opened."""
+    """Check whether a window can be opened on this machine."""
     problem = _child_result("screen", _TRY_WINDOW, _RUNTIME, _WINDOW)
     if isinstance(problem, Check):
         return problem
@@ -91,37 +92,23 @@ def _screen() -> Check:
 
 
 def _widget() -> Check:
-    """Check the packages that show a scene in a notebook: rendercanvas needs one of two."""
-    widget_checks = [
-        check_package(name, "", purpose=_NOTEBOOK) for name in ("anywidget", "jupyter_rfb")
-    ]
-    working = [check for check in widget_checks if check.state == "ok"]
-    missing = Check(
-        name="anywidget",
-        state="missing",
-        detail="not installed",
-        remedy="pip install anywidget",
-        purpose=_NOTEBOOK,
-    )
-    return working[0] if working else missing
+    """Check the packages for views in notebooks: rendercanvas needs one of two."""
+    remedy = "pip install anywidget"
+    widgets = [check_package(n, remedy, purpose=_NOTEBOOK) for n in ("anywidget", "jupyter_rfb")]
+    return next((check for check in widgets if check.state == "ok"), widgets[0])
 
 
 def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
     """Return the JSON that ``code`` prints in a child process, or a failed check."""
+    failed = partial(Check, name=name, state="broken", remedy=remedy, purpose=purpose)
     try:
         completed = subprocess.run(
             [sys.executable, "-P", "-c", code], capture_output=True, text=True, timeout=_TIMEOUT
         )
     except subprocess.TimeoutExpired:
-        return Check(
-            name=name,
-            state="broken",
-            detail=f"no answer after {_TIMEOUT} s",
-            remedy=remedy,
-            purpose=purpose,
-        )
+        return failed(detail=f"no answer after {_TIMEOUT} s")
     if completed.returncode != 0:
         tail = completed.stderr.strip().splitlines()[-1:] or [f"exit status {completed.returncode}"]
-        return Check(name=name, state="broken", detail=tail[0], remedy=remedy, purpose=purpose)
+        return failed(detail=tail[0])
     result: object = json.loads(completed.stdout.strip().splitlines()[-1])
     return result

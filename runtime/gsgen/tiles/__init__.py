@@ -17,6 +17,4 @@ if TYPE_CHECKING:
 
 __all__ = ["describe_tileset", "open_tileset"]
 
-_HOME = {"describe_tileset": "info", "open_tileset": "loading"}
-
-__getattr__ = lazy_getattr(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__)

@@ -1,6 +1,12 @@
 """Reads splats of a tileset: all leaves, or the content of one tile, in the root frame."""
 
-__all__ = ["finest_contents", "read_leaves", "read_tile_content", "recognises"]
+__all__ = [
+    "decode_tile_content",
+    "finest_contents",
+    "read_leaves",
+    "read_tile_content",
+    "recognises",
+]
 
 import os
 import posixpath
@@ -40,6 +46,13 @@ def read_tile_content(
         StoreUnavailable: It cannot be read now.
     """
     data = store.read(content.uri, limit=MAX_CONTENT)
+    return decode_tile_content(store, tileset, tile, content, data)
+
+
+def decode_tile_content(
+    store: Store, tileset: Tileset, tile: Tile, content: Content, data: bytes
+) -> list[PlacedSplats]:
+    """Return the splats of a content whose file was read; see :func:`read_tile_content`."""
 
     def fetch(uri: str, location: str, size: int) -> bytes:
         path = resolve_uri(content.uri, uri, location)

@@ -16,7 +16,7 @@ from gsgen.tiles.json_values import JsonDict, JsonObject
 from gsgen.tiles.uris import resolve_uri
 
 EXTENSION: Final = "GSGEN_neural_tile"
-CONTRACTS: Final = ("1.0", "1.1")
+CONTRACTS: Final = ("1.0", "1.1", "1.2")
 MAX_SPLATS: Final = 1 << 24
 
 _DIGEST = re.compile(r"^[0-9a-f]{64}$")

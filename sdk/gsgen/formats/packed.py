@@ -1,35 +1,58 @@
 """Converts packed rows, such as a frame of a generator, to splats."""
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32, Float64
 
 from gsgen.contract.spec.geometry import symmetric
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.quantities import SH_C0, log, logit, rotations
 from gsgen.formats.shared.splats import SH_COUNTS, PackedRows, Splats
 
-__all__ = ["splats_of_rows"]
+__all__ = ["scales_and_quaternions", "splats_of_rows"]
 
 
 def splats_of_rows(rows: PackedRows) -> Splats:
     """Convert packed rows to splats with the same covariances, opacities and colours.
 
-    The axes are the eigenvectors of the covariance, the scales the roots of its eigenvalues (0
-    if rounding made one negative). Three or four channels are raw colour.
+    Scales and rotations are those of :func:`scales_and_quaternions`. Three or four channels are
+    raw colour.
     """
     rows64 = rows.gaussians.astype(np.float64)
     if not np.isfinite(rows64).all():
         row = int(np.argmin(np.isfinite(rows64).all(axis=1)))
         raise ValueInvalid(f"row {row} is not finite", where="gaussians", expected="finite numbers")
-    variances, axes = np.linalg.eigh(symmetric(rows64[:, 4:]))
-    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
+    scales, quaternions = scales_and_quaternions(rows64[:, 4:])
     return Splats(
         position=rows.gaussians[:, :3].astype(np.float32),
-        rotation=rotations(axes),
-        log_scale=log(np.sqrt(np.maximum(variances, 0))),
+        rotation=quaternions,
+        log_scale=log(scales),
         logit_opacity=logit(np.clip(rows64[:, 3], 0, 1)),
         sh=_harmonics(rows.appearance.astype(np.float32)),
     )
+
+
+def scales_and_quaternions(
+    covariance: Float[np.ndarray, "n 6"],
+) -> tuple[Float64[np.ndarray, "n 3"], Float32[np.ndarray, "n 4"]]:
+    """Decompose covariances into standard deviations and rotations by their eigenvectors.
+
+    The eigenvalues ascend. Signs of eigenvectors, which no solver defines, are fixed: the largest
+    component of the second and the third is positive, and the first makes the axes right-handed.
+
+    Args:
+        covariance: Upper triangles xx xy xz yy yz zz, in squared scene units.
+
+    Returns:
+        Scales in scene units, 0 where rounding made an eigenvalue negative; and unit quaternions
+        (w, x, y, z) with w ≥ 0.
+    """
+    variances, axes = np.linalg.eigh(symmetric(covariance))
+    largest = np.abs(axes).argmax(axis=1)  # of each column
+    axes = axes * np.sign(np.take_along_axis(axes, largest[:, None, :], axis=1))
+    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
+    quaternions = rotations(axes)
+    positive = quaternions * np.where(quaternions[:, :1] < 0, np.float32(-1), np.float32(1))
+    return np.sqrt(np.maximum(variances, 0)), positive
 
 
 def _harmonics(appearance: Float32[np.ndarray, "n c"]) -> Float32[np.ndarray, "n k 3"]:

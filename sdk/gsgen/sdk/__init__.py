@@ -25,6 +25,7 @@ __all__ = [
     "export_post_process", "inputs", "installed_plugins", "math", "wrap",
 ]  # fmt: skip
 
+<<<<<<< HEAD
 _HOME = {
     name: module
     for module, names in {
@@ -44,3 +45,6 @@ _HOME = {
 
 
 __getattr__ = lazy_getattr(__name__, _HOME)
+=======
+__getattr__ = lazy_getattr(__name__)
+>>>>>>> 2de02c0384d2a13dca311bc049847b44e879a98e

@@ -62,9 +62,9 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
         (
             ("a.ksplat",),
             2,
-            "a.ksplat: KSPLAT can only be read\n  Use one of .ply, .compressed.ply, ",
+            "a.ksplat: KSPLAT can only be read, expected a format that can be written: .ply, ",
         ),
-        (("a",), 2, "a: has the unknown suffix (none)\n"),
+        (("a",), 2, "a: has the suffix (none), expected a format"),
         (("a", "--format", "splt"), 2, "--format: unknown format 'splt'\n  Did you mean 'splat'?"),
         (
             ("a.ply", "--spz-version", "4"),

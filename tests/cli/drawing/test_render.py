@@ -120,7 +120,7 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
     [
         (("nowhere.onnx",), 4, "nowhere.onnx"),
         (("FILE", "-o", "a.xyz"), 2, "has the unknown suffix '.xyz'\n  Known: .png"),
-        (("FILE", "--frames", "2"), 2, "is one picture, but there are 2"),
+        (("FILE", "--frames", "2"), 2, "is one picture, expected a video or a folder for 2"),
         (("FILE", "--time", "0.5"), 2, "--time: is 0.5, but no scene has a time"),
         (("FILE", "--background", "puce"), 2, "'puce' is not a colour"),
         (("FILE", "--fov", "180"), 2, "--fov: is 180.0 degrees"),
@@ -133,7 +133,11 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
             2,
             "works on colours, but the output is depth",
         ),
-        (("POST",), 2, "expected a gaussian-generator\n  It works on images: `--post`"),
+        (
+            ("POST",),
+            2,
+            "expected a gaussian-generator\n  Run post-process models on the drawn frames with `--post`",
+        ),
         (("MODEL", "--size", "J=2"), 2, "--size: unknown open dimension 'J'"),
         (("MODEL", "--size", "J"), 2, "--size: is 'J', expected SYMBOL=SIZE, such as J=24"),
         (("OPEN",), 2, "Give its size: `--size J=24`"),
@@ -144,7 +148,7 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
         (
             ("MODEL", "--pose", "no.npy"),
             2,
-            "--pose no.npy: needs the input 'pose', which no scene has",
+            "--pose no.npy: names the input 'pose', which no scene has",
         ),
         (("BODY", "--pose", "no.npy"), 2, "no.npy: cannot be read: No such file"),
         (("MODEL", "--wsr", "published"), 2, "drift.onnx is not blended by weighted sums"),
@@ -242,7 +246,7 @@ def test_several_scenes_are_one(renderer: Renderer, file: Path, moving: Path) ->
     drawn = result.draw(0)
     assert drawn.visible > 200
     both[1].color_space = "linear"
-    with pytest.raises(ConfigInvalid, match="cannot be blended"):
+    with pytest.raises(ConfigInvalid, match="have linear and sRGB colours"):
         FrameSequence(both, viewpoint(None), renderer=renderer)
     both[1].close()
 

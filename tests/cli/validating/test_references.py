@@ -129,7 +129,7 @@ def test_an_old_manifest_is_lifted_to_the_version_that_knows_of_pictures(
     onnx.save(model, source)
     copy = tmp_path / "copy.onnx"
     record_references(source, copy, width=WIDTH, psnr=33.0, renderer=renderer)
-    assert declared(copy).contract == "1.1"
+    assert declared(copy).contract == "1.2"
     assert declared(copy).reference_images[0].psnr == 33
 
 

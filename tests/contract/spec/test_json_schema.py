@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from gsgen.contract.reporters.document import schema as report_schema
-from gsgen.contract.spec.json_schema import DIALECT, from_json, schema_of, to_json
+from gsgen.contract.spec.json_schema import DIALECT, Hint, from_json, schema_of, to_json
 from gsgen.contract.spec.manifest_io import loads, parse, schema_name, schemas
 from gsgen.contract.spec.roles import KINDS
-from gsgen.contract.spec.schema_text import Hint
 from gsgen.contract.validation.report import REPORT_SCHEMA_FILE
 from support.models.manifests import JSON, manifests
 
@@ -26,6 +25,15 @@ WRITER = "scripts/write_schemas.py"
 
 # SHA-256 of the schemas of older versions: readers hold copies, so they never change.
 OLDER = {
+    "gaussian-generator-1.1.schema.json": (
+        "f790985342cce574b9f5890e4ca4e5eadbce59fefa59cb68ee52d827e6b50153"
+    ),
+    "post-process-1.1.schema.json": (
+        "c8c5cf48678f3b607419a809e12b155a97cb0c5d028d2778d4f9fb62f5a22097"
+    ),
+    "trajectory-predictor-1.1.schema.json": (
+        "aed7b779b13fbe929fa6b2094cbaabeadb951b56ef333bb24a02f9f16148e1ab"
+    ),
     "gaussian-generator-1.0.schema.json": (
         "0f53f7cfadc9577c6305cf42086de1e4f908b5571916df7c229d13dd0556819c"
     ),

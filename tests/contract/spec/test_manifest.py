@@ -55,7 +55,7 @@ def test_no_text_makes_the_reader_raise(document):
 def test_text_starts_with_what_tells_readers_apart():
     made = dumps(GeneratorManifest(name="ä", outputs=GeneratorOutputs()), indent=None)
     assert made.startswith(
-        '{"contract": "1.1", "kind": "gaussian-generator", "inputs": [], "name": "ä"'
+        '{"contract": "1.2", "kind": "gaussian-generator", "inputs": [], "name": "ä"'
     )
 
 
@@ -291,4 +291,4 @@ def test_the_first_version_has_no_cells():
 def test_a_weighted_sum_of_the_first_version_is_read_as_sorted():
     parsed = parse(text(blend="wsr"))
     assert parsed.manifest.blend == "alpha"
-    assert (parsed.manifest.contract, parsed.version) == ("1.1", (1, 0))
+    assert (parsed.manifest.contract, parsed.version) == ("1.2", (1, 0))

@@ -17,6 +17,8 @@ SPECIFIED = {
     "expression": ("float32", (("E",),)),
     "appearance_id": ("int32", ((1,),)),
     "control": ("float32", (("*",),)),
+    "audio": ("float32", (("S",), ("W", "M"))),
+    "condition": ("float32", (("*",),)),
 }
 
 

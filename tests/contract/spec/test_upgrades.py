@@ -1,15 +1,6 @@
-import json
-from functools import cache
-from importlib import resources
-
 import pytest
-from hypothesis import given, settings
-from jsonschema import Draft202012Validator
 
-from gsgen.contract.spec.json_schema import to_json
-from gsgen.contract.spec.manifest_io import schema_name
 from gsgen.contract.spec.upgrades import CURRENT, UPGRADES, upgrade, upgrade_1_0_to_1_1
-from support.models.manifests import manifests
 
 
 def lift(document):
@@ -77,25 +68,3 @@ def test_a_weighted_sum_without_cells_is_blended_as_its_readers_had_to():
     document = FIRST | {"blend": "wsr"}
     expected = document | {"contract": "1.1", "blend": "alpha"}
     assert upgrade_1_0_to_1_1(document) == expected
-
-
-@settings(max_examples=50)
-@given(manifests())
-def test_whatever_kept_the_first_schema_keeps_the_current_one_when_lifted(manifest):
-    document = json.loads(json.dumps(to_json(manifest))) | {"contract": "1.0"}
-    known = validator(document["kind"], (1, 0)).schema["properties"]
-    document = {field: value for field, value in document.items() if field in known}
-    document["outputs"].pop("cells", None)
-    assert errors(document, (1, 0)) == []
-    assert errors(upgrade(document, (1, 0)), CURRENT) == []
-
-
-def errors(document, version):
-    return list(validator(document["kind"], version).iter_errors(document))
-
-
-@cache
-def validator(kind, version):
-    name = schema_name(kind, version)
-    text = resources.files("gsgen.contract").joinpath("schemas", name).read_text("utf-8")
-    return Draft202012Validator(json.loads(text))

@@ -64,7 +64,7 @@ def test_a_good_model_conforms_and_every_rule_is_accounted_for(good):
     ]
     assert set(checked_statuses) == {"pass", "not-applicable"}
     assert (report.path, report.size) == (str(good), good.stat().st_size)
-    assert (report.kind, report.name, report.contract) == ("gaussian-generator", "moving", "1.1")
+    assert (report.kind, report.name, report.contract) == ("gaussian-generator", "moving", "1.2")
     assert (report.capacity, report.level) == (8, Level.BEHAVIOUR)
     assert report.probes[:2] == ("all inputs zero", "time=0")
     assert len(report.probes) == 9
@@ -73,7 +73,7 @@ def test_a_good_model_conforms_and_every_rule_is_accounted_for(good):
     assert exit_code([report]) == 0
 
 
-@pytest.mark.parametrize("version", ["1.0", "1.1", "1.7"])
+@pytest.mark.parametrize("version", ["1.0", "1.1", "1.2", "1.7"])
 def test_a_report_names_the_contract_that_the_manifest_declares(version, tmp_path):
     def declare(document):
         document["contract"] = version

@@ -174,8 +174,8 @@ def _bake(model: Path, output: Path, **options: object) -> BakeReport:
     [
         ("drift", "a.ply", {"time": 2.0}, "is 2 for input time, expected 0 to 1"),
         ("lit", "a.ply", {"time": 0.5}, "has no time input"),
-        ("drift", "a.sog", {}, "SOG is only read"),
-        ("drift", "a.txt", {}, "no suffix of a splat format"),
+        ("drift", "a.ksplat", {}, "KSPLAT can only be read"),
+        ("drift", "a.txt", {}, "has the suffix .txt, expected a format"),
         ("drift", "a.ply", {"time": np.array([0, 1])}, "expected a pattern for 2 frames"),
         ("drift", "%d/%d.ply", {"time": np.array([0, 1])}, "has 2 frame numbers"),
         ("drift", "a.ply", {"views": 5}, "is 5, expected 20 or more"),

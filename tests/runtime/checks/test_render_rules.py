@@ -150,7 +150,7 @@ def test_files_that_are_no_picture_and_too_large_ones(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).integers(0, 256, (40, 40, 3), np.uint8)
     for content, problem in (
         (b"not a picture", "cannot be read as PNG"),
-        (png_of(np.zeros((1, 5000, 3), np.uint8)), "expected at most 4096 a side"),
+        (png_of(np.zeros((1, 5000, 3), np.uint8)), "expected at most 4096×4096"),
         (png_of(noise)[:2000], "cannot be read as PNG"),
     ):
         sketch = with_reference(still(), content)

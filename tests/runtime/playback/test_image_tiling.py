@@ -90,7 +90,7 @@ def test_nan_in_one_tile_is_not_hidden() -> None:
 
 @pytest.mark.parametrize("overlap", [-1, 8, 100])
 def test_overlaps_that_do_not_fit_are_refused(overlap: int) -> None:
-    with pytest.raises(ConfigInvalid, match=rf"overlap of {overlap} .*16 × 16"):
+    with pytest.raises(ConfigInvalid, match=rf"overlap: is {overlap}, expected 0 to 7 .*16 × 16"):
         run_tiled(np.zeros((1, 3, 20, 20)), lambda part: part, (16, 16), overlap)
 
 

@@ -165,8 +165,8 @@ def test_lhm(tmp_path: Path) -> None:
         ("[[[[1]]]]", r"has shape \[1, 1, 1, 1\], expected \[joints, 3\]"),
         ("[[1, 2], [3]]", "cannot be read"),
         ("[[NaN, 0, 0]]", "has 1 non-finite values"),
-        ("{}", "has no array `poses` or `pose`, but nothing"),
-        ('{"shape": [1], "scale": [2]}', "has no array `poses` or `pose`, but shape, scale"),
+        ("{}", r"has the arrays \(none\), expected `poses` or `pose`"),
+        ('{"shape": [1], "scale": [2]}', "has the arrays shape, scale, expected `poses` or `pose`"),
         (
             '{"pose": [[1, 2, 3]], "trans": [1, 2]}',
             r"trans: has shape \[2\], expected \[1, 3\]: 3 numbers",

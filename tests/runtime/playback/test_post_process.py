@@ -145,7 +145,9 @@ def test_results_that_are_no_image_say_so(tmp_path: Path, body: str, said: str) 
 
 
 def test_what_is_no_post_process_model_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SceneInvalid, match=r"expected a post-process model\n.*give it as a scene"):
+    with pytest.raises(
+        SceneInvalid, match=r"expected a post-process model\n.*Pass generators as scenes"
+    ):
         PostProcessor(find("drift").write(tmp_path))
     bare = replace(darken(), manifest=None)
     with pytest.raises(SceneInvalid, match="has no manifest"):

@@ -106,7 +106,7 @@ def test_materials_beside_an_obj(tmp_path: Path) -> None:
     assert np.array_equal(mesh.data.texture[..., :3], PICTURE)
     (tmp_path / "material.mtl").unlink()
     with pytest.warns(
-        UserWarning, match=r"material\.mtl is missing in its folder; it is drawn without"
+        UserWarning, match=r"material\.mtl is missing in its folder; the mesh is drawn without"
     ):
         (bare,) = read_mesh(tmp_path / "a.obj")
     assert bare.data.texture is None

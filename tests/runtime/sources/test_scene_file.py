@@ -210,7 +210,7 @@ WRONG = {
     ),
     "both": (
         {"models": [A | {"transform": np.eye(4).tolist(), "scale": 2}]},
-        "scale: and `transform` exclude each other",
+        "scale: excludes `transform`",
     ),
     "flat": ({"models": [A | {"scale": 0}]}, r"models\[0\]\.scale: is singular"),
     "shape": ({"models": [A | {"transform": [1, 2]}]}, "expected 4×4 numbers"),

@@ -1,10 +1,14 @@
 """Culling and cuts, compared with points, and with a walk from the root."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.runtime.scene.camera import Camera
-from gsgen.tiles.selection.cut import cut_tree, request_order
+from gsgen.tiles.prediction.poses import matrix_quaternion
+from gsgen.tiles.selection.cut import cut_tree, cut_tree_often, request_order
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.tileset import Tile, Tileset
@@ -212,3 +216,31 @@ def test_volumes_of_every_kind_become_boxes_that_hold_them() -> None:
             points = (points - globe[:3, 3]) @ globe[:3, :3]
         box = Box(tree.center[0], tree.half_axes[0])
         assert box.outside(points).max() < 1e-6
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
+def test_a_moved_frustum_is_that_of_the_camera_there(kind: str) -> None:
+    rng = np.random.default_rng(6)
+    camera = random_camera(rng, kind)
+    for _ in range(5):
+        quaternion = rng.normal(size=4)
+        quaternion /= np.linalg.norm(quaternion)
+        turn, eye = rotation_matrix(quaternion[None])[0].T, rng.normal(size=3) * 5
+        view = np.eye(4)
+        view[:3, :3], view[:3, 3] = turn, -turn @ eye
+        there = Frustum.from_camera(replace(camera, view=view))
+        moved = Frustum.from_camera(camera).moved(eye, quaternion)
+        np.testing.assert_allclose(moved.planes, there.planes, atol=1e-9)
+        np.testing.assert_allclose(moved.rotation, there.rotation, atol=1e-9)
+        back = matrix_quaternion(turn.T)
+        np.testing.assert_allclose(abs(back @ quaternion), 1)
+
+
+def test_many_frustums_at_once_see_what_each_sees() -> None:
+    rng = np.random.default_rng(7)
+    tree = TileTree.of_tileset(random_tileset(rng))
+    frusta = [Frustum.from_camera(random_camera(rng, "pinhole")) for _ in range(6)]
+    rows, seen = cut_tree_often(tree, frusta, 16.0)
+    for frustum, row in zip(frusta, seen, strict=True):
+        expected = np.flatnonzero(cut_tree(tree, frustum, 16.0).seen)
+        assert sorted(rows[row].tolist()) == expected.tolist()

@@ -2,6 +2,7 @@
 
 __all__ = [
     "MANIFEST_KEY",
+    "NEUTRAL_KEY",
     "STUB",
     "ExternalRef",
     "ModelFile",
@@ -41,7 +42,12 @@ from gsgen.contract.spec.manifest_io import dumps
 Body = GraphProto | FunctionProto
 
 MANIFEST_KEY = "gsgen.manifest"
+"""The key that this project writes."""
 
+NEUTRAL_KEY = "gaussian-generator.manifest"
+"""The same for tools that do not want to name this project; it is read where the first is absent."""
+
+_KEYS = (MANIFEST_KEY, NEUTRAL_KEY)
 _METADATA_FIELD = 14  # ModelProto.metadata_props
 _LONGEST = (1 << 63) - 1
 _DIGITS = 100  # Python refuses to read numbers of thousands
@@ -124,7 +130,8 @@ class ModelFile:
     @property
     def manifest_text(self) -> str | None:
         """The JSON text of the manifest embedded in the model, or None."""
-        return self.metadata.get(MANIFEST_KEY)
+        metadata = self.metadata
+        return metadata.get(MANIFEST_KEY, metadata.get(NEUTRAL_KEY))
 
 
 def _covered(folder: Path, location: str, ranges: list[tuple[int, int]]) -> int:
@@ -374,7 +381,7 @@ def _without_manifest(descriptor: int) -> list[tuple[int, int]]:
 
 def _is_manifest(data: memoryview, start: int, end: int) -> bool:
     key = next((f for f in scan(data, start, end) if f.number == 1 and f.wire == BYTES), None)
-    return key is not None and bytes(data[key.value : key.end]) == MANIFEST_KEY.encode()
+    return key is not None and bytes(data[key.value : key.end]).decode(errors="replace") in _KEYS
 
 
 def _copy_bytes(source: BinaryIO, out: BinaryIO, count: int) -> None:

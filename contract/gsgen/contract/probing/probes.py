@@ -5,7 +5,7 @@ other input is sampled within its range. The first probe is all zeros, which is 
 feed before the first real values.
 """
 
-__all__ = ["Array", "Probe", "as_tensor", "default_probes", "dependency_probes"]
+__all__ = ["NAMED", "Array", "Probe", "as_tensor", "default_probes", "dependency_probes"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,6 +18,9 @@ from gsgen.contract.spec.manifest import Bounds, GeneratorManifest, Input, Manif
 from gsgen.contract.spec.roles import ROLES
 
 Array = np.ndarray
+
+# Start of the key of one input, among those of roles.
+NAMED = "input "
 
 # Images wide, square and tall, and lenses from the narrower to the wider angle: a model that
 # depends on either must show it.
@@ -85,9 +88,17 @@ def default_probes(
 def dependency_probes(
     manifest: Manifest, base: Probe, other_probes: tuple[Probe, ...]
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield, for each role, probes that differ from ``base`` in that role's inputs alone."""
-    for name in sorted({i.role for i in manifest.inputs}):
-        changed = [i.name for i in manifest.inputs if i.role == name]
+    """Yield, for each role, probes that differ from ``base`` in that role's inputs alone.
+
+    An input that ``depends_on`` names has probes of its own, under the key ``input NAME``.
+    """
+    groups = {role: [] for role in sorted({i.role for i in manifest.inputs})}
+    for entry in manifest.inputs:
+        groups[entry.role].append(entry.name)
+    if isinstance(manifest, GeneratorManifest):
+        named = [entry.name for entry in manifest.inputs if entry.name in manifest.depends_on]
+        groups |= {f"{NAMED}{name}": [name] for name in named}
+    for name, changed in groups.items():
         variants = tuple(
             Probe(
                 label=f"{base.label} with the {name} of {variant.label}",
@@ -147,7 +158,12 @@ def _cast(values: Array, dtype: str) -> Array:
 
 
 def _usual_range(spec: Input) -> tuple[float, float]:
-    usual = {"pose": (-0.6, 0.6), "root_rotation": (-0.6, 0.6), "root_translation": (-0.5, 0.5)}
+    usual = {
+        "pose": (-0.6, 0.6),
+        "root_rotation": (-0.6, 0.6),
+        "root_translation": (-0.5, 0.5),
+        "audio": (-1.0, 1.0),
+    }
     return usual.get(spec.role, (0.0, 1.0))
 
 

@@ -12,7 +12,15 @@ from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
 from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness
 from gsgen.contract.rules.graph import capture, graph, integers, naming, replay
-from gsgen.contract.rules.interface import declarations, input_declarations, inputs, manifest
+from gsgen.contract.rules.interface import (
+    avatar_inputs,
+    declarations,
+    extensions,
+    input_declarations,
+    inputs,
+    manifest,
+    side_files,
+)
 from gsgen.contract.rules.outputs import capacity, companions, count, graph_outputs, outputs
 from gsgen.contract.rules.targets import limits, visionary, visionary_drawing
 from gsgen.contract.rules.values import appearance, cells, covariance, execution, extent, rows
@@ -25,8 +33,10 @@ from gsgen.contract.validation.rule import Registry, Rule, backends_in, rule, ru
 FAMILIES = (
     manifest,
     declarations,
+    extensions,
     inputs,
     input_declarations,
+    avatar_inputs,
     outputs,
     count,
     companions,
@@ -49,6 +59,7 @@ FAMILIES = (
     limits,
     capacity,
     safety,
+    side_files,
     visionary,
     visionary_drawing,
     waivers,

@@ -4,16 +4,14 @@
 :func:`from_json` convert its instances.
 """
 
-__all__ = ["DIALECT", "Json", "from_json", "schema_of", "to_json"]
+__all__ = ["DIALECT", "Hint", "Json", "from_json", "schema_of", "to_json"]
 
 import types
 import typing
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from functools import cache
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
-
-from gsgen.contract.spec.schema_text import Hint
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -31,6 +29,32 @@ _SCALARS: dict[object, dict[str, object]] = {
 _EXTENSION = "^x-"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hint:
+    """Field metadata in ``Annotated[...]`` that becomes JSON Schema keywords."""
+
+    text: str = ""
+    minimum: float | None = None
+    above: float | None = None
+    maximum: float | None = None
+    min_length: int | None = None
+    pattern: str | None = None
+    enum: tuple[str, ...] = ()
+
+    def keywords(self) -> dict[str, object]:
+        """Return the field metadata as JSON Schema keywords."""
+        by_keyword = {
+            "description": self.text or None,
+            "minimum": self.minimum,
+            "exclusiveMinimum": self.above,
+            "maximum": self.maximum,
+            "minLength": self.min_length,
+            "pattern": self.pattern,
+            "enum": list(self.enum) or None,
+        }
+        return {key: value for key, value in by_keyword.items() if value is not None}
+
+
 def schema_of(cls: type, *, title: str | None = None) -> dict[str, object]:
     """Return the JSON Schema of the frozen dataclass ``cls``, with nested ones in ``$defs``."""
     definitions: dict[str, object] = {}
@@ -42,14 +66,14 @@ def schema_of(cls: type, *, title: str | None = None) -> dict[str, object]:
 def _object_schema(cls: type, definitions: dict[str, object]) -> dict[str, object]:
     hints = get_type_hints(cls, include_extras=True)
     required = [
-        f.name for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING
+        _key(f) for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING
     ]
     properties: dict[str, object] = {}
     for f in fields(cls):
         entry = _type_schema(hints[f.name], definitions)
         if f.default is not MISSING and f.default is not None and not is_dataclass(f.default):
             entry = entry | {"default": to_json(f.default)}
-        properties[f.name] = entry
+        properties[_key(f)] = entry
     return {
         "type": "object",
         "description": (cls.__doc__ or "").strip().splitlines()[0],
@@ -106,12 +130,17 @@ def to_json(value: Any) -> Any:
     """Convert a dataclass instance to JSON types, without absent fields."""
     if is_dataclass(value) and not isinstance(value, type):
         members = ((f, getattr(value, f.name)) for f in fields(value))
-        return {f.name: to_json(entry) for f, entry in members if not _is_absent(f, entry)}
+        return {_key(f): to_json(entry) for f, entry in members if not _is_absent(f, entry)}
     if isinstance(value, (tuple, list)):
         return [to_json(item) for item in value]
     if isinstance(value, Mapping):
         return {key: to_json(item) for key, item in value.items()}
     return value
+
+
+def _key(field: "Field[Any]") -> str:
+    """Return a field's name in JSON: `from_` stands for `from`, a word of Python."""
+    return field.name.removesuffix("_")
 
 
 def _is_absent(field: "Field[Any]", value: Any) -> bool:
@@ -137,8 +166,9 @@ def from_json(hint: Any, value: Any) -> Any:
     if origin is dict:
         return {key: from_json(get_args(hint)[1], element) for key, element in value.items()}
     if is_dataclass(hint) and isinstance(hint, type):
-        hints = _hints_of(hint)
-        return hint(**{k: from_json(hints[k], v) for k, v in value.items() if k in hints})
+        members = _members_of(hint)
+        known = [(*members[key], entry) for key, entry in value.items() if key in members]
+        return hint(**{name: from_json(kind, entry) for name, kind, entry in known})
     if hint is float:
         return float(value)
     if hint is int:
@@ -147,9 +177,10 @@ def from_json(hint: Any, value: Any) -> Any:
 
 
 @cache
-def _hints_of(cls: type) -> dict[str, Any]:
+def _members_of(cls: type) -> dict[str, tuple[str, Any]]:
+    """Return the key in JSON of each field → its name and its type."""
     hints = get_type_hints(cls, include_extras=True)
-    return {field.name: hints[field.name] for field in fields(cls)}
+    return {_key(field): (field.name, hints[field.name]) for field in fields(cls)}
 
 
 def _from_union(options: tuple[Any, ...], value: Any) -> Any:

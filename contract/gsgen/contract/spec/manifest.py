@@ -9,13 +9,16 @@ __all__ = [
     "Bounds",
     "Capture",
     "CellsOutput",
+    "Cost",
     "CountOutput",
+    "ExternalData",
     "FutureOutput",
     "GaussiansOutput",
     "GeneratorManifest",
     "GeneratorOutputs",
     "ImageOutput",
     "Input",
+    "Joint",
     "Manifest",
     "PostProcessManifest",
     "PostProcessOutputs",
@@ -26,11 +29,14 @@ __all__ = [
     "Tolerances",
     "TrajectoryManifest",
     "TrajectoryOutputs",
+    "TrajectoryTolerances",
     "UncertaintyOutput",
+    "VectorFile",
     "WeightedSum",
     "manifest_type",
 ]
 
+import math
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -38,10 +44,13 @@ import numpy as np
 
 from gsgen.contract._array_types import Float
 from gsgen.contract.errors import UnknownName
+from gsgen.contract.spec.json_schema import Hint
 from gsgen.contract.spec.roles import ROLES
-from gsgen.contract.spec.schema_text import Hint
 
-CONTRACT = "1.1"
+CONTRACT = "1.2"
+
+# The rounding error of a time, as a share of a frame.
+_FRAME_ROUNDING = 1e-6
 
 RoleName = Annotated[str, Hint(text="What the input means.", enum=tuple(ROLES))]
 Name = Annotated[str, Hint(text="The tensor's name in the graph.", min_length=1)]
@@ -49,9 +58,12 @@ Positive = Annotated[int, Hint(minimum=1)]
 Sha256 = Annotated[str, Hint(text="SHA-256, in lower-case hex.", pattern="^[0-9a-f]{64}$")]
 Fraction = Annotated[float, Hint(minimum=0)]
 AboveZero = Annotated[float, Hint(above=0)]
+ExtensionName = Annotated[
+    str, Hint(text="The field of its data: x-writer-name.", pattern="^x-[a-z0-9]+(-[a-z0-9]+)*$")
+]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
     """The coordinate frame of Gaussians, cameras and bounds."""
 
@@ -69,6 +81,11 @@ class Space:
             text="`column`: the [4,4] tensor holds Mᵀ, as column-major bytes do. `row`: it holds M."
         ),
     ] = "column"
+    origin: Annotated[
+        tuple[float, float, float] | None,
+        Hint(text="Where the local origin lies in the author's world, in units, as float64."),
+    ] = None
+    metres_per_unit: Annotated[AboveZero | None, Hint(text="Length of one unit, in metres.")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +123,18 @@ class Producer:
     weights_sha256: Sha256 | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """One joint of a skeleton, in the order of the rows of a pose."""
+
+    name: Annotated[str, Hint(min_length=1)]
+    parent: Annotated[str | None, Hint(text="Name of its parent; absent for a root.")] = None
+    rest: Annotated[
+        tuple[float, float, float] | None,
+        Hint(text="Its position in the rest pose, in local units."),
+    ] = None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Input:
     """One input of the model that a runtime feeds in every frame."""
@@ -134,6 +163,30 @@ class Input:
         float | None, Hint(text="Time: frames per second at natural speed.", minimum=0)
     ] = None
     label: Annotated[str | None, Hint(text="What a user interface calls it.")] = None
+    joints: Annotated[tuple[Joint, ...], Hint(text="Pose: one joint for each row, in order.")] = ()
+    rate: Annotated[AboveZero | None, Hint(text="Audio: samples per second.")] = None
+    window: Annotated[
+        Positive | None, Hint(text="Audio, mel: samples under the window of one column.")
+    ] = None
+    hop: Annotated[
+        Positive | None, Hint(text="Audio, mel: samples from one column to the next.")
+    ] = None
+
+    def moment(self, frame: int) -> float:
+        """Return the time at which a frame begins: the frames divide the range into equal parts."""
+        low, high, count = self._frames()
+        return low + (high - low) * frame / count
+
+    def frame_at(self, time: float) -> int:
+        """Return the frame that a time shows; the end of the range shows the last, or the first."""
+        low, high, count = self._frames()
+        frame = math.floor(count * (time - low) / (high - low) + _FRAME_ROUNDING)
+        return frame % count if self.loop else min(max(frame, 0), count - 1)
+
+    def _frames(self) -> tuple[float, float, int]:
+        if self.role != "time" or self.range is None or self.frames is None:
+            raise ValueError(f"{self.name!r} is not a time with a range and frames")
+        return *self.range, self.frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,12 +283,24 @@ class Tolerances:
 
 
 @dataclass(frozen=True, slots=True)
+class VectorFile:
+    """One input of a test vector: a file with an ONNX TensorProto."""
+
+    input: Annotated[str, Hint(text="The tensor's name in the graph.", min_length=1)]
+    path: Annotated[str, Hint(text="A file in the model's folder or below it.", min_length=1)]
+    sha256: Sha256
+
+
+@dataclass(frozen=True, slots=True)
 class TestVector:
     """The probe label and the output digest that a model promises to reproduce."""
 
     inputs: Annotated[str, Hint(text="Which probe, by its label.")]
     expected_sha256: Sha256
     seed: Annotated[int, Hint(text="Seed of the probe set.", minimum=0)] = 0
+    files: Annotated[
+        tuple[VectorFile, ...], Hint(text="The inputs as files, for readers without the probe set.")
+    ] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,6 +320,29 @@ class ReferenceImage:
     focal: Annotated[tuple[float, float], Hint(text="Focal lengths in x and y, in pixels.")]
     center: Annotated[tuple[float, float], Hint(text="Principal point, in pixels from the corner.")]
     psnr: Annotated[AboveZero, Hint(text="Least peak signal-to-noise ratio, in decibels.")] = 40.0
+    from_: Annotated[
+        Literal["model", "source"],
+        Hint(text="`source`: drawn by the training code. `model`: by this model, as it was then."),
+    ] = "model"
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What one frame costs on one device."""
+
+    device: Annotated[str, Hint(text="The device, as its driver calls it.", min_length=1)]
+    milliseconds: Annotated[Fraction | None, Hint(text="Median time of one run.")] = None
+    bytes: Annotated[
+        int | None, Hint(text="Peak memory of a session, weights included.", minimum=0)
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalData:
+    """A file with weights, and its digest."""
+
+    path: Annotated[str, Hint(text="As the model writes it: its `location`.", min_length=1)]
+    sha256: Sha256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,6 +358,17 @@ class _Common:
     contract: Annotated[
         str, Hint(text="Contract version, major.minor.", pattern=r"^[0-9]+\.[0-9]+$")
     ] = CONTRACT
+    extensions_used: Annotated[
+        tuple[ExtensionName, ...], Hint(text="Registered extensions that the manifest uses.")
+    ] = ()
+    extensions_required: Annotated[
+        tuple[ExtensionName, ...], Hint(text="Those without which the model is misread.")
+    ] = ()
+    operator_profile: Annotated[
+        str | None, Hint(text="The operators that suffice to run it: a profile's name.")
+    ] = None
+    external_data: tuple[ExternalData, ...] = ()
+    cost: tuple[Cost, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -280,7 +379,8 @@ class GeneratorManifest(_Common):
     space: Space | None = None
     bounds: Bounds | None = None
     depends_on: Annotated[
-        dict[str, bool], Hint(text="Role → does any output change with it; absent means yes.")
+        dict[str, bool],
+        Hint(text="Input or role → does any output change with it; absent means yes."),
     ] = field(default_factory=dict)
     antialias: Annotated[
         Literal["classic", "mip"], Hint(text="`classic`: 0.3 px dilation. `mip`: compensated.")
@@ -293,6 +393,10 @@ class GeneratorManifest(_Common):
     tolerances: Tolerances | None = None
     reference_images: tuple[ReferenceImage, ...] = ()
     kind: Literal["gaussian-generator"] = "gaussian-generator"
+
+    def depends(self, entry: Input) -> bool:
+        """Return whether outputs may change with an input; its name comes before its role."""
+        return self.depends_on.get(entry.name, self.depends_on.get(entry.role, True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,12 +453,23 @@ class TrajectoryOutputs:
     uncertainty: UncertaintyOutput
 
 
+@dataclass(frozen=True, slots=True)
+class TrajectoryTolerances:
+    """How closely two executions of a trajectory predictor agree."""
+
+    position: Annotated[Fraction, Hint(text="In units of length.")] = 1e-3
+    rotation: Annotated[Fraction, Hint(text="Angle between two rotations, in radians.")] = 1e-3
+    uncertainty: Annotated[Fraction, Hint(text="Relative.")] = 1e-2
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryManifest(_Common):
     """The manifest of a trajectory predictor: past camera states → future states, uncertainty."""
 
     outputs: TrajectoryOutputs
     step_seconds: Annotated[float, Hint(text="Time between two states, in seconds.", minimum=0)]
+    space: Space | None = None
+    tolerances: TrajectoryTolerances | None = None
     kind: Literal["trajectory-predictor"] = "trajectory-predictor"
 
 

@@ -1,6 +1,15 @@
 """Input roles: the meaning of a frame input, which fixes its shape and dtype."""
 
-__all__ = ["ROLES", "Role", "Shape", "matching_shape", "role"]
+__all__ = [
+    "CONVENTION_SHAPES",
+    "ROLES",
+    "STATE_SIZES",
+    "Role",
+    "Shape",
+    "matches_shape",
+    "matching_shape",
+    "role",
+]
 
 from dataclasses import dataclass
 
@@ -13,6 +22,9 @@ GENERATOR = "gaussian-generator"
 POST_PROCESS = "post-process"
 TRAJECTORY = "trajectory-predictor"
 KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
+
+STATE_SIZES = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
+"""Numbers in a camera state by its representation: the centre, then the rotation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +96,7 @@ ROLES: dict[str, Role] = {
             dtype=_FLOAT,
             shapes=(("J", 3), ("J", 4)),
             summary="Joint rotations, axis-angle [J,3] in radians or quaternions (w,x,y,z) [J,4].",
-            conventions=("smpl-axis-angle", "axis-angle", "quaternion-wxyz"),
+            conventions=("smpl-axis-angle", "axis-angle", "quaternion-wxyz", "flame", "mano"),
         ),
         Role(
             name="shape",
@@ -92,6 +104,7 @@ ROLES: dict[str, Role] = {
             shapes=(("B",),),
             summary="Body shape coefficients.",
             needs_range=True,
+            conventions=("flame", "mano", "smplx-10"),
         ),
         Role(
             name="root_translation",
@@ -112,6 +125,7 @@ ROLES: dict[str, Role] = {
             shapes=(("E",),),
             summary="Expression coefficients.",
             needs_range=True,
+            conventions=("flame", "arkit-52", "smplx-10"),
         ),
         Role(
             name="appearance_id",
@@ -119,6 +133,20 @@ ROLES: dict[str, Role] = {
             shapes=((1,),),
             summary="Appearance.",
             index=True,
+            needs_range=True,
+        ),
+        Role(
+            name="audio",
+            dtype=_FLOAT,
+            shapes=(("S",), ("W", "M")),
+            summary="Sound: S samples in [−1, 1], or W columns of M mel energies; newest last.",
+            conventions=("samples", "mel"),
+        ),
+        Role(
+            name="condition",
+            dtype=_FLOAT,
+            shapes=(("*",),),
+            summary="Numbers that another model computes, such as a text or an identity code.",
             needs_range=True,
         ),
         Role(
@@ -162,6 +190,21 @@ ROLES: dict[str, Role] = {
 }
 
 
+# (Role, convention) → the shape that it fixes, where the role leaves sizes open.
+CONVENTION_SHAPES: dict[tuple[str, str], Shape] = {
+    ("pose", "flame"): (5, 3),
+    ("pose", "mano"): (16, 3),
+    ("shape", "flame"): ("B",),
+    ("shape", "mano"): (10,),
+    ("shape", "smplx-10"): (10,),
+    ("expression", "flame"): ("E",),
+    ("expression", "arkit-52"): (52,),
+    ("expression", "smplx-10"): (10,),
+    ("audio", "samples"): ("S",),
+    ("audio", "mel"): ("W", "M"),
+}
+
+
 def role(name: str) -> Role:
     """Return the input role called ``name``.
 
@@ -181,9 +224,14 @@ def matching_shape(entry: Role, dims: Shape) -> Shape | None:
     for shape in entry.shapes:
         if shape == ("*",):
             return shape
-        if len(shape) == len(dims) and all(
-            isinstance(expected, str) or expected == dim
-            for expected, dim in zip(shape, dims, strict=True)
-        ):
+        if matches_shape(shape, dims):
             return shape
     return None
+
+
+def matches_shape(shape: Shape, dims: Shape) -> bool:
+    """Return whether ``dims`` has the sizes of ``shape``; a named size fits any."""
+    return len(shape) == len(dims) and all(
+        isinstance(expected, str) or expected == dim
+        for expected, dim in zip(shape, dims, strict=True)
+    )

@@ -1,6 +1,14 @@
 """Upgrades of manifests of older contract versions: one pure function per minor version."""
 
-__all__ = ["CURRENT", "UPGRADES", "Step", "Version", "upgrade", "upgrade_1_0_to_1_1"]
+__all__ = [
+    "CURRENT",
+    "UPGRADES",
+    "Step",
+    "Version",
+    "upgrade",
+    "upgrade_1_0_to_1_1",
+    "upgrade_1_1_to_1_2",
+]
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -8,7 +16,7 @@ from typing import Any
 Version = tuple[int, int]
 Step = Callable[[dict[str, Any]], dict[str, Any]]
 
-CURRENT: Version = (1, 1)
+CURRENT: Version = (1, 2)
 
 
 def upgrade_1_0_to_1_1(document: dict[str, Any]) -> dict[str, Any]:
@@ -23,8 +31,13 @@ def upgrade_1_0_to_1_1(document: dict[str, Any]) -> dict[str, Any]:
     return lifted
 
 
+def upgrade_1_1_to_1_2(document: dict[str, Any]) -> dict[str, Any]:
+    """Lift a manifest to 1.2, which only adds fields: all that 1.1 says stays as it is."""
+    return document | {"contract": "1.2"}
+
+
 # From version → the function that lifts a manifest to the next one.
-UPGRADES: dict[Version, Step] = {(1, 0): upgrade_1_0_to_1_1}
+UPGRADES: dict[Version, Step] = {(1, 0): upgrade_1_0_to_1_1, (1, 1): upgrade_1_1_to_1_2}
 
 
 def upgrade(

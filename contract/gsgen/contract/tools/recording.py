@@ -2,6 +2,7 @@
 
 __all__ = [
     "RecordingRefused",
+    "current_document",
     "evenly_spaced",
     "inspect_recordable",
     "refuse_existing",
@@ -27,6 +28,7 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution, execute
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.spec.upgrades import upgrade
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
@@ -80,6 +82,13 @@ def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
         hint = f"Repair the model first; `gsgen validate {typed}` lists its faults."
         raise RecordingRefused(message, where=where, hint=hint)
     return subject
+
+
+def current_document(subject: InspectedModel) -> dict[str, Any]:
+    """Return the manifest's JSON, upgraded: an older version has not all fields to record in."""
+    document: dict[str, Any] = json.loads(subject.file.manifest_text or "{}")
+    version = subject.parsed.version if subject.parsed else None
+    return upgrade(document, version) if version is not None else document
 
 
 @contextmanager

@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +26,11 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution
 from gsgen.contract.probing.sandbox_worker import digest_of
 from gsgen.contract.spec.json_schema import to_json
-from gsgen.contract.spec.manifest import TestVector
+from gsgen.contract.spec.manifest import TestVector, VectorFile
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.tools.recording import (
     RecordingRefused,
+    current_document,
     evenly_spaced,
     inspect_recordable,
     refuse_existing,
@@ -40,6 +42,23 @@ from gsgen.contract.validation.settings import Settings
 MODEL = "model.onnx"
 _COUNT = 3
 _SET = re.compile(r"^test_data_set_[0-9]+$")
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """Where vectors are recorded: seed of the probe set, the copy of the model, their folder."""
+
+    seed: int
+    model: Path
+    folder: Path
+
+    def location(self, name: str) -> str | None:
+        """Return the path of a file in the folder as the manifest writes it.
+
+        None if the folder is neither the model's nor below it: the manifest cannot name it.
+        """
+        root, path = self.model.resolve().parent, self.folder.resolve() / name
+        return path.relative_to(root).as_posix() if path.is_relative_to(root) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,14 +118,16 @@ def record_vectors(
     progress(f"running {len(probes)} probes twice in ONNX Runtime")
     with _staging_folder(folder) as stage:
         names = [tensor.name for tensor in subject.graph.outputs]
+        record = _Record(seed, model, folder)
         twice = [probe for probe in probes for _ in range(2)]
         with run_at_probes(subject, names, twice) as execution:
             vectors = tuple(
-                _write(stage / f"test_data_set_{index}", subject, probe, outputs, seed)
+                _write(stage / f"test_data_set_{index}", subject, probe, outputs, record)
                 for index, (probe, outputs) in enumerate(_outputs(source, probes, execution))
             )
         progress(f"writing {model.name}")
-        with write_recorded_copy(subject.file, {"test_vectors": to_json(vectors)}, model):
+        changed = current_document(subject) | {"test_vectors": to_json(vectors)}
+        with write_recorded_copy(subject.file, changed, model):
             pass
         for path in existing:
             _remove(path)
@@ -180,16 +201,25 @@ def _outputs(
 
 
 def _write(
-    folder: Path, subject: InspectedModel, probe: Probe, outputs: dict[str, np.ndarray], seed: int
+    folder: Path,
+    subject: InspectedModel,
+    probe: Probe,
+    outputs: dict[str, np.ndarray],
+    record: "_Record",
 ) -> TestVector:
     folder.mkdir()
+    files = []
     input_names = [tensor.name for tensor in subject.graph.inputs]
     for number, name in enumerate(input_names):
-        _write_tensor(folder / f"input_{number}.pb", name, probe.inputs[name])
+        path = folder / f"input_{number}.pb"
+        _write_tensor(path, name, probe.inputs[name])
+        location = record.location(f"{folder.name}/{path.name}")
+        if location is not None:
+            files.append(VectorFile(name, location, sha256(path.read_bytes()).hexdigest()))
     for number, (name, value) in enumerate(outputs.items()):
         _write_tensor(folder / f"output_{number}.pb", name, value)
     declared = {name: outputs[name] for name in fetched_outputs(subject)}
-    return TestVector(probe.label, digest_of(declared), seed)
+    return TestVector(probe.label, digest_of(declared), record.seed, tuple(files))
 
 
 def _write_tensor(path: Path, name: str, value: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""How do frames of a generator become plain splat files?"""
+"""Baking: how do frames of a generator become plain splat files?"""
 
 from typing import TYPE_CHECKING
 
@@ -10,6 +10,4 @@ if TYPE_CHECKING:
 
 __all__ = ["BakeReport", "BakedFrame", "bake"]
 
-__getattr__ = lazy_getattr(
-    __name__, {"BakeReport": "report", "BakedFrame": "report", "bake": "bake_frames"}
-)
+__getattr__ = lazy_getattr(__name__)

@@ -37,7 +37,7 @@ _CAMERA_ROLES: Final = frozenset({"view", "projection", "camera_position", "view
 _HELD_OUT: Final = 5  # every fifth camera chooses the degree and takes no part in the fit
 _TEST_CAMERAS: Final = 4
 MIN_VIEWS: Final = 20
-"""Cameras that a fit of degree 3, with 16 coefficients, needs at least."""
+"""Fewest cameras for a fit of SH degree 3, which has 16 coefficients."""
 
 Progress = Callable[[str], None]
 
@@ -114,18 +114,10 @@ def bake_source(
     psnr: bool | None = None,
     progress: Progress = lambda text: None,
 ) -> BakeReport:
-    """Write frames of an open generator; see :func:`bake`.
+    """Write frames of an open generator, with arguments as in :func:`bake`.
 
-    Args:
-        source: The generator, which stays open.
-        output: As in :func:`bake`.
-        tracks: Values of inputs.
-        cameras: Bake what these cameras see, one per frame or one for all; none fits SH.
-        format: As in :func:`bake`.
-        views: As in :func:`bake`.
-        max_degree: As in :func:`bake`.
-        psnr: As in :func:`bake`.
-        progress: As in :func:`bake`.
+    The frames have the input values of ``tracks``, and what ``cameras`` see: one camera per frame,
+    one for all, or none to fit SH.
     """
     started = perf_counter()
     values = FrameValues(source, tracks)
@@ -161,7 +153,7 @@ def bake_source(
 def _frame_count(frames: int, cameras: int) -> int:
     if cameras > 1 and frames > 1 and cameras != frames:
         raise ConfigInvalid(
-            f"has {cameras} cameras, expected 1 or {frames} as the other inputs",
+            f"has {cameras} cameras, expected 1 or {frames}, as the other inputs",
             where="--camera",
             hint="Pick one camera with FILE#NUMBER.",
         )
@@ -171,7 +163,7 @@ def _frame_count(frames: int, cameras: int) -> int:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Job:
-    """A bake that is under way."""
+    """The state of a running bake."""
 
     source: GeneratorSource
     values: FrameValues
@@ -190,7 +182,7 @@ class _Job:
     renderer: "Renderer | None" = None
 
     def write(self, number: int) -> BakedFrame:
-        """Compute, write and measure one frame."""
+        """Compute, write and measure one frame of a bake."""
         source = self.source
         head = f"frame {number + 1} of {self.frames}" if self.frames > 1 else "frame"
         values = self.values.at(number if self.values.frames > 1 else 0)
@@ -223,7 +215,7 @@ class _Job:
     # ---- The Gaussians of a frame
 
     def _gaussians(self, number: int, values: Mapping[str, object], head: str) -> DecodedGaussians:
-        """Return the live rows of a frame, with colours that a file can hold."""
+        """Return the live Gaussians of a frame, with colours that a file can hold."""
         source = self.source
         if self.cameras or not _camera_inputs(source):
             source.update(self._camera(number), values, number)
@@ -250,7 +242,7 @@ class _Job:
         return self.cameras[number % len(self.cameras)] if self.cameras else None
 
     def _fitted(self, samples: ViewSamples) -> np.ndarray:
-        """Return fitted SH; the first frame chooses the degree by its held-out error."""
+        """Fit SH to the sampled colours; the first frame chooses the degree by held-out error."""
         assert samples.colors is not None
         is_held_out = np.arange(self.views) % _HELD_OUT == _HELD_OUT // 2
         positions = samples.union.position
@@ -302,7 +294,7 @@ class _Job:
     def _measured_psnr(
         self, number: int, values: Mapping[str, object], path: Path, head: str
     ) -> float | None:
-        """Return the PSNR of the first, the middle or the last frame; None for others."""
+        """Measure the PSNR of the first, the middle or the last frame; None for others."""
         is_exact = self.view_dependence in ("none", "camera") and self.source.weighted is None
         is_measured = self.psnr if self.psnr is not None else not is_exact
         if not is_measured or number not in {0, self.frames // 2, self.frames - 1}:
@@ -323,12 +315,11 @@ class _Job:
 
 
 def _camera_inputs(source: GeneratorSource) -> list[str]:
-    """Return the camera inputs that the manifest does not declare irrelevant."""
-    depends_on = source.manifest.depends_on
+    """Return the names of camera inputs that outputs may depend on, by the manifest."""
     return [
         spec.name
         for spec in source.inputs
-        if spec.role in _CAMERA_ROLES and depends_on.get(spec.role, True)
+        if spec.role in _CAMERA_ROLES and source.manifest.depends(spec)
     ]
 
 

@@ -1,4 +1,4 @@
-"""PSNR of baked files against the generator's own renders at the same cameras."""
+"""Measures the PSNR of baked files against the generator's own pictures."""
 
 __all__ = ["generator_images", "psnr_of_file", "renderer_or_none"]
 
@@ -20,7 +20,7 @@ Images = list[Float32[np.ndarray, "h w 3"]]
 
 
 def renderer_or_none() -> "tuple[Renderer | None, str]":
-    """Return a renderer, or None and the reason why nothing can be drawn here."""
+    """Return a renderer, or None and the reason why none can be opened."""
     try:
         from gsgen.runtime.renderer.renderer import Renderer
 
@@ -38,15 +38,7 @@ def generator_images(
     number: int,
     renderer: "Renderer",
 ) -> Images:
-    """Render a frame of the generator, which is run for each camera.
-
-    Args:
-        source: The generator.
-        cameras: The cameras.
-        values: Values of its other inputs.
-        number: Number of the frame, for errors.
-        renderer: Draws the images.
-    """
+    """Run a generator for each camera, and draw its frame ``number`` with the input values."""
     images = []
     for camera in cameras:
         source.update(camera, values, number)
@@ -62,18 +54,10 @@ def psnr_of_file(
     color_space: Literal["srgb", "linear"],
     renderer: "Renderer",
 ) -> float:
-    """Return the peak signal-to-noise ratio of a splat file's renders, in dB; the peak is 1.
+    """Return the PSNR of a splat file's pictures against ``expected``, in dB; the peak is 1.
 
-    Args:
-        path: The splat file.
-        cameras: The cameras of ``expected``.
-        expected: The generator's own images.
-        antialias: Antialiasing of the generator: many formats do not store it.
-        color_space: Colour space of the generator: many formats do not store it.
-        renderer: Draws the images.
-
-    Returns:
-        The ratio over all pixels of all images; infinity if they are equal.
+    Antialiasing and colour space are the generator's, as many formats do not store them. The ratio
+    is over all pixels of all cameras, and infinite if the pictures are equal.
     """
     source = StillSource(path)
     source.color_space = color_space

@@ -1,4 +1,4 @@
-"""Input values of each frame of a bake, from numbers, arrays, files and ranges."""
+"""The input values of each frame of a bake, from numbers, arrays, files and ranges."""
 
 __all__ = ["FrameValues", "number_range"]
 
@@ -19,14 +19,10 @@ _MAX_FRAMES: Final = 1_000_000
 
 
 def number_range(text: str, where: str) -> Float64[np.ndarray, " f"]:
-    """Parse a number, or FIRST:LAST:COUNT, both ends included.
-
-    Args:
-        text: As the user typed it.
-        where: The option, for errors.
+    """Parse the number, or the range FIRST:LAST:COUNT with both ends, of option ``where``.
 
     Raises:
-        ConfigInvalid: It is neither.
+        ConfigInvalid: The text is neither a number nor a range.
     """
     hint = "Give a number, or FIRST:LAST:COUNT such as 0:1:300."
     words = text.split(":")
@@ -55,7 +51,7 @@ class FrameValues:
         tracks: Values by tensor name or role.
 
     Attributes:
-        frames: How many frames there are.
+        frames: Number of frames.
 
     Raises:
         ConfigInvalid: Lengths of two tracks differ, or a time or an index is out of its range.
@@ -81,7 +77,7 @@ class FrameValues:
             _require_range(spec, track)
 
     def at(self, number: int) -> Mapping[str, object]:
-        """Return tensor name → value in frame ``number``, from 0."""
+        """Return the input values of frame ``number``, from 0, by tensor name."""
         values: dict[str, object] = {}
         for spec, track in self._tracks:
             value = track.at(self._source.shape(spec.name), number, self.frames)
@@ -90,7 +86,7 @@ class FrameValues:
         return values
 
     def time(self, number: int) -> float | None:
-        """Return the time of frame ``number``: the given one, else the manifest's default."""
+        """Return the time of frame ``number``, or else the manifest's default."""
         spec = self._source.time
         if spec is None:
             return None
@@ -106,7 +102,7 @@ def _inputs_of(source: GeneratorSource, track: Track) -> list[Input]:
     known = {word for spec in source.inputs for word in (spec.name, spec.role)}
     if track.word == "time":
         raise ConfigInvalid(
-            f"{source.name} has no time input; it has {', '.join(sorted(known)) or 'no inputs'}",
+            f"{source.name} has no time input, but {', '.join(sorted(known)) or 'no inputs'}",
             where=track.where,
             hint="Leave --time out, or set another input with --input NAME=VALUE.",
         )
@@ -114,7 +110,7 @@ def _inputs_of(source: GeneratorSource, track: Track) -> list[Input]:
 
 
 def _require_range(spec: Input, track: Track) -> None:
-    """Raise if a time or an index is outside the range that the manifest declares."""
+    """Raise if a time or an index input is outside the range that the manifest declares."""
     if spec.range is None or not (spec.role == "time" or ROLES[spec.role].index):
         return
     low, high = spec.range

@@ -1,4 +1,4 @@
-"""The report of a bake: files, rows, SH degree and measured PSNR."""
+"""The report of a bake: files, numbers of Gaussians, SH degree and measured PSNR."""
 
 __all__ = ["BakeReport", "BakedFrame"]
 
@@ -9,15 +9,15 @@ from typing import final
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BakedFrame:
-    """One written file.
+    """One written splat file of a bake.
 
     Attributes:
-        file: Its path.
-        count: Gaussians in it.
-        skipped: Live rows that are not in it: their opacity is below 1/255, or not finite.
-        sh_degree: SH degree of its colours.
-        bytes: Its size.
-        time: Value of the time input; None if the model has none.
+        file: Path of the file.
+        count: Number of Gaussians in the file.
+        skipped: Number of live rows that were skipped: not finite, or opacity below 1/255.
+        sh_degree: SH degree of the colours.
+        bytes: Size of the file.
+        time: Value of the time input; None without such an input.
         psnr: In dB over all test cameras, against the generator's own renders; None if it was not
             measured, infinity if all pixels are equal.
     """
@@ -34,7 +34,7 @@ class BakedFrame:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BakeReport:
-    """A finished bake.
+    """The result of baking frames of a generator to splat files.
 
     Attributes:
         model: The generator.
@@ -45,7 +45,7 @@ class BakeReport:
         fit_error: Root mean square error of colours at held-out cameras, by SH degree, in the
             first frame; empty if nothing was fitted.
         test_cameras: Cameras that PSNR was measured at.
-        notes: What the files do not hold, as sentences.
+        notes: Sentences about what the files do not hold.
         seconds: Duration.
     """
 

@@ -10,9 +10,9 @@ from jaxtyping import Float, Float32, Float64
 from gsgen.contract.spec.spherical_harmonics import basis, coefficients
 
 _CHUNK = 1 << 14  # Gaussians at a time: normal equations of degree 3 take 2.5 KB each
-_RIDGE = 1e-6  # of the mean diagonal, on degrees above 0: rows that few cameras see stay tame
-_NEAR_BEST = 1.05  # a lower degree is taken if its error is at most this factor above the best …
-_INVISIBLE = 1e-3  # … or this much: a quarter of a step of 8-bit colour
+_RIDGE = 1e-6  # of the mean diagonal, on degrees above 0: regularises rows that few cameras see
+_NEAR_BEST = 1.05  # a lower degree is chosen if its error is at most this factor above the best …
+_INVISIBLE = 1e-3  # … or this much above: a quarter of a step of 8-bit colour
 
 Colors = Float[np.ndarray, "v n 3"]
 Weights = Float[np.ndarray, "v n"]
@@ -25,7 +25,7 @@ def fit_sh(
     weights: Weights,
     degree: int,
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Return the SH coefficients that minimise Σ_v w_v² |0.5 + Y(d_v) · sh − color_v|².
+    """Fit SH coefficients, which minimise Σ_v w_v² |0.5 + Y(d_v) · sh − color_v|².
 
     Args:
         positions: Centres of the Gaussians.
@@ -45,7 +45,7 @@ def fit_sh(
         target = np.swapaxes(weighted, 1, 2) @ centered_colors
         mean = np.trace(normal, axis1=1, axis2=2) / count
         ridge = np.where(mean > 0, mean, 1)[:, None] * _RIDGE * (np.arange(count) > 0)
-        ridge[:, 0] += np.where(mean > 0, 0, 1)  # a row without any weight becomes grey
+        ridge[:, 0] += np.where(mean > 0, 0, 1)  # a row without weights becomes grey
         sh[part] = np.linalg.solve(normal + ridge[:, :, None] * np.eye(count), target)
     return sh
 
@@ -57,14 +57,9 @@ def color_errors(
     weights: Weights,
     sh: Float32[np.ndarray, "n k 3"],
 ) -> float:
-    """Return the weighted root mean square error of SH colours, clamped to ≥ 0 as drawn.
+    """Return the weighted root mean square error of fitted SH, clamped to ≥ 0 as drawn.
 
-    Args:
-        positions: Centres of the Gaussians.
-        eyes: Centres of cameras that the fit has not seen.
-        colors: Colours as those cameras see them.
-        weights: Weight of each camera for each Gaussian.
-        sh: The fitted coefficients.
+    The cameras are held out of the fit; arguments are those of :func:`fit_sh`.
     """
     degree = int(np.sqrt(sh.shape[1])) - 1
     squares = total = 0.0
@@ -80,11 +75,7 @@ def color_errors(
 
 
 def best_degree(errors: Sequence[float]) -> int:
-    """Return the lowest SH degree whose held-out error is as good as the best, to 5 % or 0.001.
-
-    Args:
-        errors: Held-out error of degree 0, 1, ….
-    """
+    """Return the lowest SH degree whose held-out error is within 5 % or 0.001 of the best."""
     limit = max(_NEAR_BEST * min(errors), min(errors) + _INVISIBLE)
     return next(degree for degree, error in enumerate(errors) if error <= limit)
 

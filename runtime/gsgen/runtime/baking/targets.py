@@ -1,6 +1,6 @@
 """Output paths of a bake: one file, or a pattern with the frame's number."""
 
-__all__ = ["OutputFiles"]
+__all__ = ["OutputFiles", "writable_codec"]
 
 import re
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _NUMBER: Final = re.compile(r"%(0\d)?d")
 @final
 @dataclass(frozen=True, slots=True)
 class OutputFiles:
-    """The files that a bake writes.
+    """The paths and the format of the files that a bake writes.
 
     Attributes:
         pattern: The path as the user gave it; ``%d`` or ``%04d`` stands for the frame's number.
@@ -29,19 +29,19 @@ class OutputFiles:
 
     @classmethod
     def of(cls, pattern: Path, frames: int, format: str | None = None) -> "OutputFiles":
-        """Check an output path against the number of frames.
+        """Check an output path against the number of frames, and choose the format.
 
         Args:
-            pattern: The path, with ``%d`` or ``%04d`` where there are several frames.
-            frames: How many frames are written.
-            format: Name of a format; None for the one that the suffix names.
+            pattern: The path, with ``%d`` or ``%04d`` for several frames.
+            frames: Number of frames.
+            format: Name of a format; None for that of the suffix.
 
         Raises:
-            ConfigInvalid: Nothing writes this format, the pattern has no number or several, or
+            ConfigInvalid: The format cannot be written, the pattern has no number or several, or
                 the path is a folder.
             UnknownName: No format has this name.
         """
-        codec = _writable_codec(pattern, format)
+        codec = writable_codec(pattern, format, where=f"-o {pattern}")
         numbers = len(_NUMBER.findall(str(pattern)))
         example = pattern.with_name(f"{pattern.name.split('.')[0]}_%04d{codec.suffixes[0]}")
         if numbers > 1:
@@ -60,7 +60,7 @@ class OutputFiles:
         return cls(pattern, codec)
 
     def path(self, number: int) -> Path:
-        """Return the file of frame ``number``, from 0."""
+        """Return the output path of frame ``number``, from 0."""
         return Path(_NUMBER.sub(lambda match: _digits(match, number), str(self.pattern)))
 
 
@@ -69,7 +69,13 @@ def _digits(match: re.Match[str], number: int) -> str:
     return f"{number:0{width}d}" if width else str(number)
 
 
-def _writable_codec(path: Path, format: str | None) -> Codec:
+def writable_codec(path: Path, format: str | None, where: str) -> Codec:
+    """Return the splat format of this name, or else of a path's suffix, to be written.
+
+    Raises:
+        ConfigInvalid: The suffix names no format, or the format can only be read.
+        UnknownName: No format has this name.
+    """
     writable = [codec for codec in CODECS if codec.write]
     if format is not None:
         if format not in [codec.name for codec in CODECS]:
@@ -79,13 +85,14 @@ def _writable_codec(path: Path, format: str | None) -> Codec:
         codec: Codec | None = codec_named(format)
         where = f"--format {format}"
     else:
-        codec, where = codec_of_suffix(path), f"-o {path}"
+        codec = codec_of_suffix(path)
     if codec is None or codec.write is None:
-        actual = f"{codec.title} is only read" if codec else "has no suffix of a splat format"
+        suffix = path.suffix or "(none)"
+        actual = f"{codec.title} can only be read" if codec else f"has the suffix {suffix}"
         suffixes = ", ".join(known.suffixes[0] for known in writable)
         raise ConfigInvalid(
-            f"{actual}, expected a format that is written: {suffixes}",
+            f"{actual}, expected a format that can be written: {suffixes}",
             where=where,
-            hint="Change the suffix, or write a PLY and convert it with another tool.",
+            hint="Change the suffix, or give --format.",
         )
     return codec

@@ -1,4 +1,4 @@
-"""Gaussians of one frame as several cameras see them, and the Gaussians that stand for all."""
+"""Samples a frame of a generator at several cameras, and averages the Gaussians."""
 
 __all__ = ["ViewSamples", "cameras_around", "sample_views"]
 
@@ -17,21 +17,21 @@ from gsgen.runtime.sources.source import GeneratorSource
 
 _SIDE: Final = 256  # pixels: cameras are square, so that no direction is preferred
 _FOV: Final = 50.0
-_MAX_GROWTH: Final = 8  # a union this many times larger than a frame has no stable rows
+_MAX_GROWTH: Final = 8  # rows of a union this many times larger than a frame do not match
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewSamples:
-    """One Gaussian per row of the union over cameras, with what each camera sees of it.
+    """The Gaussians that any camera gets, with colours and opacities by camera.
 
     Attributes:
-        union: Means over the cameras: opacity plainly, positions and covariances weighted by
-            opacity. Its colours are those of the first camera that has the row.
+        union: Means over the cameras: of opacities, and of positions and covariances weighted by
+            opacity. Colours are those of the first camera that has the row.
         eyes: Camera centres, [V, 3].
         colors: Colours by camera, [V, N, 3]; None if they are the same for all.
         opacity: Opacity by camera, [V, N]; 0 where a camera has no such row.
-        rows_change: Positions, opacities or covariances change with the camera.
+        rows_change: Whether positions, opacities or covariances change with the camera.
     """
 
     union: DecodedGaussians
@@ -43,7 +43,7 @@ class ViewSamples:
 
 @dataclass(slots=True, eq=False)
 class _View:
-    """The live rows that one camera gets."""
+    """The live Gaussians that a generator computes for one camera."""
 
     gaussians: DecodedGaussians
     versions: tuple[int, int, int]  # of rows, appearance, and the live count
@@ -51,12 +51,9 @@ class _View:
 
 
 def cameras_around(source: GeneratorSource, count: int, *, offset: float = 0.5) -> list[Camera]:
-    """Return cameras on a sphere from which all Gaussians are in view, evenly spread.
+    """Return evenly spread cameras on a sphere around a source, with all Gaussians in view.
 
-    Args:
-        source: The generator, whose extent decides the sphere.
-        count: How many; they lie on a Fibonacci lattice.
-        offset: Shifts the lattice, so that other offsets give other directions.
+    They are on a Fibonacci lattice, which ``offset`` shifts to other directions.
     """
     center, reach = source.extent()
     radius = reach / np.sin(np.radians(_FOV) / 2)
@@ -86,17 +83,10 @@ def sample_views(
     number: int,
     step: Callable[[int], None] = lambda view: None,
 ) -> ViewSamples:
-    """Run a generator for each camera and match its rows.
+    """Run a generator for each camera, and match the rows of all cameras.
 
-    Rows are matched by index; where the live count changes with the camera, by the bits of their
-    positions, since a generator then moves rows up.
-
-    Args:
-        source: The generator.
-        cameras: The cameras.
-        values: Values of its other inputs.
-        number: Number of the frame, for errors.
-        step: Called before each run with the camera's number.
+    Rows are matched by index, or by the bits of their positions if the live count changes with the
+    camera. ``step`` is called before each run with the number of the camera.
 
     Raises:
         ConfigInvalid: Rows of different cameras cannot be matched.
@@ -133,7 +123,7 @@ def sample_views(
 
 
 def _colors(view: _View) -> np.ndarray:
-    """Return the colours that a camera sees; SH are evaluated in its directions."""
+    """Return the colours that a camera sees, by SH in the directions of its rays."""
     gaussians = view.gaussians
     if gaussians.rgb is not None:
         return np.asarray(gaussians.rgb, np.float32)
@@ -146,7 +136,7 @@ def _colors(view: _View) -> np.ndarray:
 
 
 def _scattered(ids: Sequence[np.ndarray], arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Return arrays of the views in rows of the union; rows that a view lacks are 0."""
+    """Scatter arrays of the cameras into rows of the union; absent rows are 0."""
     size = max(int(rows.max(initial=-1)) for rows in ids) + 1
     result = np.zeros((len(arrays), size, *arrays[0].shape[1:]), np.float32)
     for view, (rows, array) in enumerate(zip(ids, arrays, strict=True)):
@@ -157,7 +147,7 @@ def _scattered(ids: Sequence[np.ndarray], arrays: Sequence[np.ndarray]) -> np.nd
 def _mean(
     views: Sequence[_View], ids: Sequence[np.ndarray], opacity: np.ndarray
 ) -> DecodedGaussians:
-    """Return the Gaussians that stand for those of all views."""
+    """Return the mean Gaussians over the cameras, weighted by opacity."""
     size = opacity.shape[1]
     weight, sums = np.zeros(size), np.zeros((size, 9))
     appearance = views[0].gaussians.rgb if views[0].gaussians.sh is None else views[0].gaussians.sh
@@ -187,7 +177,7 @@ def _mean(
 
 
 def _matched_by_position(views: Sequence[_View], model: str) -> list[Int64[np.ndarray, " n"]]:
-    """Return the row in the union of each row of each view, in order of first appearance."""
+    """Match rows by position: the row in the union of each row of each camera."""
     ids: list[np.ndarray] = []
     known = np.empty(0, np.dtype((np.void, 16)))
     largest = max((len(view.gaussians) for view in views), default=0)
@@ -209,7 +199,7 @@ def _matched_by_position(views: Sequence[_View], model: str) -> list[Int64[np.nd
 
 
 def _keys(positions: Float32[np.ndarray, "n 3"]) -> np.ndarray:
-    """Return 16 bytes that identify each row: its position, and how many rows before share it."""
+    """Return 16 bytes that identify each row: position, and count of earlier equal positions."""
     bits = np.ascontiguousarray(positions, np.float32).view(np.uint32)
     _, inverse = np.unique(bits, axis=0, return_inverse=True)
     order = np.argsort(inverse.reshape(-1), kind="stable")

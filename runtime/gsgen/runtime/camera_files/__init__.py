@@ -1,10 +1,10 @@
-"""Files of cameras: one reader per format, each told by its content.
+"""Reads files of cameras: one reader per format, recognised by the content.
 
     >>> from gsgen.runtime import open_cameras
     >>> file = open_cameras("garden/transforms.json")
     >>> camera = file.pick("DSC08116.JPG")[0].camera
 
-All give cameras in the OpenCV convention, in the world of the file.
+Cameras are in the OpenCV convention, in the world of the file.
 """
 
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera

@@ -1,8 +1,7 @@
-"""COLMAP models: folders with cameras and images as .bin or .txt.
+"""Reads the cameras of COLMAP models: folders with cameras and images as .bin or .txt.
 
-An image has the pose world → camera, as a quaternion (w, x, y, z) and a translation, of the camera
-that we have, too: +x right, +y down, +z forward. Written down in COLMAP's documentation, "Output
-Format".
+An image has the pose world → camera, as a quaternion (w, x, y, z) and a translation, in the axes of
+``Camera``: +x right, +y down, +z forward (COLMAP's documentation, "Output Format").
 """
 
 __all__ = ["FOLDERS", "model_folder", "read_colmap"]
@@ -12,9 +11,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.runtime.camera_files import colmap_binary, colmap_text
 from gsgen.runtime.camera_files.colmap_models import PINHOLES, ColmapImage, ColmapLens, parameters
 from gsgen.runtime.camera_files.fields import camera_at
@@ -22,11 +21,11 @@ from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.scene.camera import Camera
 
 FOLDERS: Final = ("", "sparse/0", "sparse", "colmap/sparse/0", "0")
-"""Folders of a data set in which a model may be."""
+"""Folders of a data set that may hold a COLMAP model."""
 
 
 def model_folder(folder: Path) -> Path | None:
-    """Return the folder with the model in the folder of a data set, or None."""
+    """Find the folder with the COLMAP model of a data set; None if there is none."""
     for part in FOLDERS:
         for suffix in ("bin", "txt"):
             names = (f"cameras.{suffix}", f"images.{suffix}")
@@ -39,7 +38,7 @@ def read_colmap(folder: Path) -> CameraFile:
     """Read the COLMAP model in a folder that :func:`model_folder` returned.
 
     Raises:
-        ConfigInvalid: A file is damaged, has no images, or a lens that no pinhole approximates.
+        ConfigInvalid: A file is damaged, or has no images or a lens that no pinhole approximates.
         SceneInvalid: A camera's numbers are invalid.
     """
     if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file():
@@ -49,7 +48,7 @@ def read_colmap(folder: Path) -> CameraFile:
         lenses = colmap_text.lenses(folder / "cameras.txt")
         images = colmap_text.images(folder / "images.txt")
     if not images:
-        raise ConfigInvalid("has no images", where=str(folder))
+        raise ConfigInvalid("has no images, expected at least one", where=str(folder))
     ordered = sorted(images, key=lambda image: image.name)
     cameras = tuple(NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered)
     used = {number: lenses[number] for number in sorted({image.lens for image in images})}
@@ -60,35 +59,31 @@ def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> 
     where = f"{folder}, image {image.name!r}"
     lens = lenses.get(image.lens)
     if lens is None:
-        raise ConfigInvalid(f"has camera {image.lens}; there are {sorted(lenses)[:8]}", where=where)
+        raise ConfigInvalid(
+            f"has camera {image.lens}, expected one of {sorted(lenses)[:8]}", where=where
+        )
     fx, fy, cx, cy, _ = parameters(lens.model, lens.values, where)
     view = np.eye(4)
-    view[:3, :3], view[:3, 3] = _rotation(image.quaternion, where), image.translation
+    length = math.hypot(*image.quaternion)
+    if not 0 < length < math.inf:
+        message = f"has the quaternion {list(image.quaternion)}, expected one with a length"
+        raise ConfigInvalid(message, where=where)
+    view[:3, :3] = rotation_matrix(np.array([image.quaternion]) / length)[0]
+    view[:3, 3] = image.translation
     return camera_at(
         where, view=view, fx=fx, fy=fy, cx=cx, cy=cy, width=lens.width, height=lens.height
     )
 
 
-def _rotation(quaternion: tuple[float, ...], where: str) -> Float[np.ndarray, "3 3"]:
-    """Return the matrix of a quaternion (w, x, y, z)."""
-    length = math.hypot(*quaternion)
-    if not 0 < length < math.inf:
-        raise ConfigInvalid(f"has the quaternion {list(quaternion)}: no rotation", where=where)
-    w, *vector = np.asarray(quaternion) / length
-    x, y, z = vector
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
-
-
 def _notes(lenses: dict[int, ColmapLens], folder: Path) -> tuple[str, ...]:
-    bent = [
+    distorted = [
         f"{number} ({lens.model})"
         for number, lens in lenses.items()
         if lens.model not in PINHOLES and any(parameters(lens.model, lens.values, "")[4])
     ]
-    if not bent:
+    if not distorted:
         return ()
     return (
-        f"{folder}: the lens distortion of camera {', '.join(bent[:8])} is left out; "
-        "COLMAP's image_undistorter makes pictures that match.",
+        f"{folder}: the lens distortion of camera {', '.join(distorted[:8])} is ignored; "
+        "COLMAP's image_undistorter makes images that match.",
     )

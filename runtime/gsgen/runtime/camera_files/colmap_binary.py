@@ -1,6 +1,6 @@
-"""COLMAP's cameras.bin and images.bin: little-endian records after a count.
+"""Reads COLMAP's cameras.bin and images.bin: little-endian records after a count.
 
-What a file says of its own size is checked against its size before it is believed.
+Counts in a file are checked against its size before records are read.
 """
 
 __all__ = ["images", "lenses"]
@@ -16,17 +16,18 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.colmap_models import MODELS, NAMES, ColmapImage, ColmapLens
 
 _LENS: Final = struct.Struct("<iiQQ")  # number, model, width, height
-_IMAGE: Final = struct.Struct("<i7di")  # number, quaternion, translation, lens
+_IMAGE: Final = struct.Struct("<i7di")  # number, quaternion, translation, camera
 _COUNT: Final = struct.Struct("<Q")
-_POINT: Final = 24  # bytes of a point that an image shows
+_POINT: Final = 24  # bytes of a 2D point of an image
 _LONGEST_NAME: Final = 4096
+_DAMAGED: Final = "The file is damaged, or was not written by COLMAP."
 
 
 def lenses(path: Path) -> dict[int, ColmapLens]:
-    """Read cameras.bin.
+    """Read the lenses of COLMAP's cameras.bin, by their numbers.
 
     Raises:
-        ConfigInvalid: It ends too early, or has a model that COLMAP has not.
+        ConfigInvalid: The file ends too early, or has an unknown camera model.
     """
     with _opened(path) as data:
         by_number: dict[int, ColmapLens] = {}
@@ -44,7 +45,7 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
 
 
 def images(path: Path) -> list[ColmapImage]:
-    """Read images.bin; the points that the images show are left out.
+    """Read the images of COLMAP's images.bin, without their 2D points.
 
     Raises:
         ConfigInvalid: The file ends too early, or a name is not valid UTF-8.
@@ -61,44 +62,44 @@ def images(path: Path) -> list[ColmapImage]:
 
 @final
 class _Reader:
-    """A file, and how far it has been read."""
+    """A memory-mapped binary file with a read position."""
 
     def __init__(self, data: mmap.mmap, path: Path) -> None:
         self._data, self._path, self._at = data, path, 0
 
     def count(self, least: int) -> int:
-        """Take a count of records, each of which has ``least`` bytes."""
+        """Read a number of records of at least ``least`` bytes each."""
         (count,) = self.take(_COUNT)
         if count > (len(self._data) - self._at) // least:
             raise ConfigInvalid(
-                f"says that it has {count} records, but has {len(self._data)} bytes",
+                f"declares {count} records, more than its {len(self._data)} bytes can hold",
                 where=str(self._path),
-                hint="It is damaged, or none of COLMAP's.",
+                hint=_DAMAGED,
             )
         return int(count)
 
     def take(self, form: struct.Struct) -> tuple[Any, ...]:
-        """Take the numbers of a record."""
+        """Read the numbers of a record."""
         offset = self._at
         self.skip(form.size)
         return form.unpack_from(self._data, offset)
 
     def skip(self, size: int) -> None:
-        """Go on."""
+        """Advance the read position by ``size`` bytes."""
         if size > len(self._data) - self._at:
             raise ConfigInvalid(
-                f"ends at byte {len(self._data)}, {size} more were expected from byte {self._at}",
+                f"ends at byte {len(self._data)}, expected {size} bytes from byte {self._at} on",
                 where=str(self._path),
-                hint="It is damaged, or none of COLMAP's.",
+                hint=_DAMAGED,
             )
         self._at += size
 
     def name(self) -> str:
-        """Take a text that ends with a zero."""
+        """Read a text that ends with a zero byte."""
         end = self._data.find(b"\0", self._at, self._at + _LONGEST_NAME)
         if end < 0:
             raise ConfigInvalid(
-                f"has a name from byte {self._at} that does not end", where=str(self._path)
+                f"has a name at byte {self._at} without an end", where=str(self._path)
             )
         content = self._data[self._at : end]
         self._at = end + 1

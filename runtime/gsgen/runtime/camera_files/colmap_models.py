@@ -1,4 +1,4 @@
-"""The camera models of COLMAP with their parameters, and the records of its files."""
+"""COLMAP's camera models with their parameters, and the records of COLMAP's files."""
 
 __all__ = ["MODELS", "NAMES", "PINHOLES", "ColmapImage", "ColmapLens", "parameters"]
 
@@ -20,7 +20,7 @@ MODELS: Final = {
     "RADIAL_FISHEYE": "f cx cy k1 k2",
     "THIN_PRISM_FISHEYE": "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1",
 }
-"""Names of the parameters, in their order; the order of the models is that of their numbers."""
+"""Parameter names of each camera model; the index of a model is its number in binary files."""
 
 NAMES: Final = tuple(MODELS)
 PINHOLES: Final = ("SIMPLE_PINHOLE", "PINHOLE")
@@ -29,7 +29,7 @@ PINHOLES: Final = ("SIMPLE_PINHOLE", "PINHOLE")
 @final
 @dataclass(frozen=True, slots=True)
 class ColmapLens:
-    """The lens of an image, which COLMAP calls a camera.
+    """The intrinsics of images, which COLMAP calls a camera.
 
     Attributes:
         model: Name of the camera model, such as PINHOLE.
@@ -47,13 +47,13 @@ class ColmapLens:
 @final
 @dataclass(frozen=True, slots=True)
 class ColmapImage:
-    """The pose and the lens of an image.
+    """The pose of a COLMAP image, and the number of its camera.
 
     Attributes:
-        name: Name of the picture.
+        name: File name of the image.
         quaternion: Rotation from world to camera: w, x, y, z, of any length but 0.
         translation: Translation from world to camera.
-        lens: Number of the lens.
+        lens: Number of the camera.
     """
 
     name: str
@@ -65,16 +65,16 @@ class ColmapImage:
 def parameters(
     model: str, values: tuple[float, ...], where: str
 ) -> tuple[float, float, float, float, tuple[float, ...]]:
-    """Return fx, fy, cx, cy, and what bends.
+    """Return fx, fy, cx, cy and the distortion coefficients of a camera.
 
     Raises:
         ConfigInvalid: The model is unknown, a fisheye, or has another number of parameters.
     """
     if model not in MODELS or "FISHEYE" in model or model == "FOV":
         raise ConfigInvalid(
-            f"has the camera model {model}, which no pinhole can stand for",
+            f"has the camera model {model}, expected one that a pinhole approximates",
             where=where,
-            hint="COLMAP's image_undistorter makes pinholes of it.",
+            hint="COLMAP's image_undistorter converts images to pinhole cameras.",
         )
     names = MODELS[model].split()
     if len(values) != len(names):
@@ -85,5 +85,5 @@ def parameters(
     by_name = dict(zip(names, values, strict=True))
     fx = by_name.get("fx", by_name.get("f", 0.0))
     fy = by_name.get("fy", by_name.get("f", 0.0))
-    bending = tuple(by_name[name] for name in names if name not in ("f", "fx", "fy", "cx", "cy"))
-    return fx, fy, by_name["cx"], by_name["cy"], bending
+    distortion = tuple(by_name[name] for name in names if name not in ("f", "fx", "fy", "cx", "cy"))
+    return fx, fy, by_name["cx"], by_name["cy"], distortion

@@ -1,4 +1,4 @@
-"""COLMAP's cameras.txt and images.txt: a line a camera, and two lines an image."""
+"""Reads COLMAP's cameras.txt and images.txt: one line per camera, two per image."""
 
 __all__ = ["images", "lenses"]
 
@@ -10,14 +10,14 @@ from typing import Final
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.colmap_models import ColmapImage, ColmapLens
 
-_LONGEST: Final = 1 << 26  # characters of a line: an image may show a million points
+_LONGEST: Final = 1 << 26  # characters of a line: an image may have a million points
 
 
 def lenses(path: Path) -> dict[int, ColmapLens]:
-    """Read cameras.txt: number, model, width, height, parameters.
+    """Read the lenses of COLMAP's cameras.txt, by their numbers.
 
     Raises:
-        ConfigInvalid: A line says something else.
+        ConfigInvalid: A line is not number, model, width, height, parameters.
     """
     by_number = {}
     for number, line in _lines(path):
@@ -34,13 +34,13 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
 
 
 def images(path: Path) -> list[ColmapImage]:
-    """Read images.txt: a line of pose, lens and name, and one of points, which may be empty.
+    """Read the images of COLMAP's images.txt: a line of pose, camera, name, and one of points.
 
     Raises:
-        ConfigInvalid: A line says something else.
+        ConfigInvalid: A line is of another form.
     """
     records = []
-    points = False  # whether the line is one of points
+    points = False  # whether the next line holds the points of an image
     for number, line in _lines(path):
         if points or not line or line.startswith("#"):
             points = False
@@ -65,7 +65,9 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             while line := file.readline(_LONGEST):
                 number += 1
                 if len(line) == _LONGEST:
-                    raise ConfigInvalid(f"line {number} does not end", where=str(path))
+                    raise ConfigInvalid(
+                        f"line {number} has more than {_LONGEST:,} characters", where=str(path)
+                    )
                 yield number, line.strip()
     except OSError as error:
         raise ConfigInvalid(f"cannot be read: {error.strerror}", where=str(path)) from error

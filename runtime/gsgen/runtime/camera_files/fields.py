@@ -1,4 +1,4 @@
-"""Read typed fields of a camera file's JSON, with errors that name the place."""
+"""Reads typed fields of a camera file's JSON, with errors that name field and location."""
 
 __all__ = ["camera_at", "matrix", "number", "side", "text"]
 
@@ -15,7 +15,7 @@ from gsgen.runtime.scene.camera import Camera
 
 
 def number(document: Mapping[str, Any], name: str, where: str) -> float:
-    """Return the finite number of a field.
+    """Read a JSON field that must be a finite number.
 
     Raises:
         ConfigInvalid: The field is missing or not a finite number.
@@ -29,7 +29,7 @@ def number(document: Mapping[str, Any], name: str, where: str) -> float:
 
 
 def side(document: Mapping[str, Any], name: str, where: str) -> int:
-    """Return the pixels of a side; some writers store them as 1920.0.
+    """Read a JSON field that must be whole pixels; some writers store 1920.0.
 
     Raises:
         ConfigInvalid: The field is missing or not a whole number.
@@ -41,7 +41,7 @@ def side(document: Mapping[str, Any], name: str, where: str) -> int:
 
 
 def text(document: Mapping[str, Any], name: str, fallback: str) -> str:
-    """Return the text of a field, or ``fallback`` where the field has none."""
+    """Read a JSON field as text; return ``fallback`` if it is absent."""
     value = document.get(name)
     return fallback if value is None or isinstance(value, list | dict) else str(value)
 
@@ -49,7 +49,7 @@ def text(document: Mapping[str, Any], name: str, fallback: str) -> str:
 def matrix(
     document: Mapping[str, Any], name: str, shape: tuple[int, ...], where: str
 ) -> Float[np.ndarray, "..."]:
-    """Return the array of finite numbers of a field.
+    """Read a JSON field that must be an array of finite numbers of the given shape.
 
     Raises:
         ConfigInvalid: The field is missing or has another shape.
@@ -65,7 +65,7 @@ def matrix(
 
 
 def camera_at(where: str, **values: Any) -> Camera:
-    """Build a camera; errors name the place in the file.
+    """Build a camera from attributes; its errors begin with the location ``where``.
 
     Raises:
         SceneInvalid: An attribute is invalid.

@@ -17,12 +17,7 @@ _SLICE: Final = re.compile(r"(-?\d*):(-?\d*)(?::(-?\d*))?")
 @final
 @dataclass(frozen=True, slots=True)
 class NamedCamera:
-    """A camera of a file.
-
-    Attributes:
-        name: Name in the file, most often that of the picture.
-        camera: The camera, in the file's world.
-    """
+    """A camera with its name in a camera file, which most often is that of an image."""
 
     name: str
     camera: Camera
@@ -31,13 +26,13 @@ class NamedCamera:
 @final
 @dataclass(frozen=True, slots=True)
 class CameraFile:
-    """The cameras of a file.
+    """The contents of a camera file: at least one camera.
 
     Attributes:
         path: Path of the file.
         format: Title of the file's format.
-        cameras: At least one camera, in the order of the file.
-        notes: Sentences about what the cameras leave out, such as lens distortion.
+        cameras: The cameras, in the order of the file.
+        notes: Sentences about losses, such as lens distortion.
     """
 
     path: str
@@ -46,12 +41,12 @@ class CameraFile:
     notes: tuple[str, ...] = ()
 
     def pick(self, selection: str | None) -> tuple[NamedCamera, ...]:
-        """Return the cameras that ``selection`` names.
+        """Return the cameras that a name, a number or a slice selects.
 
         Args:
-            selection: A name, its last part with or without the suffix, a number from 0 (from the end
-                if negative), or a slice such as ``0:10``, ``::5``; None for all. A name comes
-                before a number.
+            selection: A name, its last part with or without the suffix, a number from 0 (from the
+                end if negative), or a slice such as ``0:10``, ``::5``; None for all. Names are
+                tried before numbers.
 
         Raises:
             ConfigInvalid: The selection matches no camera, or a name matches several.
@@ -64,7 +59,7 @@ class CameraFile:
                 raise ConfigInvalid(
                     f"{len(matches)} cameras are called {selection!r}: {_listed(matches)}",
                     where=self.path,
-                    hint="Give a number from 0, or the whole name.",
+                    hint="Give a number from 0, or the full name.",
                 )
             if matches:
                 return tuple(matches)
@@ -78,8 +73,7 @@ class CameraFile:
         count = len(self.cameras)
         if not -count <= number < count:
             raise ConfigInvalid(
-                f"has {count} cameras, numbered from 0 to {count - 1}; {number} is out of range",
-                where=self.path,
+                f"has no camera {number}, expected 0 to {count - 1}", where=self.path
             )
         return self.cameras[number]
 

@@ -1,4 +1,4 @@
-"""Open a camera file of any supported format."""
+"""Opens camera files of any supported format."""
 
 __all__ = ["open_cameras", "split_pick"]
 
@@ -15,7 +15,7 @@ from gsgen.runtime.camera_files.path_json import is_path, read_path
 from gsgen.runtime.camera_files.training_json import is_training, read_training
 from gsgen.runtime.camera_files.transforms_json import is_transforms, read_transforms
 
-_LARGEST: Final = 256 << 20  # bytes of JSON: a hundred thousand cameras have a tenth of it
+_LARGEST: Final = 256 << 20  # bytes of JSON: a hundred thousand cameras take a tenth of them
 _KNOWN: Final = (
     "Supported: cameras of gsgen, transforms.json (nerfstudio, Instant-NGP), camera paths of "
     "nerfstudio, cameras.json of 3D Gaussian Splatting, and folders of COLMAP with cameras and "
@@ -25,13 +25,13 @@ _IN_FOLDER: Final = ("transforms.json", "cameras.json", "transforms_train.json")
 
 
 def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
-    """Read a camera file or a data set's cameras; the content decides the format, not the name.
+    """Read the cameras of a file or a data set; the format is recognised by the content.
 
     Args:
         path: A file, or the folder of a data set or of a COLMAP model.
 
     Raises:
-        ConfigInvalid: It cannot be read, or its format is not supported.
+        ConfigInvalid: The file cannot be read, or its format is not supported.
         SceneInvalid: A camera's numbers are invalid.
     """
     location = Path(path)
@@ -43,7 +43,7 @@ def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
             raise ConfigInvalid(missing, where=str(location), hint=_KNOWN)
         if location.stat().st_size > _LARGEST and location.suffix == ".json":
             raise ConfigInvalid(
-                f"has {location.stat().st_size:,} bytes, more than {_LARGEST:,}",
+                f"has {location.stat().st_size:,} bytes, expected at most {_LARGEST:,}",
                 where=str(location),
             )
         with open(location, "rb") as file:
@@ -57,9 +57,7 @@ def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
     if model is not None and location.stem in ("cameras", "images", "points3D"):
         return read_colmap(model)
     raise ConfigInvalid(
-        f"begins with {start[:16]!r}, which is not the start of any known camera file",
-        where=str(location),
-        hint=_KNOWN,
+        f"begins with {start[:16]!r}, expected a camera file", where=str(location), hint=_KNOWN
     )
 
 
@@ -70,7 +68,7 @@ def split_pick(text: str) -> tuple[Path, str | None]:
     try:
         if not mark or whole.exists():
             return whole, None
-    except OSError:  # a name that is too long, say
+    except OSError:  # for example a name that is too long
         return whole, None
     return Path(name), selection
 
@@ -108,7 +106,11 @@ def _from_json(content: bytes, location: Path) -> CameraFile:
     if is_own(document):
         return read_own(document, str(location))
     if document in ([], {}):
-        raise ConfigInvalid("has no cameras", where=str(location), hint=_KNOWN)
+        raise ConfigInvalid(
+            "has no cameras, expected at least one", where=str(location), hint=_KNOWN
+        )
     first = document[0] if isinstance(document, list) else document
     keys = ", ".join(map(str, list(first)[:8])) if isinstance(first, dict) else repr(first)[:60]
-    raise ConfigInvalid(f"is JSON without cameras: it has {keys}", where=str(location), hint=_KNOWN)
+    raise ConfigInvalid(
+        f"is JSON without cameras, but with {keys}", where=str(location), hint=_KNOWN
+    )

@@ -1,4 +1,4 @@
-"""Camera files of gsgen: JSON with the attributes of :class:`gsgen.runtime.Camera` and a name."""
+"""Reads gsgen's own camera files: JSON with the attributes of ``Camera`` and a name."""
 
 __all__ = ["is_own", "read_own"]
 
@@ -10,13 +10,13 @@ from gsgen.runtime.scene.camera import Camera
 
 
 def is_own(document: object) -> bool:
-    """Return whether JSON is a gsgen camera or a list that begins with one."""
+    """Return whether a JSON document is a gsgen camera, or a list that begins with one."""
     first = document[0] if isinstance(document, list) and document else document
     return isinstance(first, dict) and not first.keys().isdisjoint(("view", "fx", "fy"))
 
 
 def read_own(document: object, path: str) -> CameraFile:
-    """Read one gsgen camera, or a list of them.
+    """Read the cameras of a JSON document: one gsgen camera, or a list of cameras.
 
     Raises:
         SceneInvalid: An object is not a valid camera.
@@ -24,7 +24,7 @@ def read_own(document: object, path: str) -> CameraFile:
     """
     entries = document if isinstance(document, list) else [document]
     if not entries:
-        raise ConfigInvalid("has no cameras", where=path)
+        raise ConfigInvalid("has no cameras, expected at least one", where=path)
     cameras = tuple(_camera(entry, number, path) for number, entry in enumerate(entries))
     return CameraFile(path, "cameras of gsgen", cameras)
 

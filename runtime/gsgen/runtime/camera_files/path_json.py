@@ -1,7 +1,7 @@
-"""Camera paths of nerfstudio's viewer: one camera for every frame of a film.
+"""Reads camera paths of nerfstudio's viewer: one camera per frame of a video.
 
-``camera_to_world`` has the sixteen numbers of a matrix row by row, of an OpenGL camera; ``fov`` is
-the vertical angle in degrees. The other frames between the viewer's keyframes are in the file.
+``camera_to_world`` is the matrix of an OpenGL camera, sixteen numbers row by row; ``fov`` is the
+vertical angle in degrees. The file also holds the frames between the viewer's keyframes.
 """
 
 __all__ = ["is_path", "read_path"]
@@ -20,15 +20,15 @@ _PANORAMA: Final = "equirectangular"
 
 
 def is_path(document: object) -> bool:
-    """Return whether JSON is a camera path of nerfstudio."""
+    """Return whether a JSON document is a camera path of nerfstudio."""
     return isinstance(document, dict) and isinstance(document.get("camera_path"), list)
 
 
 def read_path(document: Mapping[str, Any], path: str) -> CameraFile:
-    """Read a camera for each frame of the path.
+    """Read the camera of each frame of a nerfstudio camera path.
 
     Raises:
-        ConfigInvalid: Something is missing or of another shape, or the camera is neither a pinhole
+        ConfigInvalid: A field is missing or of another shape, or the camera is neither a pinhole
             nor a panorama.
         SceneInvalid: A camera's numbers are invalid.
     """
@@ -38,7 +38,7 @@ def read_path(document: Mapping[str, Any], path: str) -> CameraFile:
             f"camera_type is {kind!r}, expected {_STRAIGHT} or {_PANORAMA}", where=path
         )
     if not document["camera_path"]:
-        raise ConfigInvalid("has no frames", where=path)
+        raise ConfigInvalid("has no frames, expected at least one", where=path)
     width, height = (side(document, "render_width", path), side(document, "render_height", path))
     cameras = tuple(
         _camera(frame, index, path, (width, height), kind)

@@ -1,8 +1,8 @@
-"""cameras.json as the training of 3D Gaussian Splatting writes it.
+"""Reads cameras.json, which the training of 3D Gaussian Splatting writes.
 
 Kerbl et al. 2023, ``camera_to_JSON``: ``rotation`` is camera → world, its columns are the camera's
 axes (+x right, +y down, +z forward), ``position`` is the camera centre. The principal point is the
-middle of the image, which is where training had it.
+middle of the image, as in the training.
 """
 
 __all__ = ["is_training", "read_training"]
@@ -16,16 +16,16 @@ from gsgen.runtime.camera_files.poses import view_from_opencv
 
 
 def is_training(document: object) -> bool:
-    """Return whether JSON is a list of such cameras."""
+    """Return whether a JSON document is a cameras.json of 3D Gaussian Splatting."""
     first = document[0] if isinstance(document, list) and document else None
     return isinstance(first, dict) and {"rotation", "position"} <= first.keys()
 
 
 def read_training(document: list[Any], path: str) -> CameraFile:
-    """Read the cameras of cameras.json.
+    """Read the cameras of a cameras.json of 3D Gaussian Splatting.
 
     Raises:
-        ConfigInvalid: Something is missing or of another shape.
+        ConfigInvalid: A field is missing or of another shape.
         SceneInvalid: A camera's numbers are invalid.
     """
     cameras = tuple(_camera(entry, number, path) for number, entry in enumerate(document))

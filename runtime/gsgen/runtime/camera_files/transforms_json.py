@@ -1,8 +1,8 @@
-"""transforms.json of nerfstudio, Instant-NGP and the synthetic scenes of NeRF.
+"""Reads transforms.json of nerfstudio, Instant-NGP and NeRF's synthetic scenes.
 
-``transform_matrix`` is camera → world, of an OpenGL camera: +x right, +y up, +z backward. The
-intrinsics are pixels (``fl_x``, ``fl_y``, ``cx``, ``cy``, ``w``, ``h``) of all frames, of one frame,
-or an angle of view (``camera_angle_x``, ``camera_angle_y``). Documented by nerfstudio ("Data
+``transform_matrix`` is camera → world of an OpenGL camera: +x right, +y up, +z backward. The
+intrinsics, of all frames or of one, are pixels (``fl_x``, ``fl_y``, ``cx``, ``cy``, ``w``, ``h``) or
+an angle of view (``camera_angle_x``, ``camera_angle_y``). Documented by nerfstudio ("Data
 conventions") and by Instant-NGP ("Tips for training NeRF models").
 """
 
@@ -21,24 +21,24 @@ from gsgen.runtime.camera_files.poses import view_from_opengl
 _STRAIGHT: Final = ("PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 _PANORAMA: Final = "EQUIRECTANGULAR"
 _BENT: Final = ("k1", "k2", "k3", "k4", "p1", "p2")
-_SUFFIXES: Final = ("", ".png", ".jpg")  # the synthetic scenes leave it out
+_SUFFIXES: Final = ("", ".png", ".jpg")  # synthetic scenes omit the suffix
 
 
 def is_transforms(document: object) -> bool:
-    """Return whether JSON is a transforms.json."""
+    """Return whether a JSON document is a transforms.json."""
     return isinstance(document, dict) and isinstance(document.get("frames"), list)
 
 
 def read_transforms(document: Mapping[str, Any], path: str) -> CameraFile:
-    """Read a camera for each frame of transforms.json.
+    """Read the camera of each frame of a transforms.json.
 
     Raises:
-        ConfigInvalid: Something is missing or of another shape, or a camera model is not supported.
+        ConfigInvalid: A field is missing or of another shape, or a camera model is not supported.
         SceneInvalid: A camera's numbers are invalid.
     """
     frames = document["frames"]
     if not frames:
-        raise ConfigInvalid("has no frames", where=path)
+        raise ConfigInvalid("has no frames, expected at least one", where=path)
     cameras: list[NamedCamera] = []
     bent = 0
     size: tuple[int, int] | None = None
@@ -73,7 +73,7 @@ def _camera(document: Mapping[str, Any], index: int, where: str) -> NamedCamera:
             hint=f"Supported: {', '.join(_STRAIGHT)}, {_PANORAMA}. Undistort the pictures first.",
         )
     fx, fy = _focal(document, "x", width, where), _focal(document, "y", height, where)
-    scale = math.pi if model == _PANORAMA else 1.0  # there a radian has fl / π pixels
+    scale = math.pi if model == _PANORAMA else 1.0  # a panorama has fl / π pixels per radian
     camera = camera_at(
         where,
         view=view_from_opengl(to_world),
@@ -89,13 +89,13 @@ def _camera(document: Mapping[str, Any], index: int, where: str) -> NamedCamera:
 
 
 def _shape(document: Mapping[str, Any]) -> tuple[int, int]:
-    """Return the shape of the matrix: some writers leave the last row out."""
+    """Return the shape of ``transform_matrix``: some writers omit the last row."""
     transform = document.get("transform_matrix")
     return (3, 4) if isinstance(transform, list) and len(transform) == 3 else (4, 4)
 
 
 def _focal(document: Mapping[str, Any], axis: str, pixels: int, where: str) -> float:
-    """Return a focal length: the stored one, from the angle of view, or the other axis's."""
+    """Return a focal length in pixels: the stored one, by the angle of view, or the other axis's."""
     for name in (axis, "x" if axis == "y" else "y"):
         if f"fl_{name}" in document:
             return number(document, f"fl_{name}", where)
@@ -115,7 +115,7 @@ def _focal(document: Mapping[str, Any], axis: str, pixels: int, where: str) -> f
 
 
 def _picture_size(document: Mapping[str, Any], path: str, where: str) -> tuple[int, int]:
-    """Return the size of a frame's picture, for files without w and h."""
+    """Return the size of a frame's image file, for files without w and h."""
     from PIL import Image
 
     name = text(document, "file_path", "")

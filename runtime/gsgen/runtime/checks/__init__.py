@@ -1,1 +1,1 @@
-"""Are the frames that a model draws valid (level render)?"""
+"""Level render of the validator: does a model draw what it should?"""

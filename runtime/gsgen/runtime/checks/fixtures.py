@@ -20,13 +20,13 @@ from gsgen.contract.spec.severity import Level
 
 
 def render_fixtures() -> list[Fixture]:
-    """Return the models, one for each rule."""
+    """Return the invalid models, one for each rule of level ``render``."""
     return fixtures_in(sys.modules[__name__])
 
 
 @invalid("GB018", level=Level.RENDER)
 def too_fine_to_be_seen() -> ModelSpec:
-    """Gaussians a thousandth of a pixel wide, which antialiasing makes invisible."""
+    """Fixture: a model of Gaussians so thin that antialiasing makes all of them invisible."""
     fine = still()
     rows = np.array(fine.weights["rows"])
     rows[:, COVARIANCE] *= 1e-9
@@ -35,7 +35,7 @@ def too_fine_to_be_seen() -> ModelSpec:
 
 @invalid("GB019", level=Level.RENDER)
 def grows_out_of_nothing() -> ModelSpec:
-    """Gaussians that are too small to be seen at time zero, and grow with time."""
+    """Fixture: a generator whose Gaussians are invisibly small at time 0 and grow with time."""
     growing = drifting().reworded(
         "gaussians = Concat <axis = 1> (moved, opacity, spread)",
         "size = Max (time, least) wide = Mul (spread, size) "
@@ -46,7 +46,7 @@ def grows_out_of_nothing() -> ModelSpec:
 
 @invalid("GB020", level=Level.RENDER)
 def opaque_behind_opaque() -> ModelSpec:
-    """A black sheet in front of a white one, of which one rasteriser draws a hundredth."""
+    """Fixture: a black sheet before a white one, of which one rasteriser draws a hundredth."""
     sheets = still(2)
     rows, colors = (np.array(sheets.weights[name]) for name in ("rows", "colors"))
     rows[:, :3], rows[:, 3] = (0.0, 0.0, 0.0), 1.0
@@ -58,7 +58,7 @@ def opaque_behind_opaque() -> ModelSpec:
 
 @invalid("GB021", level=Level.RENDER)
 def looks_otherwise() -> ModelSpec:
-    """A reference image that is all red, for a model that is not."""
+    """Fixture: a model whose reference image is red, unlike the model."""
     from gsgen.runtime.media.pictures import png_of
 
     red = np.zeros((36, 64, 3), np.uint8)
@@ -67,7 +67,7 @@ def looks_otherwise() -> ModelSpec:
 
 
 def with_reference(spec: ModelSpec, png: bytes, **changes: object) -> ModelSpec:
-    """Return a copy that declares a reference image of 64×36 pixels, seen from four units away."""
+    """Return a model with a reference image of 64×36 pixels, from four units away."""
     straight = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 4.0))
     reference = ReferenceImage(
         path="reference.png",

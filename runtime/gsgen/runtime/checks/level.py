@@ -1,4 +1,4 @@
-"""The backend of level ``render``: draws a model's outputs as a viewer would."""
+"""Draws a model's outputs as a viewer would, for the rules of level ``render``."""
 
 __all__ = [
     "ComparedReference",
@@ -13,7 +13,7 @@ __all__ = [
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Final
 
@@ -22,6 +22,7 @@ import numpy as np
 from gsgen.contract.probing.probes import Probe, as_tensor
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.manifest import GeneratorManifest
+from gsgen.contract.tools.recording import evenly_spaced
 from gsgen.contract.validation.level_backend import LevelContext, LevelUnavailable
 from gsgen.runtime.checks.reference_image import (
     BACKGROUND,
@@ -51,14 +52,14 @@ _DISTANCE: Final = 2.2  # half diagonals of the bounds; the cameras of probes ha
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedProbe:
-    """The drawn frame of one probe.
+    """The drawn frame of one probe: a run of the model with chosen inputs.
 
     Attributes:
         probe: Label of the probe's inputs.
-        live: How many rows are live.
-        visible: How many Gaussians were drawn.
+        live: Number of live rows.
+        visible: Number of drawn Gaussians.
         covered: The highest alpha of any pixel, in [0, 1].
-        agreement: Agreement of the two rasterisers in decibels; None if one of them cannot draw it.
+        agreement: PSNR between both rasterisers in decibels; None if one cannot draw the frame.
     """
 
     probe: str
@@ -102,7 +103,7 @@ class RenderEvidence:
 
 @contextmanager
 def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
-    """Draw the outputs that a model gave for some of its probes.
+    """Draw the outputs of a model for some of its probes, as the context of the rules.
 
     Raises:
         LevelUnavailable: A package, a graphics adapter or its memory is missing.
@@ -128,12 +129,12 @@ def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
 
 
 def _quad_renderer(device: Device) -> Renderer | None:
-    """Return a renderer with the quad rasteriser, or None if the device lacks it."""
+    """Return a renderer with the quad rasteriser, or None if the device does not support it."""
     return Renderer(device, rasteriser="quads") if device.blends_floats else None
 
 
 def _skip_reasons(probe_runs: ProbeRuns, device: Device) -> dict[str, str]:
-    """Return the ids of the rules that cannot be checked, each with the reason."""
+    """Return the ids of rules that cannot be checked, each with the reason."""
     manifest = probe_runs.subject.generator
     reasons = {}
     if manifest is not None and manifest.blend == "wsr":
@@ -150,7 +151,9 @@ def _render_probes(
 ) -> Iterator[RenderedProbe]:
     manifest = probe_runs.subject.generator
     assert manifest is not None  # the rules apply to generators only
-    for number in _spread_probes(probe_runs):
+    # All inputs zero would be an invalid camera.
+    candidates = [n for n in range(probe_runs.plan.values) if not probe_runs.plan.probes[n].zeros]
+    for number in evenly_spaced(candidates, min(len(candidates), _FRAMES)):
         probe = probe_runs.plan.probes[number]
         scene, camera = _probe_scene(probe_runs, number), probe_camera(manifest, probe)
         frame = renderer.render(scene, camera)
@@ -167,7 +170,7 @@ def _render_probes(
 
 
 def _probe_scene(probe_runs: ProbeRuns, number: int) -> Scene:
-    """Return the model's outputs for a probe as a scene."""
+    """Return a model's outputs for a probe as a scene."""
     manifest = probe_runs.subject.generator
     assert manifest is not None
     sample = probe_runs.execution.runs[number].sample
@@ -175,11 +178,9 @@ def _probe_scene(probe_runs: ProbeRuns, number: int) -> Scene:
 
 
 def scene_of(manifest: GeneratorManifest, tensors: Mapping[str, np.ndarray]) -> Scene:
-    """Return the outputs of one run of a generator as a scene.
+    """Return the outputs of one run of a generator, by name, as a scene.
 
-    Args:
-        manifest: The generator's manifest, which declares gaussians and appearance.
-        tensors: Output name → array.
+    The manifest must declare gaussians and appearance.
     """
     outputs = manifest.outputs
     assert outputs.gaussians is not None
@@ -207,57 +208,40 @@ def _compare_references(probe_runs: ProbeRuns, renderer: Renderer) -> Iterator[C
     if manifest is None or find_spec("PIL") is None:
         return
     labels = [probe.label for probe in probe_runs.plan.probes[: probe_runs.plan.values]]
-    for number, reference in enumerate(manifest.reference_images):
-        if number >= MAX_REFERENCES:
+    for number, reference in enumerate(manifest.reference_images[: MAX_REFERENCES + 1]):
+        psnr, problem = None, ""
+        if number == MAX_REFERENCES:
             problem = f"only the first {MAX_REFERENCES} reference images are compared"
-            yield ComparedReference(reference.path, reference.psnr, problem=problem)
-            return
-        if reference.inputs not in labels:
+        elif reference.inputs not in labels:
             problem = f"no probe has the label {reference.inputs!r}, but {', '.join(labels[:5])}, …"
-            yield ComparedReference(reference.path, reference.psnr, problem=problem)
-            continue
-        try:
-            expected = read_reference(probe_runs.subject.file.path.parent, reference)
-            height, width = expected.shape[:2]
-            camera = reference_camera(reference, width, height)
-        except (ReferenceUnreadable, SceneInvalid) as error:
-            yield ComparedReference(
-                reference.path, reference.psnr, problem=str(error).partition("\n")[0]
-            )
-            continue
-        frame = renderer.render(
-            _probe_scene(probe_runs, labels.index(reference.inputs)), camera, background=BACKGROUND
-        )
-        mean_error = np.square(frame.srgb8[..., :3] / 255 - expected.astype(np.float64)).mean()
-        psnr = float(-10 * np.log10(max(mean_error, _MIN_ERROR)))
-        yield ComparedReference(reference.path, reference.psnr, psnr)
+        else:
+            try:
+                expected = read_reference(probe_runs.subject.file.path.parent, reference)
+                height, width = expected.shape[:2]
+                camera = reference_camera(reference, width, height)
+            except (ReferenceUnreadable, SceneInvalid) as error:
+                problem = str(error).partition("\n")[0]
+            else:
+                scene = _probe_scene(probe_runs, labels.index(reference.inputs))
+                frame = renderer.render(scene, camera, background=BACKGROUND)
+                psnr = _psnr(frame.srgb8[..., :3] / 255, expected)
+        yield ComparedReference(reference.path, reference.psnr, psnr, problem)
 
 
 def decibels(a: Frame, b: Frame) -> float:
     """Return the peak signal-to-noise ratio between the colours of two frames, in decibels."""
     assert a.rgba is not None
     assert b.rgba is not None
-    error = np.square(a.rgba[..., :3].astype(np.float64) - b.rgba[..., :3]).mean()
+    return _psnr(a.rgba[..., :3], b.rgba[..., :3])
+
+
+def _psnr(a: np.ndarray, b: np.ndarray) -> float:
+    error = np.square(a.astype(np.float64) - b).mean()
     return float(-10 * np.log10(max(error, _MIN_ERROR)))
 
 
-def _spread_probes(probe_runs: ProbeRuns) -> list[int]:
-    """Choose evenly spread probes; all inputs zero would be an invalid camera."""
-    candidates = [
-        number
-        for number in range(probe_runs.plan.values)
-        if not probe_runs.plan.probes[number].zeros
-    ]
-    return [
-        candidates[i]
-        for i in np.linspace(0, len(candidates) - 1, min(len(candidates), _FRAMES))
-        .round()
-        .astype(int)
-    ]
-
-
 def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
-    """Return the camera of a probe's inputs, or else one that looks at the bounds."""
+    """Return the camera of a probe's inputs, or else one that looks at the model's bounds."""
     by_role = {spec.role: probe.inputs[spec.name] for spec in manifest.inputs}
     order = manifest.space.matrix_order if manifest.space else "column"
     default_camera = _camera_at_bounds(manifest, by_role.get("camera_position"))
@@ -265,15 +249,7 @@ def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
         return default_camera
     view = as_tensor(np.asarray(by_role["view"], np.float64), order).astype(np.float64)
     if "projection" not in by_role:
-        return Camera(
-            view,
-            fx=default_camera.fx,
-            fy=default_camera.fy,
-            cx=default_camera.cx,
-            cy=default_camera.cy,
-            width=default_camera.width,
-            height=default_camera.height,
-        )
+        return replace(default_camera, view=view)
     lens = as_tensor(np.asarray(by_role["projection"], np.float64), order).astype(np.float64)
     height = max(1, round(_WIDTH * lens[0, 0] / -lens[1, 1]))
     return Camera(
@@ -288,7 +264,7 @@ def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
 
 
 def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Camera:
-    """Return a camera that looks at the centre of the bounds, from ``eye`` or an orbit."""
+    """Return a camera that looks at a model's bounds, from ``eye`` or an orbit."""
     bounds = manifest.bounds
     low, high = (
         (np.array(bounds.min), np.array(bounds.max))

@@ -1,4 +1,4 @@
-"""Reference images: pictures in a model's folder that the model must draw, read with limits."""
+"""Reads reference images: pictures in a model's folder that the model must draw."""
 
 __all__ = [
     "BACKGROUND",
@@ -25,7 +25,7 @@ BACKGROUND: Final = (0.0, 0.0, 0.0, 1.0)
 """The background of reference images, which have no alpha."""
 
 MAX_REFERENCES: Final = 16
-"""How many reference images of a model are compared."""
+"""Most reference images of a model that are compared."""
 
 _MAX_BYTES: Final = 32 << 20
 _MAX_SIDE: Final = 4096
@@ -37,11 +37,7 @@ class ReferenceUnreadable(GsgenError):
 
 
 def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
-    """Return red, green and blue in [0, 1] of a reference image.
-
-    Args:
-        folder: The model's folder.
-        reference: Declaration of the picture in the manifest.
+    """Read a reference image of a model's folder, as red, green and blue in [0, 1].
 
     Raises:
         ReferenceUnreadable: The picture is missing, altered or invalid.
@@ -56,7 +52,7 @@ def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarra
         with Image.open(io.BytesIO(raw), formats=["PNG"]) as image:
             if max(image.size) > _MAX_SIDE:
                 raise ReferenceUnreadable(
-                    f"{image.width}×{image.height} pixels, expected at most {_MAX_SIDE} a side"
+                    f"{image.width}×{image.height} pixels, expected at most {_MAX_SIDE}×{_MAX_SIDE}"
                 )
             colors = np.asarray(image.convert("RGB"), np.float32)
     except (

@@ -1,4 +1,4 @@
-"""Reference recording: draws reference images of a model, and declares them in a copy."""
+"""Draws reference images of a model, and declares them in the manifest of a copy."""
 
 __all__ = ["References", "record_references"]
 
@@ -43,7 +43,7 @@ from gsgen.runtime.sources.source import axis_direction
 _DEFAULT_COUNT: Final = 3
 _DEFAULT_WIDTH: Final = 640  # pixels
 _CAMERA_ROLES: Final = ("view", "camera_position")
-"""Roles of inputs that give the camera of a model."""
+"""Roles of inputs that hold a camera."""
 _PICTURE_NAME: Final = re.compile(r"^[0-9]+\.png$")
 
 
@@ -85,10 +85,10 @@ def record_references(
         model: The copy; its pictures go to the folder ``NAME-references`` next to it.
         camera: A value of ``gsgen render --camera``; by default the camera of a probe, or an orbit
             around the model if it has no camera input.
-        count: How many, spread over the probes that are not all zeros, 16 at most; by default
-            three, or all where there are fewer.
+        count: Number of pictures, spread over the probes that are not all zeros, 16 at most; by
+            default three, or all if there are fewer.
         width: Width of the pictures in pixels, 640 by default; heights follow from the cameras.
-        psnr: The least decibels that a picture must have on another machine.
+        psnr: Least PSNR of a picture on another machine, in decibels.
         settings: Limits of running the model.
         force: Replace existing pictures.
         renderer: Draws the pictures; a new one by default.
@@ -131,7 +131,7 @@ def record_references(
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Picture:
-    """The drawn frame of a probe, with its camera."""
+    """The drawn frame of one probe of a model, with the camera."""
 
     probe: Probe
     camera: Camera
@@ -140,13 +140,7 @@ class _Picture:
 
 @final
 class _PictureCameras:
-    """The cameras of the reference images.
-
-    Args:
-        manifest: The model's manifest.
-        camera: A value of ``--camera``, or None.
-        width: Width of the pictures, in pixels.
-    """
+    """The cameras of a model's reference images: of the probes, or of ``--camera``."""
 
     def __init__(self, manifest: GeneratorManifest, camera: str | None, width: int) -> None:
         self._manifest, self._width = manifest, width
@@ -154,7 +148,7 @@ class _PictureCameras:
         self._view = None if has_camera_input and camera is None else viewpoint(camera)
 
     def camera(self, probe: Probe, scene: Scene, number: int) -> Camera:
-        """Return the camera of picture ``number``, from 0.
+        """Return the camera of reference image ``number``, from 0.
 
         Raises:
             SceneInvalid: The camera is not a pinhole camera.
@@ -166,7 +160,7 @@ class _PictureCameras:
             source.up = axis_direction((self._manifest.space or Space()).up)
             camera = self._view.camera(source, number, 0.0)
         if camera.kind != "pinhole":
-            message = f"is a camera of kind {camera.kind}, expected one with perspective"
+            message = f"is {camera.kind}, expected a pinhole camera"
             raise SceneInvalid(message, where="--camera")
         return camera.scaled(self._width, max(1, round(camera.height * self._width / camera.width)))
 
@@ -193,7 +187,7 @@ def _draw(
 def _write(
     subject: InspectedModel, pictures: Sequence[_Picture], model: Path, folder: str, psnr: float
 ) -> tuple[ReferenceImage, ...]:
-    """Write the copy and its pictures; return their declarations in its manifest."""
+    """Write the copy of a model with its pictures, and return their declarations."""
     assert subject.parsed is not None
     document = json.loads(subject.file.manifest_text or "{}")
     if subject.parsed.version is not None:  # version 1.0 has no reference images
@@ -215,7 +209,7 @@ def _write(
 
 
 def _existing_pictures(folder: Path) -> list[Path]:
-    """Return the pictures in a folder, in the order of their numbers."""
+    """Return the reference images in a folder, in the order of their numbers."""
     if not folder.is_dir():
         return []
     pictures = [path for path in folder.iterdir() if _PICTURE_NAME.match(path.name)]
@@ -223,7 +217,7 @@ def _existing_pictures(folder: Path) -> list[Path]:
 
 
 def _spread_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
-    """Choose evenly spread probes; all inputs zero would be an invalid camera."""
+    """Choose evenly spread probes, except all-zero inputs, whose camera would be invalid."""
     candidates = [probe for probe in probes if not probe.zeros] or list(probes)
     limit = min(len(candidates), MAX_REFERENCES)
     if count is None:

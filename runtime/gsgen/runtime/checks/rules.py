@@ -1,6 +1,6 @@
 """Rules of level ``render`` (GB018 to GB021): the drawn frames show the model.
 
-Registered under the entry point group ``gsgen.rules``; importing this module is cheap.
+The rules are registered under the entry point group ``gsgen.rules``.
 """
 
 from collections.abc import Iterator

@@ -1,1 +1,1 @@
-"""The runtime's commands, one per module."""
+"""The runtime's commands, such as `gsgen render`, one per module."""

@@ -1,4 +1,4 @@
-"""`gsgen bake`: frames of a generator as plain splat files."""
+"""`gsgen bake`: writes frames of a generator as plain splat files."""
 
 __all__ = ["bake"]
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.contract.errors import ConfigInvalid, ExitCode
-from gsgen.runtime.commands.options import Axis, Provider, Sizes
+from gsgen.runtime.commands.options import Axis, Provider, Sizes, read_tracks
 
 if TYPE_CHECKING:
     from gsgen.runtime.baking.report import BakeReport
@@ -114,7 +114,7 @@ def bake(
             report = bake_source(
                 source,
                 output,
-                tracks=[*tracks, *_poses(pose, source)],
+                tracks=[*tracks, *read_tracks(pose, None, [source])[0]],
                 cameras=_cameras(camera, up, source),
                 format=format,
                 views=views,
@@ -134,7 +134,7 @@ def bake(
 
 
 def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
-    """Return the tracks of ``--time`` and ``--input``."""
+    """Parse ``--time`` and ``--input`` into tracks of input values."""
     from gsgen.runtime.baking.frame_values import number_range
     from gsgen.runtime.playback.input_tracks import Track, input_track
 
@@ -158,26 +158,8 @@ def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
     return tracks
 
 
-def _poses(poses: list[str] | None, source: "GeneratorSource") -> "list[Track]":
-    """Return the tracks of ``--pose``."""
-    from gsgen.runtime.playback.pose_tracks import named_file, pose_tracks
-
-    tracks: list[Track] = []
-    for text in poses or ():
-        word = named_file(text)[0]
-        if not source.named(word):
-            known = ", ".join(sorted(spec.name for spec in source.inputs)) or "none"
-            raise ConfigInvalid(
-                f"the model has no input {word!r}",
-                where=f"--pose {text}",
-                hint=f"Its inputs: {known}.",
-            )
-        tracks += pose_tracks(text, source)[0]
-    return tracks
-
-
 def _cameras(text: str | None, up: str | None, source: "GeneratorSource") -> "list[Camera]":
-    """Return the cameras of ``--camera``, none where it is absent."""
+    """Return the cameras of ``--camera``; none without the option."""
     if text is None:
         return []
     from gsgen.runtime.playback.camera_options import viewpoint
@@ -187,7 +169,7 @@ def _cameras(text: str | None, up: str | None, source: "GeneratorSource") -> "li
 
 
 def _as_dict(report: "BakeReport") -> dict[str, object]:
-    """Return the report in JSON types: an infinite PSNR becomes the text ``inf``."""
+    """Convert a bake's report to JSON types: an infinite PSNR becomes the text ``inf``."""
     document = asdict(report)
     for frame in document["frames"]:
         if frame["psnr"] is not None and math.isinf(frame["psnr"]):

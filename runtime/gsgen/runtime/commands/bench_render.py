@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.runtime.commands.options import (
-    AsJson,
-    Compact,
-    Height,
-    Provider,
-    RasteriserName,
-    Scenes,
-    Sizes,
-    Width,
-)
+from gsgen.runtime.commands import options
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.frame_cost import FrameCost, Span
@@ -28,19 +19,19 @@ _MEGABYTE = 1e6
 
 
 def bench_render(
-    scenes: Scenes,
+    scenes: options.Scenes,
     camera: Annotated[
         str | None,
         typer.Option(help="Camera; see `gsgen render`. [default: a full turn around the scene]"),
     ] = None,
-    width: Width = None,
-    height: Height = None,
+    width: options.Width = None,
+    height: options.Height = None,
     frames: Annotated[int, typer.Option(help="Number of measured frames.", min=1)] = 30,
-    compact: Compact = False,
-    rasteriser: RasteriserName = "auto",
-    size: Sizes = None,
-    provider: Provider = "cpu",
-    as_json: AsJson = False,
+    compact: options.Compact = False,
+    rasteriser: options.RasteriserName = "auto",
+    size: options.Sizes = None,
+    provider: options.Provider = "cpu",
+    as_json: options.AsJson = False,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
     ] = None,
@@ -117,7 +108,7 @@ def _milliseconds(seconds: float) -> str:
 
 
 def _lines(cost: "FrameCost") -> list[str]:
-    """Return lines on the frames, the device and its memory."""
+    """Return lines of text on the frames, the device and its memory."""
     width, height = cost.size
     kind = " (a software driver)" if cost.software else ""
     bytes_per_row = cost.rows_bytes / max(1, cost.capacity)

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gsgen.contract.errors import ConfigInvalid, ExitCode, UnknownName
+from gsgen.contract.errors import ConfigInvalid, ExitCode
 from gsgen.contract.process.atomic_files import refuse_itself
-from gsgen.formats.codecs import CODECS, Codec, codec_named, codec_of_suffix, format_titles
+from gsgen.formats.codecs import CODECS, Codec, format_titles
 from gsgen.runtime.commands.options import AsJson
 
 if TYPE_CHECKING:
@@ -75,8 +75,9 @@ def convert(
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.formats import FormatError, FormatWarning
     from gsgen.formats.conversion import convert as convert_file
+    from gsgen.runtime.baking.targets import writable_codec
 
-    codec = _codec(format, target)
+    codec = writable_codec(target, format, where=str(target))
     if not force:
         hint = "Name another file, or replace it with --force."
         refuse_itself(target, [source], hint)
@@ -114,27 +115,10 @@ def convert(
     typer.echo(json.dumps(document, indent=2) if as_json else _as_text(result))
 
 
-def _codec(name: str | None, target: Path) -> Codec:
-    """Return the format of this name, or else of the target's suffix."""
-    if name is not None:
-        if name not in _WRITABLE:
-            raise UnknownName.among("format", name, _WRITABLE, where="--format")
-        return codec_named(name)
-    codec = codec_of_suffix(target)
-    if codec is None or codec.write is None:
-        suffix = target.suffix or "(none)"
-        problem = f"{codec.title} can only be read" if codec else f"has the unknown suffix {suffix}"
-        suffixes = [known.suffixes[0] for known in CODECS if known.write]
-        raise ConfigInvalid(
-            problem, where=str(target), hint=f"Use one of {', '.join(suffixes)}, or give --format."
-        )
-    return codec
-
-
 def _writer(
     codec: Codec, spz_version: int | None, encoding: str | None
 ) -> "Callable[..., None] | None":
-    """Return a writer with the options of the format, or None without any options."""
+    """Return a writer with the options of the splat format; None without options."""
     arguments: dict[str, tuple[str, dict[str, object]]] = {}
     if spz_version is not None:
         arguments["--spz-version"] = "spz", {"version": spz_version}

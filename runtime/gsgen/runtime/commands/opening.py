@@ -1,4 +1,4 @@
-"""Opening: the scenes and post-process models of a command, with messages for the user."""
+"""Opens the scenes and post-process models of a command, and prints their warnings."""
 
 __all__ = ["open_scenes", "read_scene_files"]
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def read_scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
-    """Read the scene files among some scenes.
+    """Read the scene files among the paths of a command's scenes.
 
     Raises:
         typer.Exit: A file cannot be read; the reason is printed.
@@ -90,7 +90,7 @@ def open_scenes(
 
 @contextmanager
 def _warnings_as_notes() -> Iterator[None]:
-    """Print warnings to standard error, as notes."""
+    """Print warnings of a ``with`` block to standard error, as notes."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         yield
@@ -99,7 +99,7 @@ def _warnings_as_notes() -> Iterator[None]:
 
 
 def _sizes_by_path(paths: Sequence[Path], sizes: Mapping[str, int]) -> dict[Path, dict[str, int]]:
-    """Return the sizes of each model's own open dimensions.
+    """Return the sizes of each model's own open dimensions, by path.
 
     Raises:
         UnknownName: No model has such an open dimension.

@@ -51,7 +51,7 @@ class ModeName(StrEnum):
 
     @property
     def mode(self) -> "Mode":
-        """The mode of this name."""
+        """The display mode that this value of ``--mode`` names."""
         return "color" if self is ModeName.COLOUR else cast("Mode", self.value)
 
 
@@ -176,7 +176,7 @@ def read_tracks(
         source = next((source for source in sources if source.named(name)), None)
         if source is None:
             raise ConfigInvalid(
-                f"needs the input {name!r}, which no scene has",
+                f"names the input {name!r}, which no scene has",
                 where=f"--pose {text}",
                 hint="`gsgen inspect` lists the inputs of a model.",
             )

@@ -35,7 +35,7 @@ def references(
     count: Annotated[
         int | None,
         typer.Option(
-            help="How many pictures, spread over the probes of `gsgen validate`; 16 at most.",
+            help="Number of pictures, spread over the probes of `gsgen validate`; 16 at most.",
             show_default="3, or all where there are fewer",
             min=1,
         ),

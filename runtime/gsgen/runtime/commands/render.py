@@ -10,29 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.commands.options import (
-    Antialias,
-    AsJson,
-    Axis,
-    Compact,
-    FieldOfView,
-    Height,
-    Inputs,
-    ModeName,
-    ModeOption,
-    Orthographic,
-    Panorama,
-    Poses,
-    Post,
-    Provider,
-    RasteriserName,
-    RenderCamera,
-    Scenes,
-    ShDegree,
-    Sizes,
-    Width,
-    read_tracks,
-)
+from gsgen.runtime.commands import options
 
 if TYPE_CHECKING:
     from gsgen.runtime.media.pictures import Mode
@@ -60,7 +38,7 @@ Time = Annotated[float | None, typer.Option(help="Time of generators. [default: 
 Frames = Annotated[
     int | None,
     typer.Option(
-        help="How many frames. Time, or else a frame number, goes through its range; if nothing "
+        help="Number of frames. Time, or else a frame number, goes through its range; if nothing "
         "moves, an orbit turns. [default: one per camera, pose or value]",
         min=1,
     ),
@@ -85,33 +63,33 @@ WeightedSums = Annotated[
 
 
 def render(
-    scenes: Scenes,
+    scenes: options.Scenes,
     output: Output,
     *,
-    camera: RenderCamera = None,
-    width: Width = None,
-    height: Height = None,
-    fov: FieldOfView = None,
-    up: Axis = None,
-    orthographic: Orthographic = False,
-    panorama: Panorama = False,
-    mode: ModeOption = ModeName.COLOR,
+    camera: options.RenderCamera = None,
+    width: options.Width = None,
+    height: options.Height = None,
+    fov: options.FieldOfView = None,
+    up: options.Axis = None,
+    orthographic: options.Orthographic = False,
+    panorama: options.Panorama = False,
+    mode: options.ModeOption = options.ModeName.COLOR,
     background: Background = None,
     time: Time = None,
-    pose: Poses = None,
-    inputs: Inputs = None,
+    pose: options.Poses = None,
+    inputs: options.Inputs = None,
     frames: Frames = None,
     turn: Turn = None,
     fps: FramesPerSecond = None,
-    sh_degree: ShDegree = None,
-    antialias: Antialias = None,
-    rasteriser: RasteriserName = "auto",
-    compact: Compact = False,
+    sh_degree: options.ShDegree = None,
+    antialias: options.Antialias = None,
+    rasteriser: options.RasteriserName = "auto",
+    compact: options.Compact = False,
     wsr: WeightedSums = "contract",
-    post: Post = None,
-    size: Sizes = None,
-    provider: Provider = "cpu",
-    as_json: AsJson = False,
+    post: options.Post = None,
+    size: options.Sizes = None,
+    provider: options.Provider = "cpu",
+    as_json: options.AsJson = False,
 ) -> None:
     """Draw SCENES: splat files and meshes, and generators, which run for every frame.
 
@@ -132,7 +110,7 @@ def render(
     for note in (*view.notes, *_transparency_notes(output, color, mode.mode)):
         typer.echo(f"note: {note}", err=True)
     with open_scenes(scenes, post, provider=provider, size=size) as (sources, models):
-        tracks, pose_fps = read_tracks(pose, inputs, sources)
+        tracks, pose_fps = options.read_tracks(pose, inputs, sources)
         is_published = wsr == "published"
         if is_published:
             _require_weighted_sums(sources)
@@ -155,15 +133,15 @@ def render(
 
 
 def _require_weighted_sums(sources: "list[Source]") -> None:
-    """Refuse sources without weighted sums, for which the published form is not defined."""
+    """Raise if a source is not blended by weighted sums, as ``--wsr published`` needs."""
     unsummed = next(
         (source for source in sources if source.weighted is None or source.meshes), None
     )
     if unsummed is not None:
         raise ConfigInvalid(
-            f"{unsummed.name} is not blended by weighted sums, the only blending of this option",
+            f"{unsummed.name} is not blended by weighted sums, which this option needs",
             where="--wsr published",
-            hint="Leave it out, or draw everything with `--wsr contract`.",
+            hint="Leave that scene out, or draw with `--wsr contract`.",
         )
 
 
@@ -201,7 +179,7 @@ def _transparency_notes(
 
 
 def _write(sequence: "FrameSequence", output: Path, *, as_json: bool) -> None:
-    """Draw all frames into ``output``, and print a summary."""
+    """Draw all frames of a sequence into ``output``, and print a summary."""
     from gsgen.contract.commands.progress import clear, progress
 
     started = clock.perf_counter()

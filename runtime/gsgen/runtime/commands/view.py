@@ -9,26 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.runtime.commands.options import (
-    Antialias,
-    Axis,
-    Compact,
-    FieldOfView,
-    Inputs,
-    ModeName,
-    ModeOption,
-    Orthographic,
-    Panorama,
-    Poses,
-    Post,
-    Provider,
-    RasteriserName,
-    RenderCamera,
-    Scenes,
-    ShDegree,
-    Sizes,
-    read_tracks,
-)
+from gsgen.runtime.commands import options
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.live_playback import LivePlayback
@@ -63,30 +44,30 @@ Pictures = Annotated[Path, typer.Option(help="Folder of saved pictures.")]
 
 
 def view(
-    scenes: Scenes,
+    scenes: options.Scenes,
     *,
-    camera: RenderCamera = None,
+    camera: options.RenderCamera = None,
     width: WindowWidth = None,
     height: WindowHeight = None,
-    fov: FieldOfView = None,
-    up: Axis = None,
-    orthographic: Orthographic = False,
-    panorama: Panorama = False,
-    mode: ModeOption = ModeName.COLOR,
+    fov: options.FieldOfView = None,
+    up: options.Axis = None,
+    orthographic: options.Orthographic = False,
+    panorama: options.Panorama = False,
+    mode: options.ModeOption = options.ModeName.COLOR,
     background: Background = None,
     time: Time = None,
-    pose: Poses = None,
-    inputs: Inputs = None,
+    pose: options.Poses = None,
+    inputs: options.Inputs = None,
     frames: Frames = None,
     fps: FramesPerSecond = None,
     play: Play = True,
-    sh_degree: ShDegree = None,
-    antialias: Antialias = None,
-    rasteriser: RasteriserName = "auto",
-    compact: Compact = False,
-    post: Post = None,
-    size: Sizes = None,
-    provider: Provider = "cpu",
+    sh_degree: options.ShDegree = None,
+    antialias: options.Antialias = None,
+    rasteriser: options.RasteriserName = "auto",
+    compact: options.Compact = False,
+    post: options.Post = None,
+    size: options.Sizes = None,
+    provider: options.Provider = "cpu",
     pictures: Pictures = Path(),
 ) -> None:
     """Show SCENES in a window: orbit around them, play their time, and save pictures.
@@ -112,7 +93,7 @@ def view(
     option_color = None if background is None else color_of(background, "--background")
     color = first_setting([option_color, *(file.background for file in files)])
     with open_scenes(scenes, post, provider=provider, size=size) as (sources, models):
-        tracks, pose_fps = read_tracks(pose, inputs, sources)
+        tracks, pose_fps = options.read_tracks(pose, inputs, sources)
         playback = LivePlayback(
             sources,
             post=models,
@@ -159,7 +140,7 @@ def _title(scenes: Sequence[Path]) -> str:
 
 
 def _file_opener(*, play: bool) -> "Callable[[Sequence[Path]], LivePlayback]":
-    """Return a function that opens files that are dropped on the window."""
+    """Return a function that opens dropped files as a playback."""
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.sources.scene_source import sources_of
 

@@ -90,7 +90,7 @@ class Device:
         except (RuntimeError, OSError, ValueError) as error:
             raise DeviceUnavailable(f"no graphics adapter: {error}", hint=_DRIVER_HINT) from error
         if adapter is None:
-            raise DeviceUnavailable("no graphics adapter", hint=_DRIVER_HINT)
+            raise DeviceUnavailable("no graphics adapter was found", hint=_DRIVER_HINT)
         limits = {
             name: adapter.limits[name]
             for name in ("max-storage-buffer-binding-size", "max-buffer-size")

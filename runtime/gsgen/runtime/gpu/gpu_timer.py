@@ -35,7 +35,7 @@ class StageClock:
         self._names: list[str] = []
 
     def begin(self) -> None:
-        """Forget the stages of the previous frame."""
+        """Clear the recorded stages of the GPU timer for a new frame."""
         self._names.clear()
 
     def around(self, stage: str) -> PassTimestamps:

@@ -50,7 +50,7 @@ class SpatialOrder:
         return cls(rows, neighbours, _apart(data, neighbours))
 
     def is_valid_after_change(self, data: SplatData) -> bool:
-        """Count a change of the rows, and return whether this order is still useful."""
+        """Count a change of the Gaussians, and return whether their Morton order is still useful."""
         self.served += 1
         if self.served < _SERVES:
             return True

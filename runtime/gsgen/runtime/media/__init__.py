@@ -1,1 +1,1 @@
-"""How are frames written as pictures and videos?"""
+"""Media files: how are drawn frames written as image files and videos?"""

@@ -1,4 +1,4 @@
-"""GIF: animations with 256 colours a picture, whose pixels are opaque or absent."""
+"""Writes animated GIFs: 256 colours per picture, and pixels that are opaque or absent."""
 
 __all__ = ["save_gif"]
 
@@ -14,23 +14,18 @@ if TYPE_CHECKING:
 
 _MILLISECONDS: Final = 1000
 _HALF: Final = 128
-"""The least alpha that is shown, as opaque."""
+"""The least alpha of pixels that are shown as opaque."""
 _OPAQUE: Final = 255
 _ABSENT: Final = 255
 """The palette index of transparent pixels, and the number of colours."""
 _CLEARED: Final = 2
-"""GIF's "restore to background": transparent pixels do not show the frame before."""
+"""GIF's disposal "restore to background": transparent pixels hide the previous frame."""
 
 
 def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: float) -> None:
-    """Write an animated GIF that repeats for ever.
+    """Write grey, RGB or RGBA pictures with straight alpha as a GIF that repeats for ever.
 
     A pixel with an alpha of half or more is opaque, in its own colour; others are transparent.
-
-    Args:
-        path: The file to write.
-        pictures: Grey, RGB or RGBA; alpha is not multiplied into colours.
-        fps: Frames per second.
     """
     from PIL import Image
 
@@ -47,7 +42,7 @@ def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: floa
 
 
 def _with_transparent_color(picture: UInt8[np.ndarray, "h w 4"]) -> "Image":
-    """Return a picture of 255 colours and a transparent one."""
+    """Quantise a picture to 255 colours and a transparent one."""
     from PIL import Image
 
     is_opaque = picture[..., 3] >= _HALF

@@ -1,4 +1,4 @@
-"""GPano: the XMP metadata that marks a picture as a panorama for 360° viewers."""
+"""GPano: XMP metadata that marks an image file as a panorama for 360° viewers."""
 
 __all__ = ["gpano"]
 
@@ -16,11 +16,11 @@ _PACKET: Final = (
 
 
 def gpano(camera: Camera) -> bytes | None:
-    """Return the XMP packet of a panorama, in the terms of Google's Photo Sphere.
+    """Return the XMP packet of a panorama camera, in the terms of Google's Photo Sphere.
 
-    The terms place the picture in the whole sphere, whose middle is the camera's direction. The
-    result is None for other kinds of cameras, and where the terms do not suffice: for a sphere
-    that is not twice as wide as high, and for a picture across its seam.
+    The terms place the picture in the full sphere, whose middle is the camera's direction. The
+    result is None for other cameras, and where the terms do not suffice: for a sphere that is not
+    twice as wide as high, and for a picture across its seam.
     """
     width, height = round(camera.period), round(math.pi * camera.fy)
     left = round(width / 2 - camera.cx)

@@ -1,7 +1,7 @@
-"""MP4 videos: AV1 pictures in the boxes that players and browsers expect.
+"""Writes MP4 videos: AV1 samples in the boxes that players and browsers expect.
 
-The encoder is Pillow's, whose AVIF sequences hold the same AV1 samples in other boxes. So
-no codec with another licence is needed. Boxes: ISO/IEC 14496-12 (ISO base media file format); the
+The encoder is Pillow's, whose AVIF sequences hold the same AV1 samples in other boxes. So no codec
+with another licence is needed. Boxes: ISO/IEC 14496-12 (ISO base media file format); the
 sample entry: "AV1 Codec ISO Media File Format Binding", version 1.2.
 """
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _TICKS: Final = 1000
 """Units of time per frame, so that rates such as 23.976 are stored exactly."""
 
-_GROUP: Final = 48  # frames encoded together; players can seek to the first of them
+_GROUP: Final = 48  # frames encoded together; players can seek to the first
 _MAX_BYTES: Final = 1 << 32  # offsets have 32 bits
 _QUALITY: Final = 80
 _SPEED: Final = 8  # of 10; 6 takes four times as long for the same size at this quality
@@ -33,11 +33,7 @@ _UNITY: Final = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x4000000
 
 
 def encode(pictures: Iterable["Image"], fps: float) -> bytes:
-    """Return an MP4 file of the pictures.
-
-    Args:
-        pictures: Pictures of one size, at least one. Few are in memory at a time.
-        fps: Frames per second.
+    """Encode pictures of one size as an MP4 file, with few of them in memory at a time.
 
     Raises:
         SceneInvalid: Pillow has no AV1 encoder, the pictures differ in size, or the video
@@ -49,8 +45,8 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
     samples = [sample for group in groups for sample in group.samples]
     firsts = np.cumsum([1, *(len(group.samples) for group in groups[:-1])])
     head = _box(b"ftyp", b"isom", _u32(0x200), b"isomiso6av01mp41")
-    # The table of contents stores the offset of the samples, which depends on its own length.
-    # That length does not depend on the offset, so it is built twice.
+    # The table of contents stores the offset of the samples, which depends on the table's length.
+    # The length does not depend on the offset, so the table is built twice.
     size = len(head) + len(_contents(groups[0], samples, firsts.tolist(), fps, 0)) + 8
     if size + sum(map(len, samples)) >= _MAX_BYTES:
         raise SceneInvalid(
@@ -64,14 +60,7 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
 @final
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Frames that were encoded together.
-
-    Attributes:
-        entry: The sample entry box, which describes their coding.
-        samples: The coded frames, in order.
-        width: Width of a frame, in pixels.
-        height: Height of a frame, in pixels.
-    """
+    """Video frames that were encoded together, with their sample entry box."""
 
     entry: bytes
     samples: list[bytes]
@@ -80,7 +69,7 @@ class _Group:
 
 
 def _groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
-    """Yield the pictures in groups of at least two, unless there is one picture in all.
+    """Yield pictures in groups of at least two, unless there is only one picture.
 
     AVIF stores a sequence of one picture as a still image, which has other boxes.
     """
@@ -92,7 +81,7 @@ def _groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
 
 
 def _sequence(pictures: Sequence["Image"]) -> _Group:
-    """Encode pictures as an AVIF sequence, and extract its samples."""
+    """Encode pictures as an AVIF sequence, and extract its AV1 samples."""
     from PIL import features
 
     if not features.check("avif"):
@@ -133,7 +122,7 @@ def _differing_sizes(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
 
 
 def _entry(avif: bytes) -> bytes:
-    """Convert the sample entry of an AVIF sequence to that of a video."""
+    """Convert the sample entry of an AVIF sequence to that of an MP4 video."""
     retained = {b"av1C", b"colr"}
     boxes = [_box(kind, body) for kind, body in _boxes(avif[_ENTRY_FIELDS:]) if kind in retained]
     return _box(b"av01", avif[8:_ENTRY_FIELDS], *boxes)
@@ -142,7 +131,7 @@ def _entry(avif: bytes) -> bytes:
 def _contents(
     group: _Group, samples: Sequence[bytes], firsts: Sequence[int], fps: float, offset: int
 ) -> bytes:
-    """Return the box ``moov`` of consecutive samples that begin at ``offset``."""
+    """Return the MP4 box ``moov`` for consecutive samples that begin at ``offset``."""
     duration = _TICKS * len(samples)
     rate = round(_TICKS * fps)
     table = _box(
@@ -173,12 +162,12 @@ def _u32(*values: int) -> bytes:
 
 
 def _box(kind: bytes, *parts: bytes) -> bytes:
-    """Return a box: its length, its kind and its content."""
+    """Return an MP4 box: its length, its type and its content."""
     return b"".join([_u32(8 + sum(map(len, parts))), kind, *parts])
 
 
 def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Yield the kind and the content of each box in ``data``."""
+    """Yield the type and the content of each MP4 box in ``data``."""
     offset = 0
     while offset < len(data):
         size = int.from_bytes(data[offset : offset + 4], "big")
@@ -187,7 +176,7 @@ def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _find(data: bytes, *path: bytes) -> bytes:
-    """Return the content of the box at ``path``."""
+    """Return the content of the MP4 box at a path of box types."""
     for kind in path:
         data = next(body for box_kind, body in _boxes(data) if box_kind == kind)
     return data

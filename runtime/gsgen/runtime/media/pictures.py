@@ -1,4 +1,4 @@
-"""Pictures: frames as bytes, arrays, image files and videos."""
+"""Converts drawn frames to arrays and bytes, and writes image files and videos."""
 
 __all__ = [
     "IMAGE_SUFFIXES",
@@ -41,7 +41,7 @@ MODES: Final[dict[Mode, Output]] = {
     "normal": "normal",
     "alpha": "color",
 }
-"""The output of the renderer that each mode needs."""
+"""The renderer's output that each display mode needs."""
 
 IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 """Suffixes of image files."""
@@ -52,11 +52,11 @@ VIDEO_SUFFIXES: Final = (".gif", ".mp4")
 OPAQUE_SUFFIXES: Final = (".jpg", ".jpeg", ".mp4", ".bmp")
 """Suffixes of formats without transparency."""
 
-_OUTLIERS: Final = 2.0  # percent of the depths, at each end, beyond the grey scale
+_OUTLIERS: Final = 2.0  # percent of the depths, at each end, outside the grey scale
 
 
 def array_of(frame: Frame, mode: Mode) -> Float32[np.ndarray, "h w *c"]:
-    """Return the array of ``mode`` without clipping, rounding or a colour curve."""
+    """Return the output of a frame that ``mode`` names, as floats without any conversion."""
     arrays = {
         "color": frame.rgba,
         "depth": frame.depth,
@@ -66,22 +66,20 @@ def array_of(frame: Frame, mode: Mode) -> Float32[np.ndarray, "h w *c"]:
     }
     array = arrays[mode]
     if array is None:
-        raise ValueError(f"the frame has no {mode}: expected it drawn with {MODES[mode]!r}")
+        raise ValueError(
+            f"the frame has no {mode}: pass {MODES[mode]!r} in the outputs of render()"
+        )
     return array
 
 
 def picture_of(
     frame: Frame, mode: Mode, depths: tuple[float, float] | None = None
 ) -> UInt8[np.ndarray, "h w *c"]:
-    """Return the array of ``mode`` as bytes.
+    """Return the output of a frame that ``mode`` names as an image of bytes.
 
-    Colours are sRGB with alpha. Depths are grey: near is bright, and no depth is black. Normals
-    are (n + 1) / 2 in world space. Alpha is grey.
-
-    Args:
-        frame: The frame.
-        mode: Which of its arrays.
-        depths: The depths that become white and nearly black; by default those of most pixels.
+    Colours are sRGB with alpha. Depths are grey: near is bright, and pixels without a depth are
+    black; ``depths`` become white and nearly black, by default those of most pixels. Normals are
+    (n + 1) / 2 in world space. Alpha is grey.
     """
     if mode == "color":
         return frame.srgb8
@@ -96,7 +94,7 @@ def picture_of(
 
 
 def depth_range(depth: Float32[np.ndarray, "h w"]) -> tuple[float, float]:
-    """Return the range of depths that holds most pixels."""
+    """Return the range of depths that most pixels of a depth image have."""
     finite = depth[np.isfinite(depth)]
     if not finite.size:
         return 0.0, 1.0
@@ -113,10 +111,7 @@ def save_picture(
 ) -> None:
     """Write an image file atomically, in the format of its suffix.
 
-    Args:
-        path: The file to write.
-        picture: The pixels.
-        camera: Camera of the picture; a JPEG of a panorama gets GPano metadata.
+    A JPEG whose ``camera`` is a panorama gets GPano metadata.
 
     Raises:
         SceneInvalid: Pillow is missing, or cannot write such a file.
@@ -131,7 +126,7 @@ def save_picture(
 
 
 def png_of(picture: UInt8[np.ndarray, "h w *c"]) -> bytes:
-    """Return a picture as a PNG file.
+    """Encode a picture as a PNG file.
 
     Raises:
         SceneInvalid: Pillow is missing.
@@ -142,7 +137,7 @@ def png_of(picture: UInt8[np.ndarray, "h w *c"]) -> bytes:
 
 
 def _metadata(camera: Camera | None, picture: UInt8[np.ndarray, "h w *c"]) -> dict[str, bytes]:
-    """Return the metadata of a picture, unless a post-process model changed its size."""
+    """Return the metadata of an image file, unless a post-process model changed its size."""
     if camera is None or picture.shape[:2] != (camera.height, camera.width):
         return {}
     packet = gpano(camera)
@@ -150,7 +145,7 @@ def _metadata(camera: Camera | None, picture: UInt8[np.ndarray, "h w *c"]) -> di
 
 
 def save_array(path: Path, array: Float32[np.ndarray, "h w *c"]) -> None:
-    """Write a NumPy file atomically."""
+    """Write an array as an .npy file atomically."""
     with atomic_write(path) as draft:
         np.save(draft, array)
 
@@ -176,7 +171,7 @@ def save_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: fl
 
 
 def _on_black(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
-    """Blend a picture with black if its format has no transparency."""
+    """Blend a picture with black if the file format has no transparency."""
     if picture.ndim == 3 and picture.shape[2] == 4 and path.suffix.lower() in OPAQUE_SUFFIXES:
         alpha = picture[..., 3:] / 255
         return np.asarray(np.rint(picture[..., :3] * alpha), np.uint8)

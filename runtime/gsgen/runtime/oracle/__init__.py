@@ -1,1 +1,1 @@
-"""What should the renderer draw? Float64 references of each kind of picture."""
+"""Reference renderer: what should the renderer draw, in float64 NumPy without its kernels?"""

@@ -1,8 +1,8 @@
-"""What meshes must look like: every pixel's ray against every triangle, in float64 NumPy.
+"""Reference ray caster of meshes: every pixel's ray against every triangle, in float64 NumPy.
 
-It shares no code with the kernels, and no method either: they look at triangles along the ray, in
-camera space, where all that counts is flat; here rays are in world space, meet planes, and points
-are placed by the areas that they span there.
+It shares neither code nor method with the kernels. They compare a triangle with a ray in two
+dimensions, in camera space; here rays in world space intersect planes, and areas on the plane give
+the barycentric weights.
 """
 
 __all__ = ["Surface", "cast"]
@@ -18,20 +18,20 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
 
 _AMBIENT: Final = 0.2
-# What changes within so many pixels, rounding may decide.
+# Pixels whose surface changes within this offset are fragile: rounding may decide it.
 _SAMPLE_OFFSET: Final = 1 / 1024
 _SHIFTS: Final = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * _SAMPLE_OFFSET
-_JUMP: Final = 1e-2  # of colours, normals, and depths by their share
+_JUMP: Final = 1e-2  # least change of colours and normals, and relative change of depths
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """The first surface that each pixel's ray meets.
+    """The nearest mesh surface at each pixel.
 
     Attributes:
-        depth: Along the camera's +z, or from a panorama's centre; infinite where no mesh is.
-        color: In the scene's colour space.
+        depth: Along the camera's +z, or from a panorama's centre; infinite without a mesh.
+        color: Colours in the scene's colour space.
         normal: Unit vectors in world space that point towards the camera.
         fragile: Pixels at an edge of a visible surface, where rounding may decide otherwise.
     """
@@ -43,13 +43,7 @@ class Surface:
 
 
 def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "linear"]) -> Surface:
-    """Return what ``camera`` sees of ``meshes``: the first of the nearest.
-
-    Args:
-        meshes: In the order in which they are drawn.
-        camera: Of any kind.
-        color_space: Of the colours that are returned.
-    """
+    """Cast the rays of a camera at meshes, and return the nearest surfaces in ``color_space``."""
     start, ahead = _rays(camera)
     shape = ahead.shape[:3]
     depth = np.full(shape, np.inf)
@@ -80,7 +74,7 @@ def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "l
 
 
 def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each shift and pixel a point and a direction whose parameter is the depth."""
+    """Return the origin and the direction, of depth 1, of the rays of each shift and pixel."""
     x = np.arange(camera.width) + 0.5 + _SHIFTS[:, 0, None]
     y = np.arange(camera.height) + 0.5 + _SHIFTS[:, 1, None]
     shape = (len(_SHIFTS), camera.height, camera.width)
@@ -100,7 +94,7 @@ def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
-    """Return rows and columns that the triangle may cover: all, where that is not plain."""
+    """Return the rows and columns of pixels that a triangle may cover."""
     corners = triangle @ camera.view[:3, :3].T + camera.view[:3, 3]
     everything = slice(0, camera.height), slice(0, camera.width)
     if camera.kind == "panorama":
@@ -119,7 +113,7 @@ def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
 def _met(
     triangle: np.ndarray, start: np.ndarray, ahead: np.ndarray, near: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return depths (infinite for a miss), the corners' weights, and the unit normal."""
+    """Intersect rays with a triangle: depths (infinite if missed), weights, unit normal."""
     a, b, c = triangle
     area = np.cross(b - a, c - a)
     size = np.linalg.norm(area)
@@ -149,7 +143,7 @@ def _color(mesh: Mesh, face: int, weights: np.ndarray) -> np.ndarray:
 
 
 def _texel(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Return the texture between its texels, which repeats; (0, 0) is its lower left corner."""
+    """Interpolate a repeating texture at coordinates whose origin is its lower left corner."""
     height, width = texture.shape[:2]
     blended = np.zeros((*uv.shape[:-1], 3))
     x, y = uv[..., 0] * width - 0.5, (1 - uv[..., 1]) * height - 0.5
@@ -163,7 +157,7 @@ def _texel(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
-    """Return the colours in another space (IEC 61966-2-1)."""
+    """Convert mesh colours to another colour space (IEC 61966-2-1)."""
     if mesh.data.color_space == space:
         return color
     if space == "linear":
@@ -172,7 +166,7 @@ def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
 
 
 def _edges(depth: np.ndarray, color: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Say which pixels see something else a little beside their centres."""
+    """Return the pixels whose depth, colour or normal changes slightly beside their centres."""
     is_hit = np.isfinite(depth)
     edge = (is_hit != is_hit[0]).any(axis=0)
     near = np.where(is_hit, depth, 0)

@@ -1,18 +1,19 @@
-"""Where Gaussians are in the image, in float64: what all oracles have in common.
+"""Projection of Gaussians in float64, shared by the reference renderers.
 
-It shares no code with the kernels, and no method where there are two.
+It shares no code with the kernels, nor the method where two methods exist.
 """
 
 __all__ = [
     "BAND",
+    "CULL",
     "MOST_ALPHA",
     "TIE",
     "Ellipses",
     "Picture",
+    "Splats",
     "across",
-    "colors",
+    "drawn_splats",
     "ellipses",
-    "normals",
 ]
 
 from dataclasses import dataclass
@@ -26,10 +27,10 @@ from gsgen.contract.spec.spherical_harmonics import basis, degree_of
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 
+CULL: Final = 1 / 255
 MOST_ALPHA: Final = 0.99
-# Within these shares of a threshold, float32 may decide otherwise.
-BAND: Final = 2e-3
-TIE: Final = 1e-12  # of a depth: two floats are that exact, even where they are sums
+BAND: Final = 2e-3  # relative distance from a threshold within which float32 may decide otherwise
+TIE: Final = 1e-12  # relative difference of depths that sums of two floats resolve
 _MARGIN: Final = 0.3
 _POLE: Final = 1e-3
 _DILATION: Final = 0.3
@@ -38,18 +39,18 @@ _DILATION: Final = 0.3
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Picture:
-    """What an oracle makes; see :class:`gsgen.runtime.scene.frame.Frame`.
+    """The result of a reference renderer; see :class:`gsgen.runtime.scene.frame.Frame`.
 
     Attributes:
         rgba: Colours multiplied by alpha, and alpha.
-        depth: Mean depth, infinite where nothing is.
-        median_depth: Depth of what took half of the light.
-        ids: Its place in the scene; −1 for none.
-        normal: Unit vectors in world space; zero where nothing is.
-        fragile: Pixels where a threshold or an order is so close that float32 may decide
-            otherwise: the declared discontinuities.
-        fragile_median: The same for the median.
-        visible: How many Gaussians reach a pixel's centre.
+        depth: Mean depth; infinite where nothing is drawn.
+        median_depth: Depth of the Gaussian that took half of the light.
+        ids: Index of that Gaussian in the scene; −1 for none.
+        normal: Unit vectors in world space; zero where nothing is drawn.
+        fragile: Pixels so close to a threshold or a change of order that float32 may decide
+            otherwise.
+        fragile_median: The same for the median depth and the ids.
+        visible: Number of Gaussians that reach a pixel's centre.
     """
 
     rgba: Float[np.ndarray, "h w 4"]
@@ -65,14 +66,14 @@ class Picture:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Ellipses:
-    """What packed rows are in an image.
+    """The ellipses of Gaussians or cells in an image.
 
     Attributes:
         mean: Centres, in pixels.
         covariance: 2D covariances, in pixels².
-        dilated: The same with the dilation.
-        depth: Along the camera's +z; in a panorama from its centre.
-        sound: Whether a row is finite and its ellipse is one.
+        dilated: 2D covariances with the dilation.
+        depth: Along the camera's +z; in a panorama from the camera.
+        sound: Whether a row is finite and its ellipse has a positive finite size.
         sigma: Covariances in camera space.
         position: Centres in camera space.
     """
@@ -87,7 +88,7 @@ class Ellipses:
 
 
 def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera) -> Ellipses:
-    """Return where packed rows of a set are in an image; opacities do not count."""
+    """Project packed rows of a splat set, Gaussians or cells, into an image."""
     linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
     turn = camera.view[:3, :3]
     with np.errstate(all="ignore"):  # rows that are not finite are not sound
@@ -110,19 +111,78 @@ def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camer
     )
 
 
-def normals(
-    shapes: Ellipses, drawn: Bool[np.ndarray, " n"], camera: Camera
-) -> Float[np.ndarray, "m 3"]:
-    """Return in world space the normals of those ellipses that are kept."""
-    flat = np.tile([0.0, 0.0, 1.0], (len(shapes.position), 1))
-    sight = flat if camera.kind == "orthographic" else shapes.position
-    return np.asarray(_thinnest(shapes.sigma[drawn], sight[drawn]) @ camera.view[:3, :3])
+@final
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Splats:
+    """The drawn Gaussians of a scene, one row of each array per Gaussian.
+
+    Attributes:
+        mean: Centres, in pixels.
+        covariance: 2D covariances with the dilation, in pixels².
+        opacity: Opacities in (0, 1].
+        depth: Depths.
+        color: Colours, clamped to ≥ 0.
+        normal: Normals in world space.
+        index: Indices in the scene.
+    """
+
+    mean: Float[np.ndarray, "n 2"]
+    covariance: Float[np.ndarray, "n 2 2"]
+    opacity: Float[np.ndarray, " n"]
+    depth: Float[np.ndarray, " n"]
+    color: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    index: Int64[np.ndarray, " n"]
+
+    def take(self, rows: Bool[np.ndarray, " n"] | Int64[np.ndarray, " m"]) -> "Splats":
+        """Return some Gaussians, by a mask or by indices."""
+        return Splats(**{name: getattr(self, name)[rows] for name in self.__slots__})
+
+
+def drawn_splats(
+    splat_set: SplatSet, camera: Camera, first: int, visibility: Float[np.ndarray, " n"] | float = 1
+) -> Splats:
+    """Project the live Gaussians of a set, and drop those that are not drawn.
+
+    Args:
+        splat_set: The set.
+        camera: The camera.
+        first: Index of the set's first Gaussian in the scene.
+        visibility: Factor of the opacities; for weighted sums, the visibility of each row's cell.
+    """
+    data, far, clip = splat_set.data, splat_set.depth_range, splat_set.clip
+    rows = data.rows[: data.count].astype(np.float64)
+    shapes = ellipses(rows, splat_set, camera)
+    with np.errstate(all="ignore"):  # rows that are not finite are dropped at the end
+        opacity = rows[:, 3] * splat_set.opacity_scale * visibility
+        if far is not None:
+            opacity = opacity * (1 - shapes.depth / far)
+        opacity = np.minimum(opacity, 1)
+        if splat_set.antialias == "mip":
+            ratio = np.linalg.det(shapes.covariance) / np.linalg.det(shapes.dilated)
+            opacity = opacity * np.sqrt(np.maximum(ratio, 0))
+        color = _colors(splat_set, camera)
+        low, high = (-np.inf, np.inf) if clip is None else (clip.low, clip.high)
+        drawn = shapes.sound & (shapes.depth > camera.near) & (opacity >= CULL)
+        drawn &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
+        drawn &= np.isfinite(color).all(axis=1)
+    ahead = np.tile([0.0, 0.0, 1.0], (len(rows), 1))
+    sight = ahead if camera.kind == "orthographic" else shapes.position
+    return Splats(
+        mean=shapes.mean[drawn],
+        covariance=shapes.dilated[drawn],
+        opacity=opacity[drawn],
+        depth=shapes.depth[drawn],
+        color=np.maximum(color[drawn], 0),
+        normal=_thinnest(shapes.sigma[drawn], sight[drawn]) @ camera.view[:3, :3],
+        index=first + np.flatnonzero(drawn),
+    )
 
 
 def _flattened(
     position: np.ndarray, sigma: np.ndarray, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return where centres are in the image, and their 2D covariances."""
+    """Return the pixels of centres, and the 2D covariances, by the camera's projection."""
     focal = np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
     size = np.array([camera.width, camera.height])
@@ -144,7 +204,7 @@ def _flattened(
 def _unrolled(
     position: np.ndarray, sigma: np.ndarray, focal: np.ndarray, center: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same in a panorama: the directions east and south of each centre, as angles."""
+    """Return pixels and 2D covariances in a panorama, by the directions east and south."""
     distance = np.linalg.norm(position, axis=1)
     longitude, latitude = (
         np.arctan2(position[:, 0], position[:, 2]),
@@ -154,15 +214,15 @@ def _unrolled(
     east = np.stack([ahead[:, 1], np.zeros(len(position)), -ahead[:, 0]], 1)
     sin, cos = np.sin(latitude), np.cos(latitude)
     south = np.stack([-sin * ahead[:, 0], cos, -sin * ahead[:, 1]], 1)
-    circle = distance * np.maximum(cos, _POLE)  # how far it is around the axis
+    circle = distance * np.maximum(cos, _POLE)  # radius of the circle of latitude
     jacobian = np.stack([east / circle[:, None], south / distance[:, None]], 1)
     jacobian *= focal[:, None]
     mean = focal * np.stack([longitude, latitude], 1) + center
     return mean, jacobian @ sigma @ jacobian.transpose(0, 2, 1)
 
 
-def colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
-    """Return what colour the live rows of a set have; it may be negative."""
+def _colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
+    """Return the colours of the live Gaussians of a set, which may be negative."""
     data = splat_set.data
     channels = data.appearance[: data.count].astype(np.float64)
     if data.space == "rgb":
@@ -184,7 +244,7 @@ def colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
 
 
 def _thinnest(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Return unit vectors along the shortest axis, towards the camera; at it from a ball."""
+    """Return normals: shortest axes turned to the camera; balls face the camera."""
     values, vectors = np.linalg.eigh(sigma)
     ball = values[:, 1] - values[:, 0] <= 1e-5 * values[:, 2]
     toward = -position / np.linalg.norm(position, axis=1, keepdims=True)
@@ -194,7 +254,7 @@ def _thinnest(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def across(pixels: Float[np.ndarray, " n"], mean: float, camera: Camera) -> Float[np.ndarray, " n"]:
-    """Return how far pixels are to the right of a mean: around a panorama the shorter way."""
+    """Return the horizontal distances of pixels from a mean; in a panorama the shorter way."""
     if camera.kind != "panorama":
         return pixels - mean
     turn = 2 * np.pi * camera.fx

@@ -1,8 +1,8 @@
-"""What a picture must be: a renderer in float64 NumPy that shares no code with the kernels.
+"""Reference renderer in float64 NumPy, which shares no code with the kernels.
 
 It follows the specification's page on conventions, section "Drawing", one Gaussian after the
-other, and is slow. Two details are the reference rasterisers' (gsplat, Kerbl et al. 2023), which
-the page leaves open: the Jacobian of a centre far outside of the image is that of a centre 0.3
+other, and is slow. Two details that the page leaves open are those of the reference rasterisers
+(gsplat, Kerbl et al. 2023): the Jacobian of a centre far outside the image is that of a centre 0.3
 half images outside, and a pixel is finished before the first Gaussian that would leave less than
 1e-4 of the light. A panorama follows the guide "Coordinate systems and cameras".
 """
@@ -10,46 +10,21 @@ half images outside, and a pixel is finished before the first Gaussian that woul
 __all__ = ["Picture", "render"]
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from gsgen.runtime.oracle import projection
 from gsgen.runtime.oracle.meshes import Surface, cast
-from gsgen.runtime.oracle.projection import (
-    BAND,
-    MOST_ALPHA,
-    TIE,
-    Picture,
-    across,
-    colors,
-    ellipses,
-    normals,
-)
+from gsgen.runtime.oracle.projection import BAND, CULL, MOST_ALPHA, TIE, Picture, Splats
 from gsgen.runtime.oracle.weighted_sums import Veil, alone, sums
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
-_CULL: Final = 1 / 255
 _FINISHED: Final = 1e-4
-
-_TOUCH: Final = 1e-4  # a Gaussian and a mesh so near to each other
-# Within so many pixels of half a turn, it may find the other side of a Gaussian.
-_HALF_TURN: Final = 2e-3
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Splats:
-    """Projected Gaussians: mean, 2D covariance, opacity, depth, colour, normal, index."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    opacity: np.ndarray
-    depth: np.ndarray
-    color: np.ndarray
-    normal: np.ndarray
-    index: np.ndarray
+_TOUCH: Final = 1e-4  # relative difference of depths at which a Gaussian touches a mesh
+_HALF_TURN: Final = 2e-3  # pixels from half a turn, where rounding may choose the other copy
 
 
 def render(
@@ -59,69 +34,34 @@ def render(
     background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     published: bool = False,
 ) -> Picture:
-    """Draw ``scene`` as ``camera`` sees it, in float64.
+    """Draw a scene with the float64 reference renderer.
 
     Args:
-        scene: What to draw.
-        camera: From where, and how large.
-        background: Red, green, blue and alpha behind it all.
-        published: Let backgrounds of weighted sums count as in the method's own renderer.
+        scene: The scene.
+        camera: The camera, with the image size.
+        background: Red, green, blue and alpha of the background.
+        published: Whether weighted sums count backgrounds as the method's own renderer does.
     """
     walls = cast(scene.meshes, camera, scene.color_space)
     veil = sums(scene, camera, walls.depth)
     if not scene.meshes and scene.sets and all(splat_set.weighted for splat_set in scene.sets):
         return alone(veil, background, published=published)
-    first, parts = 0, [_project(SplatSet(_nobody()), camera, 0)]
+    no_rows = SplatData(np.zeros((0, 10), np.float32), np.zeros((0, 3), np.float32), "rgb")
+    first, parts = 0, [projection.drawn_splats(SplatSet(no_rows), camera, 0)]
     for splat_set in scene.sets:
         if splat_set.weighted is None:
-            parts.append(_project(splat_set, camera, first))
+            parts.append(projection.drawn_splats(splat_set, camera, first))
         first += len(splat_set.data)
-    names = _Splats.__slots__
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    order = np.argsort(joined["depth"], kind="stable")
-    ordered = _Splats(**{name: column[order] for name, column in joined.items()})
-    return _blend(ordered, camera, background, walls, veil.veil())
-
-
-def _nobody() -> SplatData:
-    return SplatData(np.zeros((0, 10), np.float32), np.zeros((0, 3), np.float32), "rgb")
-
-
-def _project(splat_set: SplatSet, camera: Camera, first: int) -> _Splats:
-    data = splat_set.data
-    rows = data.rows[: data.count].astype(np.float64)
-    shapes = ellipses(rows, splat_set, camera)
-    with np.errstate(all="ignore"):  # rows that are not finite are dropped at the end
-        opacity = np.minimum(rows[:, 3] * splat_set.opacity_scale, 1)
-        if splat_set.antialias == "mip":
-            ratio = np.linalg.det(shapes.covariance) / np.linalg.det(shapes.dilated)
-            opacity = opacity * np.sqrt(np.maximum(ratio, 0))
-        color = colors(splat_set, camera)
-        low, high = (
-            (-np.inf, np.inf)
-            if splat_set.clip is None
-            else (splat_set.clip.low, splat_set.clip.high)
-        )
-        drawn = shapes.sound & (shapes.depth > camera.near) & (opacity >= _CULL)
-        drawn &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
-        drawn &= np.isfinite(color).all(axis=1)
-    normal = np.zeros((len(rows), 3))
-    normal[drawn] = normals(shapes, drawn, camera)
-    index = np.arange(first, first + len(rows))
-    clamped = np.maximum(color, 0)
-    return _Splats(
-        mean=shapes.mean[drawn],
-        covariance=shapes.dilated[drawn],
-        opacity=opacity[drawn],
-        depth=shapes.depth[drawn],
-        color=clamped[drawn],
-        normal=normal[drawn],
-        index=index[drawn],
+    names = Splats.__slots__
+    joined = Splats(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     )
+    splats = joined.take(np.argsort(joined.depth, kind="stable"))
+    return _blend(splats, camera, background, walls, veil.veil())
 
 
 def _blend(
-    splats: _Splats, camera: Camera, background: Sequence[float], walls: Surface, veil: Veil
+    splats: Splats, camera: Camera, background: Sequence[float], walls: Surface, veil: Veil
 ) -> Picture:
     height, width = camera.height, camera.width
     color, normal = np.zeros((height, width, 3)), np.zeros((height, width, 3))
@@ -147,14 +87,14 @@ def _blend(
         waiting &= ~covered
         before = through[window].copy()
         in_front = splats.depth[i] <= walls.depth[window]
-        hit = (alpha >= _CULL) & ~finished[window] & in_front
-        visible += bool((alpha >= _CULL).any())
+        hit = (alpha >= CULL) & ~finished[window] & in_front
+        visible += bool((alpha >= CULL).any())
         after = before * (1 - alpha)
         stop = hit & (after <= _FINISHED)
         near_edge = _is_near_edge(unclamped, dx, camera)
         near_wall = _touches(splats.depth[i], walls.depth[window])
         near_wall |= _touches(splats.depth[i], veil.depth[window])
-        fragile[window] |= ~finished[window] & (alpha >= _CULL) & near_wall
+        fragile[window] |= ~finished[window] & (alpha >= CULL) & near_wall
         near_stop = hit & (np.abs(after / _FINISHED - 1) <= BAND)
         fragile[window] |= ~finished[window] & (near_edge | near_stop)
         if close[i]:
@@ -173,7 +113,7 @@ def _blend(
         fragile_median[window] |= hit & (np.abs(after - 0.5) <= BAND)
         through[window] = np.where(drawn, after, before)
     _cover(waiting, veil, color, normal, depth, through, median, fragile_median)
-    # The remaining light goes to the meshes, and nothing behind them is visible.
+    # The remaining light goes to the meshes, which are opaque.
     wall = np.isfinite(walls.depth)
     remaining = np.where(wall, through, 0)
     color += remaining[..., None] * walls.color
@@ -197,18 +137,18 @@ def _blend(
 
 
 def _opacity(
-    splats: _Splats, i: int, window: tuple[slice, slice], camera: Camera
+    splats: Splats, i: int, window: tuple[slice, slice], camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a Gaussian's opacity at the pixels of a window, and their horizontal distances."""
+    """Return a Gaussian's opacities at the pixels of a window, and their horizontal offsets."""
     rows, columns = window
-    dx = across(np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera)
+    dx = projection.across(np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera)
     dy = np.arange(rows.start, rows.stop)[:, None] + 0.5 - splats.mean[i, 1]
     (a, b), (_, c) = np.linalg.inv(splats.covariance[i])
     return splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy), dx
 
 
 def _over(background: Sequence[float], color: np.ndarray, through: np.ndarray) -> np.ndarray:
-    """Return colours over the background, with alpha."""
+    """Composite colours over the background, and append alpha."""
     red, green, blue, opaque = background
     mixed = color + through[..., None] * np.array([red, green, blue]) * opaque
     alpha = 1 - through + through * opaque
@@ -216,16 +156,16 @@ def _over(background: Sequence[float], color: np.ndarray, through: np.ndarray) -
 
 
 def _is_near_edge(unclamped: np.ndarray, dx: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the pixels where rounding decides if a Gaussian is drawn."""
-    near_edge = np.abs(unclamped / _CULL - 1) <= BAND
+    """Return the pixels at which rounding decides whether a Gaussian is drawn."""
+    near_edge = np.abs(unclamped / CULL - 1) <= BAND
     if camera.kind == "panorama":
         behind = np.abs(np.abs(dx) - np.pi * camera.fx) <= _HALF_TURN
-        near_edge |= behind & (np.minimum(unclamped, MOST_ALPHA) >= _CULL * (1 - BAND))
+        near_edge |= behind & (np.minimum(unclamped, MOST_ALPHA) >= CULL * (1 - BAND))
     return np.asarray(near_edge)
 
 
 def _touches(depth: float, surface: np.ndarray) -> np.ndarray:
-    """Return the pixels where a surface is as far as a Gaussian, but for rounding."""
+    """Return the pixels at which a surface has the depth of a Gaussian, up to rounding."""
     return np.asarray(np.abs(depth - surface) <= _TOUCH * depth)
 
 
@@ -239,7 +179,7 @@ def _cover(
     median: np.ndarray,
     fragile_median: np.ndarray,
 ) -> None:
-    """Blend the veil into some pixels, in place."""
+    """Blend the layer of weighted sums into some pixels, in place."""
     remaining = through[pixels]
     color[pixels] += remaining[:, None] * veil.color[pixels]
     normal[pixels] += remaining[:, None] * veil.normal[pixels]
@@ -251,19 +191,19 @@ def _cover(
 
 
 def _ties(depth: np.ndarray) -> np.ndarray:
-    """Say which depths differ so little from the one before that rounding may swap the two."""
+    """Return the depths so close to the previous depth that rounding may swap the two."""
     gap = np.diff(depth, prepend=-np.inf)
     return np.asarray((gap > 0) & (gap < TIE * np.abs(depth)))
 
 
-def _window(splats: _Splats, i: int, camera: Camera) -> tuple[slice, slice] | None:
-    """Return the rows and columns that Gaussian ``i`` may reach, or None if it reaches no pixel."""
-    spread = 2 * np.log(splats.opacity[i] / _CULL) * np.diagonal(splats.covariance[i])
+def _window(splats: Splats, i: int, camera: Camera) -> tuple[slice, slice] | None:
+    """Return the rows and columns of pixels that Gaussian ``i`` may reach, or None."""
+    spread = 2 * np.log(splats.opacity[i] / CULL) * np.diagonal(splats.covariance[i])
     reach = np.sqrt(np.maximum(spread, 0)) + 0.01
     limits = np.array([camera.width, camera.height])
     low = np.clip(np.floor(splats.mean[i] - reach - 0.5), 0, limits).astype(int)
     high = np.clip(np.ceil(splats.mean[i] + reach + 0.5), 0, limits).astype(int)
-    if camera.kind == "panorama":  # it may come from behind
+    if camera.kind == "panorama":  # the Gaussian may cross the seam
         low[0], high[0] = 0, camera.width
     if not (low < high).all():
         return None

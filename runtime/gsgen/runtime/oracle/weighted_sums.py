@@ -1,4 +1,4 @@
-"""What weighted sums must look like: in float64 NumPy, cell after cell, without the kernels' code.
+"""Reference of weighted sums: blends cell after cell in float64 NumPy, without the kernels.
 
 It follows the specification's page on cells. Cells end at whole tiles and Gaussians at circles of
 whole pixels, as in the renderer of Liu et al. 2025.
@@ -13,44 +13,36 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
-from gsgen.runtime.oracle.projection import (
-    BAND,
-    MOST_ALPHA,
-    TIE,
-    Picture,
-    across,
-    colors,
-    ellipses,
-    normals,
-)
+from gsgen.runtime.oracle import projection
+from gsgen.runtime.oracle.projection import BAND, CULL, MOST_ALPHA, TIE, Picture, Splats
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 
-_CULL: Final = 1 / 255
 _FINISHED: Final = 0.01
 _TILE: Final = 16
 
-_PIXELS: Final = 2e-3
-_EQUAL: Final = 1e-4
+_PIXELS: Final = 2e-3  # distance from a circle's edge within which float32 may decide otherwise
+_EQUAL: Final = 1e-4  # relative difference of depths or opacities that counts as equal
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Sums:
-    """What :func:`sums` makes, of every pixel.
+    """The weighted sums of a scene at every pixel, with the weight w of a Gaussian.
 
     Attributes:
         color: Σ w c.
         normal: Σ w n, in world space.
         depth: Σ w z.
         total: Σ w.
-        behind: Σ w b, b being the weight of the background.
+        behind: Σ w b, where b is the set's weight of the background.
         through: The light that passes.
-        median_depth: Depth of what covers most in the cell where half of the light is gone.
-        ids: Its place in the scene; −1 for none.
+        median_depth: Depth of the Gaussian that covers most in the cell where half of the light
+            is gone.
+        ids: Index of that Gaussian in the scene; −1 for none.
         fragile: Pixels where float32 may decide otherwise.
-        fragile_median: The same for the median.
-        visible: How many Gaussians reach a pixel's centre in a tile of their cell.
+        fragile_median: The same for the median depth and the ids.
+        visible: Number of Gaussians that reach a pixel's centre in a tile of their cell.
     """
 
     color: Float[np.ndarray, "h w 3"]
@@ -67,7 +59,7 @@ class Sums:
 
     @property
     def weight_behind(self) -> Float[np.ndarray, "h w"]:
-        """The weight of the background; where nothing was summed, it is alone and 1 will do."""
+        """The weight of the background; 1 at pixels without Gaussians, 0 at finished ones."""
         mean = np.divide(
             self.behind, self.total, out=np.ones_like(self.total), where=self.total > 0
         )
@@ -75,11 +67,11 @@ class Sums:
 
     @property
     def scale(self) -> Float[np.ndarray, "h w"]:
-        """What sums are divided by."""
+        """The divisor of the sums: all weights, including that of the background."""
         return np.asarray(self.total + self.weight_behind * self.through)
 
     def veil(self) -> "Veil":
-        """Return the translucent image that the sums are among other things."""
+        """Return the sums as a translucent image layer for compositing with other sets."""
         covered = self.total > 0
         return Veil(
             color=self.color / self.scale[..., None],
@@ -93,13 +85,13 @@ class Sums:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Veil:
-    """A translucent image somewhere in space.
+    """A translucent image layer with depths.
 
     Attributes:
         color: Colours multiplied by alpha.
-        alpha: Share of the background that is covered.
+        alpha: Covered share of the background.
         normal: Normals in world space, multiplied by alpha.
-        depth: Mean depth; infinite where nothing is.
+        depth: Mean depth; infinite where nothing is drawn.
         fragile: Pixels where float32 may decide otherwise.
     """
 
@@ -112,30 +104,34 @@ class Veil:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Cell:
-    """A cell, and its Gaussians: one row of each array."""
+    """A drawn cell with its Gaussians.
+
+    Attributes:
+        depth: Depth of the cell's centre.
+        box: Pixels of the cell's tiles.
+        unsure: Pixels of tiles that float32 may add or leave out.
+        factors: Divisor of the opacity, and weight of the background.
+        splats: The drawn Gaussians.
+        radius: Radius of each Gaussian's circle, in whole pixels.
+        ring: Distance from the circle within which float32 may decide otherwise, in pixels.
+    """
 
     depth: float
     box: np.ndarray
     unsure: np.ndarray
-    weighted: tuple[float, float]
-    mean: np.ndarray
-    conic: np.ndarray
-    opacity: np.ndarray
+    factors: tuple[float, float]
+    splats: Splats
     radius: np.ndarray
     ring: np.ndarray
-    distance: np.ndarray
-    color: np.ndarray
-    normal: np.ndarray
-    index: np.ndarray
 
 
 def alone(partial: Sums, background: Sequence[float], *, published: bool = False) -> Picture:
-    """Return the picture of sums with nothing but a background behind them.
+    """Return the picture of weighted sums over a background.
 
     Args:
         partial: The sums.
         background: Red, green, blue and alpha.
-        published: Let the background keep its whole weight in the numerator.
+        published: Whether the background keeps its whole weight in the numerator.
     """
     veil, backdrop = partial.veil(), partial.weight_behind / partial.scale
     share = backdrop if published else backdrop * partial.through
@@ -155,13 +151,7 @@ def alone(partial: Sums, background: Sequence[float], *, published: bool = False
 
 
 def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = None) -> Sums:
-    """Sum the Gaussians of a scene's weighted sets.
-
-    Args:
-        scene: Sets that are not weighted are left out.
-        camera: From where, and how large.
-        walls: Depths beyond which nothing is seen; none where absent.
-    """
+    """Sum the Gaussians of a scene's weighted sets, in front of the mesh depths ``walls``."""
     shape = (camera.height, camera.width)
     limit = np.full(shape, np.inf) if walls is None else walls
     first, cells = 0, []
@@ -195,7 +185,7 @@ def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = 
 
 
 class _State:
-    """What all cells so far have left in each pixel."""
+    """The sums and the transmittance of each pixel after some cells, nearest first."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.color, self.normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
@@ -205,34 +195,34 @@ class _State:
         self.fragile, self.fragile_median = np.zeros(shape, bool), np.zeros(shape, bool)
 
     def add(self, cell: _Cell, camera: Camera, limit: np.ndarray, tied: np.ndarray) -> np.ndarray:
-        """Sum a cell, and say which pixels it touches."""
-        divisor, behind = cell.weighted
+        """Add the next cell, and return the pixels that it touches."""
+        (divisor, behind), splats = cell.factors, cell.splats
         entered = self.through.copy()
         entered_pixels = cell.box & (entered >= _FINISHED)
         changed, most = np.zeros_like(entered_pixels), np.zeros(entered_pixels.shape)
         second, strongest = (np.zeros(entered_pixels.shape), np.full(entered_pixels.shape, -1))
         x, y = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
-        for k in range(len(cell.opacity)):
-            dx = across(x, cell.mean[k, 0], camera)
-            dy = y - cell.mean[k, 1]
-            (a, b), (_, c) = cell.conic[k]
-            unclamped = cell.opacity[k] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
+        for k, depth in enumerate(splats.depth):
+            dx = projection.across(x, splats.mean[k, 0], camera)
+            dy = y - splats.mean[k, 1]
+            (a, b), (_, c) = np.linalg.inv(splats.covariance[k])
+            unclamped = splats.opacity[k] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
             far = np.hypot(dx, dy)
-            reached = (unclamped >= _CULL) & (far <= cell.radius[k])
-            hit = reached & entered_pixels & (cell.distance[k] <= limit)
-            near = np.abs(unclamped / _CULL - 1) <= BAND
+            reached = (unclamped >= CULL) & (far <= cell.radius[k])
+            hit = reached & entered_pixels & (depth <= limit)
+            near = np.abs(unclamped / CULL - 1) <= BAND
             near |= np.abs(far - cell.radius[k]) <= cell.ring[k]
-            near |= np.abs(cell.distance[k] - limit) <= _EQUAL * cell.distance[k]
-            is_reached = unclamped >= _CULL * (1 - BAND)
+            near |= np.abs(depth - limit) <= _EQUAL * depth
+            is_reached = unclamped >= CULL * (1 - BAND)
             around = cell.box | cell.unsure
             self.fragile |= is_reached & near & around & (entered >= _FINISHED * (1 - BAND))
             self.fragile |= reached & cell.unsure
             alpha = np.where(hit, np.minimum(unclamped, MOST_ALPHA) / divisor, 0)
             self.through *= np.maximum(1 - alpha, 0)
             amount = alpha * entered
-            self.color += amount[..., None] * cell.color[k]
-            self.normal += amount[..., None] * cell.normal[k]
-            self.depth += amount * cell.distance[k]
+            self.color += amount[..., None] * splats.color[k]
+            self.normal += amount[..., None] * splats.normal[k]
+            self.depth += amount * depth
             self.total += amount
             self.behind += amount * behind
             changed |= reached & cell.box
@@ -244,8 +234,8 @@ class _State:
         near_end = np.abs(entered / _FINISHED - 1) <= BAND
         self.fragile |= changed & (near_end | tied)
         halved = (entered >= 0.5) & (self.through < 0.5)
-        self.median[halved] = cell.distance[strongest[halved]]
-        self.ids[halved] = cell.index[strongest[halved]]
+        self.median[halved] = splats.depth[strongest[halved]]
+        self.ids[halved] = splats.index[strongest[halved]]
         near_half = np.abs(self.through - 0.5) <= BAND
         doubtful = halved & (second >= most * (1 - _EQUAL))
         self.fragile_median |= changed & (near_half | doubtful)
@@ -259,72 +249,33 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
     assert weighted is not None
     live = -(-data.count // data.per_cell)
     rows = data.cells[:live].astype(np.float64)
-    shapes = ellipses(rows, splat_set, camera)
+    shapes = projection.ellipses(rows, splat_set, camera)
     drawn = shapes.sound & (shapes.depth > camera.near) & (rows[:, 3] > 0)
-    splats = _splats(splat_set, camera, first, rows[:, 3])
-    belongs = splats["index"] - first
+    visibility = np.repeat(rows[:, 3], data.per_cell)[: data.count]
+    splats = projection.drawn_splats(splat_set, camera, first, visibility)
     cells = []
     for number in np.flatnonzero(drawn):
         box, unsure = _box(shapes.mean[number], shapes.dilated[number], camera)
         if not box.any() and not unsure.any():
             continue
-        members = belongs // data.per_cell == number
-        columns = {name: column[members] for name, column in splats.items()}
-        factors = (weighted.opacity_divisor, weighted.background)
+        members = splats.take((splats.index - first) // data.per_cell == number)
+        radius, ring = _reach(members.covariance, 3)
         cells.append(
             _Cell(
                 depth=float(shapes.depth[number]),
                 box=box,
                 unsure=unsure,
-                weighted=factors,
-                **columns,
+                factors=(weighted.opacity_divisor, weighted.background),
+                splats=members,
+                radius=radius,
+                ring=ring,
             )
         )
     return cells
 
 
-def _splats(
-    splat_set: SplatSet, camera: Camera, first: int, visibility: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Return the Gaussians of a set that are drawn where their cells are."""
-    data = splat_set.data
-    rows = data.rows[: data.count].astype(np.float64)
-    shapes, far = ellipses(rows, splat_set, camera), splat_set.depth_range
-    with np.errstate(all="ignore"):
-        opacity = (
-            rows[:, 3] * splat_set.opacity_scale * np.repeat(visibility, data.per_cell)[: len(rows)]
-        )
-        if far is not None:
-            opacity = opacity * (1 - shapes.depth / far)
-        opacity = np.minimum(opacity, 1)
-        if splat_set.antialias == "mip":
-            ratio = np.linalg.det(shapes.covariance) / np.linalg.det(shapes.dilated)
-            opacity = opacity * np.sqrt(np.maximum(ratio, 0))
-        color = colors(splat_set, camera)
-        low, high = (
-            (-np.inf, np.inf)
-            if splat_set.clip is None
-            else (splat_set.clip.low, splat_set.clip.high)
-        )
-        drawn = shapes.sound & (shapes.depth > camera.near) & (opacity >= _CULL)
-        drawn &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
-        drawn &= np.isfinite(color).all(axis=1)
-    radius, ring = _reach(shapes.dilated[drawn], 3)
-    return {
-        "mean": shapes.mean[drawn],
-        "conic": np.linalg.inv(shapes.dilated[drawn]),
-        "opacity": opacity[drawn],
-        "radius": radius,
-        "ring": ring,
-        "distance": shapes.depth[drawn],
-        "color": np.maximum(color[drawn], 0),
-        "normal": normals(shapes, drawn, camera),
-        "index": first + np.flatnonzero(drawn),
-    }
-
-
 def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return radii of whole pixels, and within how many pixels of each float32 may err."""
+    """Return the radii of circles in whole pixels, and the error that float32 may make."""
     middle = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2
     longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
     radius = deviations * np.sqrt(longest)
@@ -345,7 +296,7 @@ def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.n
 
 
 def _tiles(mean: np.ndarray, radius: float, camera: Camera) -> np.ndarray:
-    """Return which pixels are in tiles from the circle's left to 15 pixels past its right end."""
+    """Return the pixels of tiles from a circle's left end to 15 pixels past its right end."""
     inside = []
     for axis, side in enumerate((camera.width, camera.height)):
         tile = np.arange(side) // _TILE

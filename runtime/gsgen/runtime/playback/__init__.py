@@ -1,1 +1,1 @@
-"""Which frame is drawn when: times, inputs, poses, cameras, sequences?"""
+"""Playback: which input values and which camera does each frame of a video have?"""

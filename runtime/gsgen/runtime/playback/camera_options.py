@@ -1,4 +1,4 @@
-"""Camera options: the cameras that ``--camera`` and its companion options describe."""
+"""Parses ``--camera`` and its companion options into the cameras of all frames."""
 
 __all__ = ["DEFAULT_FOV", "Viewpoint", "viewpoint"]
 
@@ -25,7 +25,7 @@ _WIDTH, _HEIGHT = 1280, 720
 
 
 DEFAULT_FOV: Final = 50.0
-"""Vertical field of view, in degrees, where no option gives one."""
+"""The default vertical field of view, in degrees."""
 
 
 @final
@@ -44,10 +44,9 @@ class Viewpoint:
         fov: Vertical field of view, in degrees.
         up: The upward direction; None for that of the source.
         is_orthographic: Whether there is no perspective; the scene's centre keeps its size.
-        is_panorama: Whether the camera sees all directions. An orbit without a radius then
-            stands in the middle; a camera of a file keeps its rotation, unless ``up`` gives its
-            poles.
-        notes: Remarks on the file of cameras, for the user.
+        is_panorama: Whether the camera sees all directions. An orbit without a radius is then in
+            the middle; a camera of a file keeps its rotation, unless ``up`` is set.
+        notes: Notes on the file of cameras, for the user.
     """
 
     orbit: tuple[float, float, float | None] | None = None
@@ -63,7 +62,7 @@ class Viewpoint:
 
     @property
     def sizes(self) -> set[tuple[int, int]]:
-        """Image sizes of the cameras of a file; empty without a file."""
+        """The image sizes of the cameras of a file; empty without a file."""
         return {
             (self.width or camera.width, self.height or camera.height)
             for camera in self.cameras
@@ -71,12 +70,9 @@ class Viewpoint:
         }
 
     def camera(self, source: Source, number: int, turn: float) -> Camera:
-        """Return the camera of frame ``number``.
+        """Return the camera of frame ``number``, from 0; the cameras of a file repeat.
 
-        Args:
-            source: Gives the centre of an orbit.
-            number: Frame number, from 0; the cameras of a file repeat.
-            turn: Degrees that an orbit has turned since the first frame.
+        An orbit is around ``source``, and has turned by ``turn`` degrees since the first frame.
         """
         center, reach = source.extent()
         if self.is_panorama:
@@ -105,7 +101,7 @@ class Viewpoint:
     def _heading(
         self, source: Source, center: Float[np.ndarray, "3"], turn: float
     ) -> tuple[list[float], list[float]]:
-        """Return the eye of a panorama, and the direction of its middle column."""
+        """Return the position of a panorama, and the direction of its middle column."""
         if self.look_at is not None:
             eye, target = np.array(self.look_at[:3]), np.array(self.look_at[3:])
             return eye.tolist(), (target - eye).tolist()
@@ -156,16 +152,10 @@ def viewpoint(
     orthographic: bool = False,
     panorama: bool = False,
 ) -> Viewpoint:
-    """Parse the value of ``--camera`` and its companion options.
+    """Parse the value of ``--camera`` and its companion options; see :class:`Viewpoint`.
 
-    Args:
-        text: ``orbit``, ``look-at``, or a file of cameras, of which ``#WHICH`` picks; None orbits.
-        width: See :class:`Viewpoint`.
-        height: See :class:`Viewpoint`.
-        fov: See :class:`Viewpoint`.
-        up: An axis such as ``-y``; None for that of the source.
-        orthographic: See :class:`Viewpoint`.
-        panorama: See :class:`Viewpoint`.
+    ``text`` is ``orbit``, ``look-at`` or a file of cameras, from which ``#NAME`` selects; None
+    orbits. ``up`` is an axis such as ``-y``; None is that of the source.
 
     Raises:
         ConfigInvalid: The text or an option is invalid.
@@ -211,7 +201,7 @@ def viewpoint(
 def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError:  # a name that is too long, for example
+    except OSError:  # for example a name that is too long
         return False
 
 

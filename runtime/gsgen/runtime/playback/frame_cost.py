@@ -1,10 +1,10 @@
-"""Frame cost: seconds per stage and per model, and memory, measured while frames are played."""
+"""Measures the seconds per stage and per model, and the memory, of played frames."""
 
 __all__ = ["FrameCost", "Span", "measure"]
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Literal, final
 
 import numpy as np
@@ -15,27 +15,22 @@ from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.renderer.frame_plan import Placed, Plan
 from gsgen.runtime.scene.camera import Camera
 
-_WARM_UP_FRAMES: Final = 2  # they compile kernels and grow the buffer of pairs
-_STAGED_FRAMES: Final = 8  # whose stages are measured, at most
+_WARM_UP_FRAMES: Final = 2  # these compile kernels and grow the buffer of pairs
+_STAGED_FRAMES: Final = 8  # most frames whose stages are measured
 _BLACK: Final = np.zeros(3)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Percentiles of the seconds that one step of a frame took.
-
-    Attributes:
-        p50: The median.
-        p95: The 95th percentile.
-    """
+    """The median and the 95th percentile of the seconds of one step of a frame."""
 
     p50: float
     p95: float
 
     @classmethod
     def of(cls, seconds: Sequence[float]) -> "Span":
-        """Return the percentiles of measured seconds."""
+        """Return the median and the 95th percentile of measured seconds."""
         p50, p95 = np.percentile(seconds, [50, 95])
         return cls(float(p50), float(p95))
 
@@ -47,9 +42,9 @@ class FrameCost:
 
     Attributes:
         device: Name of the graphics device.
-        software: Whether its driver runs on the CPU.
+        software: Whether the device's driver runs on the CPU.
         size: Width and height, in pixels.
-        frames: How many frames were measured.
+        frames: Number of measured frames.
         wall: Seconds from one frame to the next.
         cpu: CPU seconds per frame, all threads together; on a software driver they include the
             device's work.
@@ -58,9 +53,9 @@ class FrameCost:
         stages: Seconds of each stage of drawing.
         clock: Clock of ``stages``: the device's timestamps, or the CPU time that each stage adds
             to those before it.
-        gaussians: Live Gaussians.
-        visible: Gaussians that were drawn.
-        pairs: Pairs of a splat and a tile that it touches.
+        gaussians: Number of live Gaussians.
+        visible: Number of drawn Gaussians.
+        pairs: Number of pairs of a splat and a tile that it touches.
         rows_bytes: Bytes of the Gaussians on the device: rows, harmonics, cells.
         plan_bytes: Bytes of all other buffers of a frame.
         capacity: Gaussians that the device has room for.
@@ -85,11 +80,9 @@ class FrameCost:
 
 
 def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: None) -> FrameCost:
-    """Play a frame sequence without writing it, and return the cost of its frames.
+    """Play a frame sequence without writing files, and return the cost of its frames.
 
-    Args:
-        sequence: The frames; a few are drawn once more to warm up.
-        on_step: Called with the name of each step.
+    A few frames are drawn twice to warm up; ``on_step`` is called with the name of each step.
     """
     device, camera = sequence.player.renderer.device, sequence.frame_request(0).camera
     on_step("warming up")
@@ -122,25 +115,18 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Played:
-    """Measurements of each frame while the sequence is played."""
+    """Measurements of each frame of a played sequence."""
 
-    wall: list[float]
-    cpu: list[float]
     inference: dict[str, list[float]]
-    gaussians: list[int]
-    visible: list[int]
-    pairs: list[int]
+    wall: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+    gaussians: list[int] = field(default_factory=list)
+    visible: list[int] = field(default_factory=list)
+    pairs: list[int] = field(default_factory=list)
 
 
 def _play(sequence: FrameSequence) -> _Played:
-    played = _Played(
-        wall=[],
-        cpu=[],
-        inference={source.name: [] for source in sequence.sources},
-        gaussians=[],
-        visible=[],
-        pairs=[],
-    )
+    played = _Played(inference={source.name: [] for source in sequence.sources})
     started, busy = time.perf_counter(), time.process_time()
     for frame in sequence.player.play(sequence.frame_requests()):
         now, used = time.perf_counter(), time.process_time()
@@ -158,7 +144,7 @@ def _play(sequence: FrameSequence) -> _Played:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Staged:
-    """Measurements of single stages."""
+    """Measurements of the stages of a frame, and of buffers."""
 
     submit: list[float]
     stages: dict[str, float]
@@ -168,7 +154,7 @@ class _Staged:
 
 
 def _stage(sequence: FrameSequence) -> _Staged:
-    """Draw some frames of the sequence stage by stage."""
+    """Draw some frames of a sequence stage by stage, and measure them."""
     renderer = sequence.player.renderer
     clock = StageClock(renderer.device) if renderer.device.has_clock else None
     frame_numbers = np.unique(
@@ -199,7 +185,7 @@ def _stage(sequence: FrameSequence) -> _Staged:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _PlannedFrame:
-    """A planned frame, which can be drawn again up to any stage."""
+    """A frame with its plan, which can be drawn again up to any stage."""
 
     plan: Plan
     placed: list[Placed]
@@ -215,7 +201,7 @@ class _PlannedFrame:
         return cls(plan, placed, meshes, camera)
 
     def submit(self, clock: StageClock | None = None, only: Sequence[str] | None = None) -> float:
-        """Draw, and return the CPU seconds of this thread until everything is submitted."""
+        """Draw the frame, and return this thread's CPU seconds until it was submitted."""
         started = time.thread_time()
         self.plan.submit(
             self.placed, self.camera, _BLACK, meshes=self.meshes, only=only, clock=clock
@@ -225,7 +211,7 @@ class _PlannedFrame:
         return seconds
 
     def stage_seconds(self) -> dict[str, float]:
-        """Return the CPU seconds that each stage adds to the stages before it."""
+        """Return the CPU seconds that each stage of a frame adds to the previous stages."""
         names = list(self.plan.stages)
         sums = []
         for length in range(len(names) + 1):
@@ -236,7 +222,7 @@ class _PlannedFrame:
 
     @property
     def rows_bytes(self) -> int:
-        """Bytes of the buffers of the Gaussians; buffers that sets share count once."""
+        """Bytes of the GPU buffers of Gaussians; shared buffers count once."""
         buffers = [
             buffer
             for _, page in self.placed

@@ -1,4 +1,4 @@
-"""Frame sequences: every frame of a playback, drawn into a picture, a video or a folder."""
+"""Draws every frame of a playback into an image file, a video or a folder."""
 
 __all__ = ["FULL_TURN", "FrameSequence"]
 
@@ -29,21 +29,18 @@ FULL_TURN: Final = 360.0
 class FrameSequence(Playback):
     """All frames of a playback from given cameras; each is computed while another is drawn.
 
+    Other arguments are those of :class:`Playback`.
+
     Args:
-        sources: Sources that are drawn together; the first gives an orbit its middle and its
-            upward direction.
+        sources: Sources that are drawn together; an orbit is around the first.
         view: Camera, or cameras, of the frames.
-        mode: Which output is shown.
+        mode: The output that is drawn.
         background: Red, green, blue and alpha, from 0 to 1.
-        sh_degree: Highest degree of spherical harmonics; None for all.
-        antialias: How the scene was trained; None for each source's own setting.
-        time: One time for all frames; None to go through the range where there are several.
-        frames: How many frames; None for one per camera, or per value of the tracks.
+        time: One time for all frames; None to go through the range over several frames.
+        frames: Number of frames; None for one per camera, or per value of the tracks.
         turn: Degrees that an orbit turns over all frames; None for a full turn if nothing else
             moves.
-        fps: Frames per second of a video; None for the first source's rate, or 25.
         tracks: Values of other inputs.
-        post: Post-process models that the colours go through, in this order.
         renderer: Draws the frames; a new one by default.
 
     Attributes:
@@ -96,7 +93,7 @@ class FrameSequence(Playback):
         return self.request(self._view.camera(self.sources[0], number, turn), number)
 
     def frame_requests(self) -> Iterator[FrameRequest]:
-        """Yield the requests of all frames, in order."""
+        """Yield the camera and the input values of all frames, in order."""
         return map(self.frame_request, range(self.frames))
 
     def draw(self, number: int) -> Frame:
@@ -105,16 +102,16 @@ class FrameSequence(Playback):
         return self._last
 
     def write(self, path: Path, on_frame: Callable[[int], None] = lambda _: None) -> None:
-        """Draw all frames into ``path``, which is complete or absent afterwards.
+        """Draw all frames into a file or a folder, which is complete or absent afterwards.
 
         Args:
-            path: A picture, an .npy, an .mp4, a .gif, or a folder, which gets
+            path: An image file, an .npy, an .mp4, a .gif, or a folder, which gets
                 ``frame_0000.png`` and so on.
             on_frame: Called before each frame with its number, from 1.
 
         Raises:
-            ConfigInvalid: The suffix is unknown, or one picture is asked for several frames, or
-                one video for cameras of different sizes.
+            ConfigInvalid: The suffix is unknown or unfit for several frames, or the cameras of a
+                video have different sizes.
         """
         suffix = path.suffix.lower()
         needs_one_size = suffix in (".npy", *pictures.VIDEO_SUFFIXES)
@@ -143,7 +140,7 @@ class FrameSequence(Playback):
                 on_frame(number + 2)
 
     def _pictures(self, on_frame: Callable[[int], None]) -> Iterator[np.ndarray]:
-        """Yield each frame as bytes; the depths of the first frame scale the greys of all."""
+        """Yield each frame as an image of bytes; the first frame's depths scale all greys."""
         depths: tuple[float, float] | None = None
         for frame in self._drawn(on_frame):
             if depths is None and "depth" in self._mode:
@@ -151,7 +148,7 @@ class FrameSequence(Playback):
             yield pictures.picture_of(frame, self._mode, depths)
 
     def summary(self) -> dict[str, int | str]:
-        """Return sizes and counts of the last frame that was drawn."""
+        """Return the sizes and the counts of the last drawn frame."""
         assert self._last is not None  # write() comes first
         height, width = self._last.alpha.shape
         return {
@@ -178,7 +175,7 @@ def _differing_sizes(path: Path, sizes: set[tuple[int, int]]) -> ConfigInvalid:
 def _unusable_suffix(path: Path, frames: int) -> ConfigInvalid:
     if path.suffix.lower() in pictures.IMAGE_SUFFIXES:
         return ConfigInvalid(
-            f"is one picture, but there are {frames} frames",
+            f"is one picture, expected a video or a folder for {frames} frames",
             where=str(path),
             hint="Give a folder, an .mp4, a .gif or an .npy.",
         )

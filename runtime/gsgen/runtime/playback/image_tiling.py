@@ -1,7 +1,7 @@
-"""Image tiling: runs a fixed-size network over a larger image, in overlapping tiles.
+"""Runs a fixed-size network over a larger image, in overlapping tiles.
 
-Where tiles overlap, results are blended by weights that fall towards a tile's edges and sum to 1
-at every pixel. So no seam shows, and a value that all tiles agree on stays unchanged.
+In overlaps, results are blended by weights that fall towards a tile's edges and sum to 1 at every
+pixel. So there are no seams, and values that all tiles agree on stay unchanged.
 """
 
 __all__ = ["Tile", "lay_tiles", "post_process", "run_tiled", "tile_weights"]
@@ -24,24 +24,16 @@ Network = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """The position of a tile in an image, in pixels.
-
-    Attributes:
-        top: First row.
-        left: First column.
-    """
+    """The first row and the first column of a tile in an image."""
 
     top: int
     left: int
 
 
 def lay_tiles(image: tuple[int, int], tile: tuple[int, int], overlap: int) -> Iterator[Tile]:
-    """Yield tiles of one size that cover an image; the last tile ends at its edge.
+    """Yield tiles that cover an image and share at least ``overlap`` pixels with neighbours.
 
-    Args:
-        image: Height and width, at least those of a tile.
-        tile: Height and width.
-        overlap: The least number of pixels that neighbours share.
+    Sizes are height and width; the image is at least as large as a tile.
     """
     rows, columns = (_starts(n, size, overlap) for n, size in zip(image, tile, strict=True))
     for top in rows:
@@ -50,7 +42,7 @@ def lay_tiles(image: tuple[int, int], tile: tuple[int, int], overlap: int) -> It
 
 
 def _starts(length: int, size: int, overlap: int) -> list[int]:
-    """Return the first pixel of each tile along one axis, evenly spaced."""
+    """Return the first pixel of each of evenly spaced tiles along one axis."""
     step, room = size - overlap, length - size
     count = 1 + max(0, -(-room // step))
     return [round(i * room / (count - 1)) for i in range(count)] if count > 1 else [0]
@@ -59,7 +51,7 @@ def _starts(length: int, size: int, overlap: int) -> list[int]:
 def tile_weights(
     image: tuple[int, int], tile: tuple[int, int], overlap: int
 ) -> list[tuple[Tile, Float[np.ndarray, "h w"]]]:
-    """Return every tile with the blend weights of its pixels, float64.
+    """Return every tile of an image with the blend weights of its pixels, float64.
 
     A weight rises from a tile's edge over ``overlap`` pixels. The weights of all tiles sum to 1
     at each pixel; a pixel of one tile alone has weight 1.
@@ -73,7 +65,7 @@ def tile_weights(
 
 
 def _ramp(size: int, overlap: int) -> Float[np.ndarray, " n"]:
-    """Return 1 in the middle, falling to just above 0 at both ends."""
+    """Return weights along an axis: 1 in the middle, falling to just above 0 at the ends."""
     from_end = np.minimum(np.arange(1, size + 1), np.arange(size, 0, -1))
     return np.minimum(from_end / (overlap + 1), 1.0)
 
@@ -125,9 +117,9 @@ def _require(image: np.ndarray, tile: tuple[int, int], overlap: int) -> None:
         message = f"the image is {list(image.shape)}, expected [1, channels, height, width]"
         raise ConfigInvalid(message, where="image")
     if min(tile) < 1 or not 0 <= overlap <= (min(tile) - 1) // 2:
-        message = f"an overlap of {overlap} does not fit tiles of {tile[0]} × {tile[1]}"
-        hint = f"Give 0 to {max(0, (min(tile) - 1) // 2)}."
-        raise ConfigInvalid(message, where="overlap", hint=hint)
+        most = max(0, (min(tile) - 1) // 2)
+        message = f"is {overlap}, expected 0 to {most} for tiles of {tile[0]} × {tile[1]}"
+        raise ConfigInvalid(message, where="overlap")
 
 
 def post_process(
@@ -154,7 +146,7 @@ def post_process(
     """
     by_name = {entry.name: entry for entry in session.get_inputs()}
     if name not in by_name:
-        message = f"the model has no input {name!r}, but {', '.join(by_name)}"
+        message = f"the model has no input {name!r}, expected one of {', '.join(by_name)}"
         raise ConfigInvalid(message, where="image")
     channels, *size = by_name[name].shape[1:]
     if isinstance(channels, int) and channels != image.shape[1]:

@@ -1,4 +1,4 @@
-"""Input tracks: the values of one input in each frame, parsed from ``--input``."""
+"""Parses ``--input`` into tracks: the values of one model input in each frame."""
 
 __all__ = ["ARRAY_SUFFIXES", "Track", "input_track"]
 
@@ -22,12 +22,12 @@ ARRAY_SUFFIXES: Final = (".npy", ".npz", ".json")
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """The values of one input over the frames.
+    """The values of one model input over the frames.
 
     Attributes:
         word: The tensor's name, or its role.
         values: One value of the input, or one per frame along the first axis.
-        where: The option that gave it, for error messages.
+        where: The option of the values, for error messages.
         sweep: Whether ``values`` are the first and the last value, with even steps between.
     """
 
@@ -37,7 +37,7 @@ class Track:
     sweep: bool = False
 
     def frames(self, shape: tuple[int, ...]) -> int:
-        """Return the number of frames that have a value; 1 where all frames share one.
+        """Return the number of frames that the track has values for; 1 if all share one.
 
         Raises:
             ConfigInvalid: The values do not fill an input of this shape.
@@ -55,12 +55,9 @@ class Track:
         )
 
     def at(self, shape: tuple[int, ...], number: int, frames: int) -> Shaped[np.ndarray, "..."]:
-        """Return the value in a frame; a track with fewer values than frames repeats.
+        """Return the value, of the input's ``shape``, in frame ``number`` of ``frames``, from 0.
 
-        Args:
-            shape: Shape of the input.
-            number: Frame number, from 0.
-            frames: How many frames there are.
+        A track with fewer values than frames repeats.
         """
         length = self.frames(shape)
         if self.sweep:
@@ -99,14 +96,14 @@ def _numbers(text: str, part: str) -> Shaped[np.ndarray, " n"]:
 
 
 def integers_if_whole(values: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
-    """Convert whole numbers to integers, which integer inputs need."""
+    """Convert an array of whole numbers to integers, which integer inputs need."""
     with np.errstate(invalid="ignore"):
         whole = values.astype(np.int64)
     return whole if np.array_equal(whole, values) else values
 
 
 def read_array(path: Path) -> Shaped[np.ndarray, "..."]:
-    """Read the array of an .npy, of an .npz with one array, or of a .json of nested lists.
+    """Read an array from an .npy, an .npz with one array, or a .json of nested lists.
 
     Raises:
         ConfigInvalid: The file cannot be read, or holds no numbers.
@@ -130,7 +127,7 @@ def _loaded(path: Path) -> Shaped[np.ndarray, "..."]:
         if isinstance(array, np.ndarray):
             return array
         if len(array.files) != 1:
-            raise ValueError(f"it has {len(array.files)} arrays, expected one")
+            raise ValueError(f"the .npz has {len(array.files)} arrays, expected one")
         return np.asarray(array[array.files[0]])
 
 

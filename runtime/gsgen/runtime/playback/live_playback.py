@@ -1,4 +1,4 @@
-"""Live playback: sources that follow a clock while a window shows them."""
+"""Plays sources in real time while a window shows them."""
 
 __all__ = ["LivePlayback"]
 
@@ -25,18 +25,13 @@ _FRAMES: Final = 100  # steps of a time range without a frame count of its own
 class LivePlayback(Playback):
     """A playback that repeats in real time; frames are those of ``gsgen render --frames``.
 
-    A frame is begun, and taken when it is computed. No call waits for it: until then, the frame
-    before is drawn.
+    A frame is begun, and taken when it is computed. No call waits for it: until then, the previous
+    frame is drawn. Other arguments are those of :class:`Playback`.
 
     Args:
-        sources: Sources that are drawn together.
-        post: Post-process models that the colours go through, in this order.
         tracks: Values of inputs.
         time: One time for all frames; None to go through the range.
-        frames: How many frames; None for one per value of the tracks, or a default for a range.
-        fps: Frames per second; None for the first source's rate, or 25.
-        sh_degree: Highest degree of spherical harmonics; None for all.
-        antialias: How the scene was trained; None for each source's own setting.
+        frames: Number of frames; None for one per value of the tracks, or a default for a range.
 
     Attributes:
         playing: Whether time advances.
@@ -78,15 +73,15 @@ class LivePlayback(Playback):
 
     @property
     def number(self) -> int:
-        """The current frame, from 0."""
+        """The number of the current frame, from 0."""
         return int(self._position)
 
     def seek(self, number: int) -> None:
-        """Go to a frame; before the first comes the last."""
+        """Go to a frame number, modulo the number of frames."""
         self._position = float(number % self.frames)
 
     def advance(self, seconds: float) -> None:
-        """Let time pass while it plays."""
+        """Advance the current frame by some seconds, if time is playing."""
         if self.playing:
             self._position = (self._position + seconds * self.fps) % self.frames
 
@@ -99,11 +94,11 @@ class LivePlayback(Playback):
 
     @property
     def busy(self) -> bool:
-        """Whether a frame was begun and not taken."""
+        """Whether a frame is being computed, or was computed and not taken."""
         return self._pending is not None
 
     def begin(self, camera: Camera) -> None:
-        """Begin to compute the current frame for ``camera``, unless it is computed or pending."""
+        """Begin to compute the current frame for a camera, unless it is computed or pending."""
         moment = self._moment_key(camera)
         if self._pending is None and moment != self._shown:
             values = self.values(self.number)
@@ -112,10 +107,7 @@ class LivePlayback(Playback):
             self._pending = moment
 
     def take(self, *, wait: bool = False) -> None:
-        """Take the pending frame if it is computed.
-
-        Args:
-            wait: Wait until it is.
+        """Take the pending frame if it is computed, or ``wait`` for it.
 
         Raises:
             GsgenError: A value does not fit, or a model fails. The frame is not tried again.
@@ -136,7 +128,7 @@ class LivePlayback(Playback):
             self.version += before != self._data_versions()
 
     def settle(self, camera: Camera) -> None:
-        """Compute the current frame for ``camera``, and wait for it.
+        """Compute the current frame for a camera, and wait for it.
 
         Raises:
             GsgenError: See :meth:`take`.
@@ -146,7 +138,7 @@ class LivePlayback(Playback):
         self.take(wait=True)
 
     def player(self, renderer: Renderer, background: Sequence[float], output: Output) -> Player:
-        """Return a player of the sources; post-process models take part in colours only."""
+        """Return a player of the sources; post-process models apply to colours only."""
         post = self.post if output == "color" else ()
         return self.make_player(renderer, background, output, post)
 
@@ -164,7 +156,7 @@ class LivePlayback(Playback):
         return frame
 
     def depths(self, camera: Camera) -> tuple[float, float]:
-        """Return the nearest and the farthest depth of the extents of the sources."""
+        """Return the nearest and the farthest depth of all sources from a camera."""
         extents = [source.extent() for source in self.sources]
         ahead = [
             float(np.linalg.norm(center - camera.eye))
@@ -178,7 +170,7 @@ class LivePlayback(Playback):
         return max(near, camera.near), max(far, 2 * camera.near)
 
     def abandon(self) -> None:
-        """Wait for the pending frame and discard its result or error."""
+        """Wait for the pending frame, and discard its result or error."""
         self._pending = None
         for source in self.sources:
             source.abandon()
@@ -194,7 +186,7 @@ class LivePlayback(Playback):
             model.close()
 
     def _moment_key(self, camera: Camera) -> object:
-        """Return a key that differs where the sources must be computed again."""
+        """Return a key that changes when the sources must be computed again."""
         if not any(source.inputs for source in self.sources):
             return 0
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
@@ -214,7 +206,7 @@ class LivePlayback(Playback):
 
 
 def _range_length(sources: Sequence[Source]) -> int:
-    """Return the longest range of a frame number, or a default for times."""
+    """Return the longest range of a frame number input, or a default without one."""
     ranges = [
         spec.range
         for source in sources

@@ -1,4 +1,4 @@
-"""Playback: sources, post-process models and a timeline, shared by files, videos and windows."""
+"""The base of playbacks: sources, post-process models and a timeline of their inputs."""
 
 __all__ = ["DEFAULT_FPS", "Playback"]
 
@@ -15,31 +15,24 @@ from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.sources.source import Source, Values
 
 DEFAULT_FPS: Final = 25.0
-"""Frames per second where neither the caller nor a manifest gives a rate."""
+"""Default frames per second, without a rate of the caller or a manifest."""
 
 
 class Playback:
-    """The sources, models, input values and frame rate that a numbered frame is drawn from.
+    """Sources, models, input values and a frame rate, from which numbered frames are drawn.
 
-    :class:`FrameSequence` draws every frame of it into files; :class:`LivePlayback` follows a
-    clock. Both therefore show the same picture for the same frame number.
+    :class:`FrameSequence` draws every frame into files; :class:`LivePlayback` follows a clock. Both
+    therefore show the same picture for the same frame number.
 
     Args:
         sources: Sources that are drawn together.
         post: Post-process models that the colours go through, in this order.
         timeline: Input values of the sources and models.
-        frames: How many frames there are.
+        frames: Number of frames.
         fps: Frames per second; None for the first source's rate, or 25.
-        sh_degree: Highest degree of spherical harmonics; None for all.
-        antialias: How the scene was trained; None for each source's own setting.
-
-    Attributes:
-        sources: Sources that are drawn together.
-        post: Post-process models.
-        frames: How many frames there are.
-        fps: Frames per second.
-        sh_degree: Highest degree of spherical harmonics; :meth:`scene` reads it.
-        antialias: How the scene was trained; :meth:`scene` reads it.
+        sh_degree: Highest degree of spherical harmonics; None for all. :meth:`scene` reads it.
+        antialias: Antialiasing of the training; None for each source's own setting. :meth:`scene`
+            reads it.
     """
 
     def __init__(
@@ -60,7 +53,7 @@ class Playback:
         self.sh_degree: int | None = sh_degree
         self.antialias: Literal["classic", "mip"] | None = antialias
         # An orbit goes around the extent of all frames. The first frame is surveyed last, so
-        # that the sources are left at it.
+        # that the sources stay at it.
         survey_frames = sorted({0, frames // 2, frames - 1}, reverse=True)
         for index, source in enumerate(self.sources):
             source.survey((number, self.values(number)[index]) for number in survey_frames)
@@ -70,7 +63,7 @@ class Playback:
         return self._timeline.values(number, self.frames)
 
     def request(self, camera: Camera, number: int) -> FrameRequest:
-        """Return the request for frame ``number`` as ``camera`` sees it."""
+        """Return the request of frame ``number`` for a camera."""
         return FrameRequest(camera, self.values(number), number)
 
     def scene(self) -> Scene:

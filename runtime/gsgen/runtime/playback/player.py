@@ -1,4 +1,4 @@
-"""Players: they compute the next frame of the sources while the renderer draws the last one."""
+"""Plays sources: computes the next frame while the renderer draws the last one."""
 
 __all__ = ["FrameRequest", "GeneratorPlayer", "Player", "compose_scene"]
 
@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
-from types import TracebackType
 from typing import Literal, Self, final
 
 import numpy as np
@@ -33,8 +32,8 @@ class FrameRequest:
     Attributes:
         camera: Camera, and the size of the image.
         values: Tensor name or role → value, for each source in order, then for each post-process
-            model. Inputs that are absent keep their value.
-        number: Frame number in error messages; None for the count of frames begun before it.
+            model. Absent inputs keep their value.
+        number: Frame number in error messages; None for the count of earlier frames.
     """
 
     camera: Camera
@@ -46,8 +45,8 @@ class FrameRequest:
 class Player:
     """Draws sources as one scene, frame after frame.
 
-    While a frame is drawn, the next one is computed. Arrays that a source leaves unchanged are not
-    uploaded again, and no buffer is made once the first frame is drawn.
+    While a frame is drawn, the next one is computed. Unchanged arrays of a source are not uploaded
+    again, and no buffer is created after the first frame.
 
     Args:
         sources: Sources that are drawn together; the caller closes them.
@@ -57,7 +56,7 @@ class Player:
         background: Red, green, blue and alpha behind the scene.
         outputs: Outputs of each frame.
         sh_degree: Highest degree of spherical harmonics; None for all.
-        antialias: How the scene was trained; None for each source's own setting.
+        antialias: Antialiasing of the training; None for each source's own setting.
 
     Attributes:
         scene: The sources as one scene.
@@ -90,17 +89,17 @@ class Player:
         self._begun = 0
 
     def render(self, request: FrameRequest) -> Frame:
-        """Compute and draw one frame.
+        """Compute and draw the frame of a request.
 
         Raises:
-            GsgenError: A value does not fit or a model fails; it names model, input and frame.
+            GsgenError: A value does not fit or a model fails; the error names model, input, frame.
         """
         number = self._start(request)
         self._finish()
         return self._draw(request, number)
 
     def play(self, requests: Iterable[FrameRequest]) -> Iterator[Frame]:
-        """Yield the frame of each request; each is computed while the one before is drawn.
+        """Yield the frame of each request, computing each while the previous one is drawn.
 
         Frames equal those of :meth:`render`, and come sooner.
 
@@ -152,7 +151,7 @@ class Player:
 
 
 def _each(values: Sequence[Values]) -> Iterator[Values]:
-    """Yield the values, and then empty mappings without end."""
+    """Yield the given values, and then empty mappings without end."""
     yield from values
     yield from repeat({})
 
@@ -162,12 +161,7 @@ def compose_scene(
     sh_degree: int | None = None,
     antialias: Literal["classic", "mip"] | None = None,
 ) -> Scene:
-    """Join sources into one scene, which follows them as they change.
-
-    Args:
-        sources: Sources that are drawn together.
-        sh_degree: Highest degree of spherical harmonics; None for all.
-        antialias: How the scene was trained; None for each source's own setting.
+    """Join sources into one scene, which follows their changes; see :class:`Player`.
 
     Raises:
         ConfigInvalid: Colour spaces differ.
@@ -183,16 +177,16 @@ def _common_space(sources: Sequence[Source]) -> Literal["srgb", "linear"]:
     spaces = {source.color_space for source in sources if len(source.data)}
     if len(spaces) > 1:
         raise ConfigInvalid(
-            "one scene has linear colours, another sRGB: they cannot be blended",
+            "have linear and sRGB colours, expected one colour space, as they are blended",
             where="scenes",
-            hint="Draw them apart, or train them in one colour space.",
+            hint="Draw the scenes separately, or train them in one colour space.",
         )
     return spaces.pop() if spaces else "srgb"
 
 
 @final
 class GeneratorPlayer:
-    """Runs one generator and draws its Gaussians in every frame.
+    """Runs one generator, and draws the Gaussians of every frame.
 
     ::
 
@@ -262,7 +256,7 @@ class GeneratorPlayer:
         pose: np.ndarray | None = None,
         values: Values | None = None,
     ) -> Frame:
-        """Compute and draw one frame.
+        """Compute and draw one frame of the generator.
 
         Args:
             camera: Camera, and the size of the image.
@@ -285,13 +279,13 @@ class GeneratorPlayer:
         poses: Iterable[np.ndarray] | None = None,
         values: Iterable[Values] | None = None,
     ) -> Iterator[Frame]:
-        """Yield frame after frame; each is computed while the one before is drawn.
+        """Yield frame after frame of the generator, computing one while another is drawn.
 
         Args:
-            cameras: One for each frame, or one for all.
-            times: One for each frame; None leaves the time unchanged.
-            poses: One for each frame; see :meth:`render`.
-            values: One mapping for each frame; see :meth:`render`.
+            cameras: One per frame, or one for all.
+            times: One per frame; None leaves the time unchanged.
+            poses: One per frame; see :meth:`render`.
+            values: One mapping per frame; see :meth:`render`.
 
         The shortest argument ends the sequence; one camera alone is one frame.
 
@@ -309,7 +303,7 @@ class GeneratorPlayer:
         )
 
     def close(self) -> None:
-        """Release the sessions; doing it twice does no harm."""
+        """Release the sessions of the models; a second call has no effect."""
         self.source.close()
         for model in self._post:
             model.close()
@@ -317,12 +311,7 @@ class GeneratorPlayer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

@@ -1,4 +1,4 @@
-"""Pose tracks: the poses of a body in each frame, read from motion files.
+"""Reads the poses of a body in each frame from motion files.
 
 - an .npy or a .json of nested lists: ``[J, 3]``, or ``[F, J, 3]`` (quaternions: 4),
 - an .npz of one such array, or of AMASS (``poses``, ``trans``), or with ``R`` or ``Rh`` and
@@ -42,7 +42,7 @@ _PARTS: Final = {
     "rhand_pose": 45,
 }
 _SHARED: Final = 22  # joints that SMPL, SMPL+H and SMPL-X have in common: root and body
-_HANDS: Final = 30  # the last joints of SMPL+H and SMPL-X
+_HANDS: Final = 30  # joints of the hands, the last of SMPL+H and SMPL-X
 _BODIES: Final = (_SHARED, 24, 52, 55)
 
 
@@ -85,7 +85,7 @@ def pose_tracks(text: str, source: Source) -> tuple[list[Track], float | None]:
 def _fit_rotation(
     rotations: Float[np.ndarray, "t x"], shape: tuple[int, ...]
 ) -> Float[np.ndarray, "t y"]:
-    """Convert between axis-angles and matrices where the input needs the other form."""
+    """Convert rotations between axis-angles and matrices, as the input's shape needs."""
     if rotations.shape[1] == np.prod(shape):
         return rotations
     from scipy.spatial.transform import Rotation
@@ -96,7 +96,7 @@ def _fit_rotation(
 
 
 def named_file(text: str) -> tuple[str, Path]:
-    """Split ``NAME=FILE``; without a name it is the role ``pose``."""
+    """Split ``NAME=FILE`` of ``--pose``; the default name is the role ``pose``."""
     word, sign, name = text.partition("=")
     if sign and word and not Path(text).exists():
         return word, Path(name)
@@ -225,7 +225,7 @@ def _of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _Motion:
     if not names and len(arrays) == 1:
         names = list(arrays)
     if not names:
-        message = f"has no array `poses` or `pose`, but {', '.join(arrays) or 'nothing'}"
+        message = f"has the arrays {', '.join(arrays) or '(none)'}, expected `poses` or `pose`"
         raise ConfigInvalid(message, where=where, hint=_KINDS)
     pose = _framed(arrays[names[0]], where)
     extra_inputs = {}

@@ -1,11 +1,10 @@
-"""Post-process models: networks that change the colours of a drawn frame."""
+"""Runs post-process models: networks that change the colours of a drawn frame."""
 
 __all__ = ["PostProcessor"]
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self, final
 
 import numpy as np
@@ -20,7 +19,7 @@ from gsgen.sdk.binding import FrameSession
 from gsgen.sdk.binding.bound_session import TensorSpec
 from gsgen.sdk.binding.model_facts import ModelFacts, read_model_facts
 
-_OVERLAP: Final = 32  # pixels that tiles share, where they are large enough
+_OVERLAP: Final = 32  # pixels that tiles share; fewer for small tiles
 
 
 @final
@@ -56,7 +55,8 @@ class PostProcessor:
         image = named(self.manifest.inputs, "image")
         graph_inputs = {value.name for value in facts.file.proto.graph.input}
         if not image or image[0].name not in graph_inputs:
-            raise SceneInvalid("declares no image input", where=self.name)
+            message = "declares no image input, expected an input of role image"
+            raise SceneInvalid(message, where=self.name)
         self._image = image[0].name
         self._shapes = {spec.name: spec for spec in _specs(facts)}
         self._known = facts.sizes(self._sizes)
@@ -71,7 +71,7 @@ class PostProcessor:
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        """The inputs other than the image."""
+        """The inputs of the model other than the image."""
         return tuple(spec for spec in self.manifest.inputs if spec.name != self._image)
 
     def named(self, word: str) -> list[Input]:
@@ -79,7 +79,7 @@ class PostProcessor:
         return named(self.inputs, word)
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input other than the image.
+        """Return the shape of a model input other than the image.
 
         Raises:
             SizeUnknown: The shape depends on the size of the image.
@@ -89,11 +89,9 @@ class PostProcessor:
         return self._shapes[name].shape(self._known)
 
     def __call__(self, frame: Frame, values: Mapping[str, object] | None = None) -> Frame:
-        """Return the frame with the colours that the model computes.
+        """Run the model on a frame with colours, and return the frame with new colours.
 
-        Args:
-            frame: A frame with colours.
-            values: Tensor name or role → value; absent inputs keep their value.
+        ``values`` maps tensor names or roles to values; absent inputs keep theirs.
 
         Raises:
             SceneInvalid: The frame has no colours, or the model's output is not a valid image.
@@ -133,7 +131,7 @@ class PostProcessor:
     def _blended(
         self, result: Float[np.ndarray, "1 c h w"], alpha: Float32[np.ndarray, "h w 1"]
     ) -> Float32[np.ndarray, "h w 4"]:
-        """Scale the model's output to [0, 1], and multiply it by alpha."""
+        """Scale the model's output image to [0, 1], and multiply it by alpha."""
         height, width = alpha.shape[:2]
         if result.shape not in ((1, 3, height, width), (1, 4, height, width)):
             raise SceneInvalid(
@@ -153,7 +151,7 @@ class PostProcessor:
         return np.concatenate([image[..., :3] * alpha, alpha], axis=-1, dtype=np.float32)
 
     def _session(self, size: tuple[int, int]) -> FrameSession:
-        """Return the session for an image of this height and width."""
+        """Return the model's session for an image of this height and width."""
         image_size = size if self._axes else (0, 0)
         if self._opened is not None and self._opened[0] == image_size:
             return self._opened[1]
@@ -164,7 +162,7 @@ class PostProcessor:
         return session
 
     def close(self) -> None:
-        """Release the session; the next frame opens another."""
+        """Release the model's session; the next frame opens another."""
         if self._opened is not None:
             self._opened[1].close()
             self._opened = None
@@ -172,12 +170,7 @@ class PostProcessor:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
@@ -188,12 +181,12 @@ def _post_process(name: str, facts: ModelFacts) -> PostProcessManifest:
     kind = f"is a {manifest.kind}" if manifest else "has no manifest"
     hint = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
     if manifest and manifest.kind == "gaussian-generator":
-        hint = "A generator makes Gaussians: give it as a scene."
+        hint = "Pass generators as scenes: they compute Gaussians."
     raise SceneInvalid(f"{kind}, expected a post-process model", where=name, hint=hint)
 
 
 def _specs(facts: ModelFacts) -> Iterator[TensorSpec]:
-    """Yield each input of the graph with its dimensions."""
+    """Yield each input of a model's graph with its dimensions."""
     for value in facts.file.proto.graph.input:
         tensor = value.type.tensor_type
         dims = tuple(
@@ -204,7 +197,7 @@ def _specs(facts: ModelFacts) -> Iterator[TensorSpec]:
 
 
 def _srgb(frame: Frame, alpha: Float32[np.ndarray, "h w 1"]) -> Float32[np.ndarray, "h w 3"]:
-    """Return the colours in sRGB, from 0 to 1, not multiplied by alpha."""
+    """Return the colours of a frame in sRGB, in [0, 1], with straight alpha."""
     assert frame.rgba is not None
     straight = frame.rgba[..., :3] / np.where(alpha > 0, alpha, 1)
     color = np.clip(straight, 0, 1)

@@ -1,4 +1,4 @@
-"""Scene cameras: camera options of a command, completed by the scene files it draws."""
+"""Completes the camera options of a command by the scene files that it draws."""
 
 __all__ = ["first_setting", "scene_viewpoint"]
 
@@ -15,7 +15,7 @@ Setting = TypeVar("Setting")
 
 
 def first_setting(values: Sequence[Setting | None]) -> Setting | None:
-    """Return the first value that is set; options therefore come before files."""
+    """Return the first value that is not None, such as an option before a file's field."""
     return next((value for value in values if value is not None), None)
 
 
@@ -30,17 +30,9 @@ def scene_viewpoint(
     orthographic: bool = False,
     panorama: bool = False,
 ) -> Viewpoint:
-    """Return the viewpoint of some scenes: from the options, or else from the scene files.
+    """Return the viewpoint that the camera options, or else the scene files, describe.
 
-    Args:
-        files: The scene files among the scenes.
-        camera: See :func:`gsgen.runtime.playback.camera_options.viewpoint`.
-        width: See there.
-        height: See there.
-        fov: See there; 50 degrees where neither an option nor a file sets it.
-        up: See there.
-        orthographic: See there.
-        panorama: See there.
+    Options are those of :func:`gsgen.runtime.playback.camera_options.viewpoint`.
 
     Raises:
         ConfigInvalid: The camera is invalid.

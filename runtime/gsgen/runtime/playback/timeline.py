@@ -1,4 +1,4 @@
-"""Timeline: the input values of each model in each frame."""
+"""The timeline of a playback: the input values of each model in each frame."""
 
 __all__ = ["AnimatedInputs", "Timeline"]
 
@@ -20,21 +20,21 @@ class AnimatedInputs(Protocol):
 
     @property
     def inputs(self) -> Sequence[Input]:
-        """The inputs that a caller may set."""
+        """The model inputs that a caller may set."""
 
     def named(self, word: str) -> list[Input]:
         """Return the inputs with this tensor name, or else with this role."""
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input."""
+        """Return the shape of an input tensor."""
 
 
 @final
 class Timeline:
-    """Input values for each model and each frame.
+    """The input values of each model in each frame.
 
-    Inputs without a track advance by themselves where there are several frames: a time goes
-    through its range, and a frame number counts.
+    Over several frames, inputs without a track advance by themselves: a time goes through its
+    range, and a frame number counts.
 
     Args:
         models: The models whose inputs are set.
@@ -52,7 +52,9 @@ class Timeline:
         self._models, self._tracks, self._time = list(models), list(tracks), time
         if time is not None and not any(_of_role(model, "time") for model in models):
             raise ConfigInvalid(
-                f"is {time}, but no scene has a time", where="--time", hint="Leave the option out."
+                f"is {time}, but no scene has a time input",
+                where="--time",
+                hint="Leave the option out.",
             )
         self._lengths = [self._length(track) for track in tracks]
 
@@ -84,12 +86,7 @@ class Timeline:
         return self.frames > 1 or sweeps or advances
 
     def values(self, number: int, frames: int) -> list[Values]:
-        """Return the input values of each model.
-
-        Args:
-            number: Frame number, from 0.
-            frames: How many frames there are.
-        """
+        """Return the input values of each model in frame ``number``, from 0, of ``frames``."""
         return [self._values(model, number, frames) for model in self._models]
 
     def _values(self, model: AnimatedInputs, number: int, frames: int) -> Values:
@@ -107,10 +104,7 @@ class Timeline:
         return values
 
     def _advancing(self, model: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
-        """Return the inputs that advance by themselves, with their ranges.
-
-        These are the times of a model, or else its frame numbers.
-        """
+        """Return the time inputs of a model, or else its frame numbers, that advance by themselves."""
         fixed_names = {spec.name for track in self._tracks for spec in model.named(track.word)}
         if self._time is not None:
             fixed_names |= {spec.name for spec in _of_role(model, "time")}

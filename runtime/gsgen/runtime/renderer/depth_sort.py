@@ -74,7 +74,7 @@ class DepthOrder:
         histogram: Buffer,
         first_keys: Buffer | None = None,
     ) -> tuple[list[Step], int]:
-        """Return the steps of a sort by ``first_keys``, or by the keys of the first columns."""
+        """Return the steps of a radix sort by ``first_keys``, or else by the splats' own keys."""
         return self._sort.steps(
             counts,
             histogram,

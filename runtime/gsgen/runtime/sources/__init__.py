@@ -1,1 +1,1 @@
-"""Where do the Gaussians and meshes of a frame come from: files, generators, scenes?"""
+"""Sources: from which files, generators or scenes do Gaussians and meshes come?"""

@@ -1,4 +1,4 @@
-"""Generator worker: computes the frames of a generator in a thread while others are drawn."""
+"""Computes the frames of a generator in a thread while other frames are drawn."""
 
 __all__ = ["FrameDelta", "GeneratorWorker"]
 
@@ -13,25 +13,26 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from gsgen.contract.spec.manifest import GeneratorManifest
+from gsgen.contract.spec.reader_needs import REGISTERED
 from gsgen.runtime.errors import SceneInvalid
 
 if TYPE_CHECKING:
     from gsgen.runtime.scene.camera import Camera
     from gsgen.sdk.binding import FrameSession
 
-_BLOCK = 1 << 16  # elements compared at a time: the first block mostly shows a difference
+_BLOCK = 1 << 16  # elements compared at a time: most often the first block differs
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FrameDelta:
-    """The outputs of a frame that differ from those of the frame before.
+    """The outputs of a generator that differ from those of the previous frame.
 
     Attributes:
         rows: The packed rows, of which ``count`` are live; None if unchanged.
         appearance: The appearance rows; None if unchanged.
         cells: All cells; None if unchanged, or without cells.
-        count: How many rows are live.
+        count: Number of live rows.
         seconds: Seconds of the computation; 0 if no input changed.
     """
 
@@ -44,10 +45,10 @@ class FrameDelta:
 
 @final
 class GeneratorWorker:
-    """A generator's session in a thread of its own, with copies of the drawn outputs.
+    """Runs a generator in a thread of its own, and keeps copies of the drawn outputs.
 
-    ONNX Runtime releases Python's lock while it computes, so that drawing goes on meanwhile. All
-    its calls come from one thread: a CUDA graph is replayed by the thread that recorded it.
+    ONNX Runtime releases Python's lock while it computes, so drawing continues. All its calls come
+    from one thread: a CUDA graph must be replayed by the thread that recorded it.
 
     Each output has two buffers: the drawn one, and one for the next frame. An output whose live
     rows are unchanged, bit by bit, is neither copied nor passed on. The model does not run if no
@@ -59,7 +60,7 @@ class GeneratorWorker:
         sizes: Symbol → size of an open dimension of the model.
 
     Attributes:
-        session: The session, which :meth:`start` alone may run.
+        session: The session, which only :meth:`start` may run.
         manifest: Manifest of the model.
 
     Raises:
@@ -93,14 +94,12 @@ class GeneratorWorker:
         if outputs.cells is not None:
             self._names.append(outputs.cells.name)
         self._unused_inputs = frozenset(
-            spec.name
-            for spec in self.manifest.inputs
-            if not self.manifest.depends_on.get(spec.role, True)
+            spec.name for spec in self.manifest.inputs if not self.manifest.depends(spec)
         )
         self._forget()
 
     def start(self, camera: "Camera | None", values: Mapping[str, object]) -> "Future[FrameDelta]":
-        """Begin to compute a frame, after the pending ones.
+        """Begin to compute a frame of the generator, after the pending ones.
 
         Args:
             camera: Camera of the frame; None leaves the camera inputs unchanged.
@@ -112,22 +111,23 @@ class GeneratorWorker:
         if self.session.closed:
             from gsgen.sdk.binding import SessionClosed
 
-            raise SessionClosed("the session was closed", where=str(self.session.path))
+            message = "the session was closed, expected an open one"
+            raise SessionClosed(message, where=str(self.session.path))
         self._stop.reset()
         return self._worker.submit(self._compute, camera, values)
 
     def interrupt(self) -> None:
-        """Stop the pending frames, which then fail; later frames can be computed."""
+        """Stop the computation of pending frames, which then fail."""
         self._stop.now()
 
     def close(self) -> None:
-        """Stop the pending frames, and release the session; doing it twice does no harm."""
+        """Stop the pending frames, and release the session; a second call has no effect."""
         self.interrupt()
         self._worker.shutdown()
         self.session.close()
 
     def _forget(self) -> None:
-        """Forget the last outputs, so that the next frame is copied as a whole."""
+        """Forget the copied outputs, so that the next frame is copied completely."""
         self._buffers = tuple(_OutputBuffer() for _ in self._names)
         self._count = -1
 
@@ -162,16 +162,23 @@ def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
         kind = f"is a {manifest.kind}" if manifest else "has no manifest"
         hint = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
         if manifest and manifest.kind == "post-process":
-            hint = "It works on images: `--post` runs it on the drawn frames."
+            hint = "Run post-process models on the drawn frames with `--post`."
         raise SceneInvalid(f"{kind}, expected a gaussian-generator", where=str(path), hint=hint)
+    unknown = [name for name in manifest.extensions_required if name not in REGISTERED]
+    if unknown:
+        hint = "Ask the author of the model for a copy without them."
+        message = f"requires extensions that this runtime does not know: {', '.join(unknown)}"
+        raise SceneInvalid(message, where=str(path), hint=hint)
     if manifest.outputs.gaussians is None or manifest.outputs.appearance is None:
-        raise SceneInvalid("declares no gaussians output or no appearance output", where=str(path))
+        raise SceneInvalid(
+            "declares no gaussians output or no appearance output, expected both", where=str(path)
+        )
     return manifest
 
 
 @final
 class _OutputBuffer:
-    """The drawn copy of an output, and a spare array for the next frame."""
+    """The drawn copy of a generator's output, and a spare array for the next frame."""
 
     def __init__(self) -> None:
         self._shown: np.ndarray | None = None
@@ -179,11 +186,9 @@ class _OutputBuffer:
         self._live = 0
 
     def take(self, array: Float[np.ndarray, "n c"], live_rows: int | None) -> np.ndarray | None:
-        """Return a copy that stays valid until the call after the next, or None if unchanged.
+        """Copy the live rows of an output, or all; return None if they are unchanged.
 
-        Args:
-            array: The output.
-            live_rows: How many of its first rows are live; None for all.
+        The copy stays valid until the call after the next.
         """
         old, live = self._shown, len(array) if live_rows is None else live_rows
         if old is not None and live <= self._live and _same(old[:live], array[:live]):

@@ -1,16 +1,16 @@
-"""Mesh files: GLB, glTF, OBJ, PLY and STL, read by trimesh."""
+"""Reads mesh files (GLB, glTF, OBJ, PLY and STL) with trimesh."""
 
 __all__ = ["is_mesh", "read_mesh"]
 
 import json
 import struct
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Literal, Protocol, TypeAlias, final
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, final
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -19,6 +19,9 @@ from gsgen.contract.errors import GsgenError
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import Mesh, MeshData
+
+if TYPE_CHECKING:
+    import trimesh
 
 SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply", ".stl")
 """Suffixes of files that may hold meshes."""
@@ -40,41 +43,12 @@ _WHITE: Final = np.ones(3)
 _GltfObject: TypeAlias = dict[str, Any]
 
 
-class _Visual(Protocol):
-    """Colours of a part; which attributes exist depends on its kind."""
-
-    face_colors: np.ndarray
-    vertex_colors: np.ndarray
-
-
-class _Geometry(Protocol):
-    """One part of a scene, as trimesh reads it."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    visual: _Visual
-    vertex_attributes: Mapping[str, np.ndarray]
-
-
-class _Graph(Protocol):
-    """The nodes of a scene: node name → transform and name of a geometry."""
-
-    nodes_geometry: Sequence[str]
-
-    def __getitem__(self, node: str) -> tuple[np.ndarray, str]: ...
-
-
-class _TrimeshScene(Protocol):
-    graph: _Graph
-    geometry: Mapping[str, _Geometry]
-
-
 def is_mesh(path: Path) -> bool:
     """Return whether a file holds a mesh, judged by its content where possible.
 
-    A PLY file does if it has faces and no splats, a GLB or glTF file unless it uses
-    KHR_gaussian_splatting, an STL file if its length agrees with its header. OBJ files, and STL
-    files of text, are recognised by name. A file that cannot be opened counts as no mesh.
+    A PLY file must have faces and no splats, a GLB or glTF file must not use
+    KHR_gaussian_splatting, and the length of an STL file must agree with its header. OBJ files, and
+    STL files of text, are recognised by name. A file that cannot be opened is not a mesh.
     """
     try:
         size = path.stat().st_size
@@ -91,9 +65,9 @@ def is_mesh(path: Path) -> bool:
 
 
 def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
-    """Read the meshes of a GLB, glTF, OBJ, PLY or STL file: one for each node of its scene.
+    """Read the meshes of a GLB, glTF, OBJ, PLY or STL file, one per node of its scene.
 
-    Each has the transform of its node, in the axes of PLY files (x right, y down, z forward).
+    Each mesh has the transform of its node, in the axes of PLY files (x right, y down, z forward).
     Vertex colours, face colours and base colour textures are drawn unlit; a mesh without any is
     grey, with a headlight. All meshes are opaque; lights, skins and animations are ignored. Other
     files that the file names are read from its own folder alone.
@@ -103,12 +77,12 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
         SceneInvalid: trimesh, which reads them, is not installed.
     """
     file = Path(path)
-    trimesh = _trimesh()
+    library = _trimesh()
     kind = _kind(file)
     try:
         _require_plausible_sizes(file, kind)
         has_no_materials = kind == "obj" and not _has_materials(file)
-        scene = _load(trimesh, file, kind, has_no_materials=has_no_materials)
+        scene = _load(library, file, kind, has_no_materials=has_no_materials)
         is_gltf = kind in ("glb", "gltf")
         if is_gltf:
             _require_textures(json.loads(_json_of(file)), scene)
@@ -130,7 +104,7 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
 
 
 def _is_binary_stl(head: bytes, size: int | None = None) -> bool:
-    """Return whether the length of a file agrees with the triangle count in its header."""
+    """Return whether the length of an STL file agrees with the triangle count in its header."""
     if len(head) < _STL.size:
         return False
     count = int(_STL.unpack_from(head)[0])
@@ -153,7 +127,7 @@ def _trimesh() -> ModuleType:
 
 
 def _kind(path: Path) -> str:
-    """Return the format of a file, from its first bytes or else its name."""
+    """Return the format of a mesh file, from its first bytes or else its name."""
     try:
         with path.open("rb") as file:
             head = file.read(4)
@@ -170,31 +144,31 @@ def _kind(path: Path) -> str:
     return kind
 
 
-def _load(trimesh: ModuleType, path: Path, kind: str, *, has_no_materials: bool) -> _TrimeshScene:
-    """Load a file with trimesh, without merging vertices and from its own folder alone."""
+def _load(library: ModuleType, path: Path, kind: str, *, has_no_materials: bool) -> "trimesh.Scene":
+    """Load a mesh file with trimesh, without merging vertices, from its own folder only."""
     options = {"process": False}
     if kind == "obj":
         options |= {"skip_materials": has_no_materials, "maintain_order": True}
     content = path.read_bytes()
     if kind == "obj" or (kind == "stl" and not _is_binary_stl(content)):
-        # Names in other encodings must not stop the reader.
+        # Names in other encodings must not raise errors.
         content = content.decode("utf-8", "replace").encode()
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # pillow warns of pictures that need too much memory
-        scene: _TrimeshScene = trimesh.load_scene(
+        scene: trimesh.Scene = library.load_scene(
             BytesIO(content),
             file_type=kind,
-            resolver=trimesh.resolvers.FilePathResolver(str(path)),
+            resolver=library.resolvers.FilePathResolver(str(path)),
             **options,
         )
     return scene
 
 
 def _meshes(
-    scene: _TrimeshScene, path: Path, *, is_gltf: bool, has_no_materials: bool
+    scene: "trimesh.Scene", path: Path, *, is_gltf: bool, has_no_materials: bool
 ) -> Iterator[Mesh]:
-    """Yield a mesh for each node; nodes with the same geometry share its data."""
-    by_geometry: dict[str, tuple[MeshData, bool]] = {}
+    """Yield a mesh for each node of a scene; nodes of one geometry share the data."""
+    by_geometry: dict[object, tuple[MeshData, bool]] = {}
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
         geometry = scene.geometry[name]
@@ -216,7 +190,7 @@ def _meshes(
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
-    """Colours and texture of a part, in the colour space of the file."""
+    """The colours and the texture of a mesh, in the colour space of the file."""
 
     colors: Float[np.ndarray, "v 3"] | None
     factor: Float[np.ndarray, "3"]
@@ -225,18 +199,16 @@ class _Surface:
 
 
 def _mesh_data(
-    geometry: _Geometry, *, is_gltf: bool, has_no_materials: bool
+    geometry: "trimesh.Trimesh", *, is_gltf: bool, has_no_materials: bool
 ) -> tuple[MeshData, bool]:
-    """Return the triangles of one part, and whether they have colours of their own.
+    """Convert a mesh of trimesh, and return whether it has colours of its own.
 
-    Args:
-        geometry: The part, as trimesh reads it.
-        is_gltf: Whether the file is glTF, whose factors and vertex colours are linear (2.0, 3.9.2).
-        has_no_materials: Whether the file has no materials, so that trimesh added its own.
+    In glTF, factors and vertex colours are linear (2.0, 3.9.2); without materials in the file,
+    trimesh adds its own.
     """
     vertices = np.asarray(geometry.vertices, np.float64)
     faces = np.asarray(geometry.faces)
-    visual = geometry.visual
+    visual: Any = geometry.visual  # attributes depend on the kind
     if getattr(visual, "kind", None) == "face":  # each face gets corners of its own
         vertices = vertices[faces].reshape(-1, 3)
         faces = np.arange(len(vertices)).reshape(-1, 3)
@@ -262,15 +234,15 @@ def _mesh_data(
     return data, is_colored
 
 
-def _surface(geometry: _Geometry, *, has_no_materials: bool) -> _Surface:
-    visual = geometry.visual
+def _surface(geometry: "trimesh.Trimesh", *, has_no_materials: bool) -> _Surface:
+    visual: Any = geometry.visual  # attributes depend on the kind
     attributes = geometry.vertex_attributes
     colors = None
     if getattr(visual, "kind", None) == "vertex":
         colors = np.asarray(visual.vertex_colors)[:, :3] / 255.0
     elif "color" in attributes:
-        vertex_colors = np.asarray(attributes["color"], np.float64)[:, :3]
-        colors = vertex_colors / 255.0 if attributes["color"].dtype.kind in "iu" else vertex_colors
+        vertex_colors = np.asarray(attributes["color"])[:, :3]
+        colors = vertex_colors / (255.0 if vertex_colors.dtype.kind in "iu" else 1.0)
     material = getattr(visual, "material", None)
     if material is None or has_no_materials:
         return _Surface(colors, _WHITE)
@@ -294,9 +266,7 @@ def _has_materials(path: Path) -> bool:
     names = [words[1].strip().decode("utf-8", "replace") for words in libraries if len(words) > 1]
     absent = [name for name in names if not (path.parent / name).is_file()]
     if absent:
-        note = (
-            f"{path}: {', '.join(absent)} is missing in its folder; it is drawn without materials"
-        )
+        note = f"{path}: {', '.join(absent)} is missing in its folder; the mesh is drawn without materials"
         warnings.warn(note, UserWarning, stacklevel=2)
     return bool(names) and not absent
 
@@ -334,7 +304,7 @@ def _splats_in_ply(head: bytes) -> bool:
 
 
 def _require_plausible_sizes(path: Path, kind: str) -> None:
-    """Refuse a file whose counts exceed its bytes, before memory is allocated for them."""
+    """Raise if the counts in a mesh file exceed its bytes, before memory is allocated."""
     size = path.stat().st_size
     if kind == "ply":
         with path.open("rb") as file:
@@ -351,7 +321,7 @@ def _require_plausible_sizes(path: Path, kind: str) -> None:
 
 
 def _require_plausible_gltf(path: Path, size: int) -> None:
-    """Refuse glTF whose counts or node graph would take unbounded memory or time."""
+    """Raise if the counts or nodes of a glTF file would take unbounded memory or time."""
     document = json.loads(_json_of(path))
     if not isinstance(document, dict):
         raise SceneInvalid(f"is a {type(document).__name__}, expected an object", where="JSON")
@@ -360,19 +330,19 @@ def _require_plausible_gltf(path: Path, size: int) -> None:
             raise SceneInvalid(
                 f"needs {name}, which is not supported",
                 where="extensionsRequired",
-                hint="Export it without compression.",
+                hint="Export the file without compression.",
             )
     room = size + sum(_buffer_size(path, buffer) for buffer in document.get("buffers", []))
     for index, accessor in enumerate(document.get("accessors", [])):
         _require_count(accessor["count"], room, f"accessors[{index}].count")
     children = [child for node in document.get("nodes", []) for child in node.get("children", [])]
     if len(children) != len(set(children)):
-        raise SceneInvalid("has a node with two parents", where="nodes")
+        raise SceneInvalid("has a node with two parents, expected a tree", where="nodes")
     _require_no_cycle(document.get("nodes", []))
 
 
-def _require_textures(document: _GltfObject, scene: _TrimeshScene) -> None:
-    """Refuse a file with textures that were not read: trimesh skips them silently."""
+def _require_textures(document: _GltfObject, scene: "trimesh.Scene") -> None:
+    """Raise if textures of a glTF file were not read: trimesh skips them silently."""
     materials = document.get("materials", [])
     declared = sum(
         "baseColorTexture" in materials[part["material"]].get("pbrMetallicRoughness", {})
@@ -395,14 +365,14 @@ def _require_textures(document: _GltfObject, scene: _TrimeshScene) -> None:
 
 
 def _buffer_size(path: Path, buffer: _GltfObject) -> int:
-    """Return the size of the file that a buffer names, or 0 if it is missing."""
+    """Return the size of the file that a glTF buffer names, or 0 if it is missing."""
     name = buffer.get("uri", "data:")
     file = path.parent / name
     return file.stat().st_size if not name.startswith("data:") and file.is_file() else 0
 
 
 def _require_no_cycle(nodes: list[_GltfObject]) -> None:
-    """Refuse nodes that are their own ancestors; each node has at most one parent."""
+    """Raise if a glTF node is its own ancestor; each node has at most one parent."""
     parent = {
         child: parent for parent, node in enumerate(nodes) for child in node.get("children", [])
     }
@@ -411,7 +381,7 @@ def _require_no_cycle(nodes: list[_GltfObject]) -> None:
         while node_index in parent:
             node_index, steps = parent[node_index], steps + 1
             if steps > len(nodes):
-                raise SceneInvalid("is its own ancestor", where=f"nodes[{start}]")
+                raise SceneInvalid("is its own ancestor, expected a tree", where=f"nodes[{start}]")
 
 
 def _require_count(count: object, limit: int, where: str) -> None:

@@ -1,4 +1,4 @@
-"""Mesh source: a file of triangles that is drawn together with Gaussians."""
+"""A source of meshes, which are drawn together with Gaussians."""
 
 __all__ = ["MeshSource"]
 
@@ -17,11 +17,11 @@ from gsgen.runtime.sources.source import StaticSource
 
 @final
 class MeshSource(StaticSource):
-    """The triangles of a file; a source without Gaussians.
+    """The triangles of a mesh file, or of given meshes; a source without Gaussians.
 
     Args:
         path: A file that ``read_mesh`` reads.
-        meshes: The meshes of the file if it was read before; they are drawn in its place.
+        meshes: Meshes that are drawn in place of reading the file.
     """
 
     def __init__(self, path: Path, meshes: Sequence[Mesh] | None = None) -> None:
@@ -38,6 +38,6 @@ class MeshSource(StaticSource):
 
 
 def _vertices(mesh: Mesh) -> Float[np.ndarray, "n 3"]:
-    """Return the vertices that faces use, in world space."""
+    """Return the vertices of a mesh that faces use, in world space."""
     used = mesh.data.vertices[np.unique(mesh.data.faces)].astype(np.float64)
     return np.asarray(used @ mesh.transform[:3, :3].T + mesh.transform[:3, 3])

@@ -1,4 +1,4 @@
-"""Opening: the source of a splat file, a mesh file or an ONNX generator."""
+"""Opens splat files, mesh files and ONNX generators as sources."""
 
 __all__ = ["open_source"]
 

@@ -1,4 +1,4 @@
-"""Placed sources: a source with a transform and its own drawing settings."""
+"""Places a source in the world, with its own drawing settings."""
 
 __all__ = ["DrawSettings", "PlacedSource"]
 
@@ -24,7 +24,7 @@ class DrawSettings:
         opacity_scale: Factor of all opacities.
         sh_degree: Highest degree of spherical harmonics; None for all.
         antialias: How the scene was trained; None for the source's own setting.
-        clip: A box in the source's own space, outside of which no Gaussian is drawn.
+        clip: A box in the source's own space, outside which no Gaussian is drawn.
         sorted: Blend in depth order, even if the source declares weighted sums.
     """
 
@@ -78,7 +78,7 @@ class PlacedSource(Source):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the Gaussians with the transform and the drawing settings."""
+        """Return the source's Gaussians with the transform and the drawing settings."""
         degree = self._settings.sh_degree if sh_degree is None else sh_degree
         return SplatSet(
             self.data,
@@ -91,7 +91,7 @@ class PlacedSource(Source):
         )
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Begin to compute a frame, for the camera in the source's own space."""
+        """Begin to compute a frame, with the camera converted to the source's own space."""
         local = None if camera is None else local_camera(camera, self._transform)
         self._inner.start(local, {**values, **self._fixed}, frame)
 
@@ -101,12 +101,12 @@ class PlacedSource(Source):
         return self._inner.ready
 
     def finish(self) -> None:
-        """Wait for the source, and take its Gaussians."""
+        """Wait for the pending frame of the source, and take its Gaussians."""
         self._inner.finish()
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def abandon(self) -> None:
-        """Wait for the source and discard its result or error."""
+        """Wait for the pending frame of the source, and discard its result or error."""
         self._inner.abandon()
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
@@ -115,7 +115,7 @@ class PlacedSource(Source):
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input."""
+        """Return the shape of an input tensor of the source."""
         return self._inner.shape(name)
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
@@ -125,7 +125,7 @@ class PlacedSource(Source):
         return linear @ center + offset, reach * _scale(linear)
 
     def close(self) -> None:
-        """Release the source."""
+        """Release the model of the placed source."""
         self._inner.close()
 
 
@@ -142,24 +142,20 @@ def _by_name(source: Source, values: Values, where: str) -> Mapping[str, object]
 
 
 def _scale(linear: Float[np.ndarray, "3 3"]) -> float:
-    """Return the geometric mean of the scales along the axes."""
+    """Return the geometric mean of a matrix's scales along the axes."""
     return float(np.cbrt(abs(np.linalg.det(linear))))
 
 
 def _rotation(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
-    """Return the orthogonal factor of the polar decomposition; it keeps a reflection."""
+    """Return the orthogonal factor of a transform's polar decomposition, with a reflection."""
     left, _, right = np.linalg.svd(transform[:3, :3])
     return np.asarray(left @ right)
 
 
 def local_camera(camera: Camera, transform: Float[np.ndarray, "4 4"]) -> Camera:
-    """Convert a camera from world space to the space of a placed source.
+    """Convert a camera from world space to a source's space, by its ``transform`` to world.
 
     A camera can neither shear nor mirror: the nearest rotation is used.
-
-    Args:
-        camera: The camera in world space.
-        transform: The space → world, [4, 4].
     """
     linear, offset = transform[:3, :3], transform[:3, 3]
     left, _, right = np.linalg.svd(linear)
@@ -168,7 +164,7 @@ def local_camera(camera: Camera, transform: Float[np.ndarray, "4 4"]) -> Camera:
     view[:3, :3] = camera.view[:3, :3] @ rotation
     view[:3, 3] = -view[:3, :3] @ np.linalg.solve(linear, camera.eye - offset)
     scale = _scale(linear)
-    zoom = scale if camera.kind == "orthographic" else 1.0  # its focal length is pixels a unit
+    zoom = scale if camera.kind == "orthographic" else 1.0  # its focal length is pixels per unit
     return replace(
         camera, view=view, near=camera.near / scale, fx=camera.fx * zoom, fy=camera.fy * zoom
     )

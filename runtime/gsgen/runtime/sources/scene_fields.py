@@ -1,9 +1,9 @@
-"""Scene fields: read and check the fields of a scene file by name; unknown fields are errors."""
+"""Reads typed fields of a scene file by name; unknown fields are errors."""
 
 __all__ = ["Fields", "fields_of", "refuse"]
 
 from collections.abc import Iterator, Mapping
-from typing import NoReturn, TypeVar, final, overload
+from typing import NoReturn, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float
@@ -26,13 +26,13 @@ def refuse(message: str, where: str, hint: str = "") -> NoReturn:
 
 
 def fields_of(document: Mapping[str, object], where: str) -> "Fields":
-    """Return the fields of the outermost object of the file at ``where``."""
+    """Return a reader of the fields of a scene file's outermost object."""
     return Fields(document, where, ": ")
 
 
 @final
 class Fields:
-    """The fields of one JSON object of a scene file.
+    """Reads the fields of one JSON object of a scene file.
 
     Args:
         document: The object.
@@ -49,7 +49,7 @@ class Fields:
         return f"{self.where}{self._separator}{name}"
 
     def refuse(self, name: str, message: str) -> NoReturn:
-        """Raise an error about a field.
+        """Raise SceneInvalid with the location of a field.
 
         Raises:
             SceneInvalid: Always.
@@ -61,46 +61,36 @@ class Fields:
         return self.peek(name) is not None
 
     def peek(self, name: str) -> object:
-        """Return a field without a check; None if it is absent."""
+        """Read a field without a check; None if it is absent."""
         self._known.append(name)
         return self._document.get(name)
 
     def text(self, name: str) -> str | None:
-        """Return a text, or None if the field is absent."""
+        """Read a text field; None if it is absent."""
         value = self.peek(name)
         if value is not None and not isinstance(value, str):
             self._mismatch(name, "text")
         return value
 
     def text_or(self, name: str, kind: type[Alternative], title: str) -> str | Alternative | None:
-        """Return a text or a value of another type, which messages call ``title``."""
+        """Read a field that is a text or of another type, which messages call ``title``."""
         value = self.peek(name)
         if value is not None and not isinstance(value, str | kind):
             self._mismatch(name, f"text or {title}")
         return value
 
     def required(self, name: str) -> str:
-        """Return a text that must not be absent or empty."""
+        """Read a text field that must not be absent or empty."""
         value = self.peek(name)
         if not isinstance(value, str) or not value:
             self._mismatch(name, "text")
         return str(value)
 
-    @overload
-    def number(
-        self, name: str, *, low: float = ..., high: float = ..., fallback: float
-    ) -> float: ...
-    @overload
-    def number(
-        self, name: str, *, low: float = ..., high: float = ..., fallback: None = ...
-    ) -> float | None: ...
-    def number(
-        self, name: str, *, low: float = -_MAX, high: float = _MAX, fallback: float | None = None
-    ) -> float | None:
-        """Return a number from ``low`` to ``high``."""
+    def number(self, name: str, *, low: float = -_MAX, high: float = _MAX) -> float | None:
+        """Read a number field from ``low`` to ``high``."""
         value = self.peek(name)
         if value is None:
-            return fallback
+            return None
         if isinstance(value, bool) or not isinstance(value, int | float):
             self._mismatch(name, "a number")
         if not low <= value <= high:
@@ -110,7 +100,7 @@ class Fields:
         return float(value)
 
     def whole(self, name: str, *, low: int, high: int) -> int | None:
-        """Return a whole number from ``low`` to ``high``."""
+        """Read an integer field from ``low`` to ``high``."""
         value = self.peek(name)
         if value is None:
             return None
@@ -119,11 +109,11 @@ class Fields:
         return int(value)
 
     def side(self, name: str) -> int | None:
-        """Return a width or a height in pixels."""
+        """Read a field that is a width or a height in pixels."""
         return self.whole(name, low=1, high=16_384)
 
     def choice(self, name: str, known: tuple[Word, ...]) -> Word | None:
-        """Return one of the known words.
+        """Read a field that must be one of the known words.
 
         Raises:
             UnknownName: The value is not one of them; the hint suggests the nearest.
@@ -136,7 +126,7 @@ class Fields:
         return next((word for word in known if word == value), None)
 
     def array(self, name: str, *shapes: tuple[int, ...]) -> Float[np.ndarray, "..."] | None:
-        """Return an array of finite numbers with one of the given shapes."""
+        """Read a field of finite numbers with one of the given shapes."""
         value = self.peek(name)
         if value is None:
             return None
@@ -155,7 +145,7 @@ class Fields:
         return array.astype(np.float64)
 
     def mapping(self, name: str) -> Mapping[str, np.ndarray]:
-        """Return an object with free names, whose values are numbers or lists of numbers."""
+        """Read an object with free names, whose values are numbers or lists of numbers."""
         value = self.peek(name)
         if value is None:
             return {}
@@ -173,14 +163,14 @@ class Fields:
         return array
 
     def inner(self, name: str) -> "Fields":
-        """Return the fields of a nested object."""
+        """Return a reader of the fields of a nested object."""
         value = self.peek(name)
         if not isinstance(value, dict):
             self._mismatch(name, "an object")
         return Fields(value, self.location(name))
 
     def parts(self, name: str) -> Iterator["Fields"]:
-        """Yield the fields of each object of a list; a text stands for an object with that path."""
+        """Yield a reader for each object of a list; a text is an object with that path."""
         entries = self.peek(name)
         if entries is not None and not isinstance(entries, list):
             self._mismatch(name, "a list")
@@ -192,7 +182,7 @@ class Fields:
             yield Fields(document, where)
 
     def close(self) -> None:
-        """Check that every field of the object was read.
+        """Raise if a field of the JSON object is unknown, that is, was never read.
 
         Raises:
             UnknownName: A field is unknown; the hint suggests the nearest name.

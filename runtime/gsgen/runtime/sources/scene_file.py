@@ -1,4 +1,4 @@
-"""Scene files: a ``scene.json`` that places models and meshes in one world."""
+"""Reads scene files: a ``scene.json`` that places models and meshes in one world."""
 
 __all__ = ["SceneFile", "is_scene_file", "open_scene", "read_scene"]
 
@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.colors import color_of
@@ -31,7 +32,7 @@ Result = TypeVar("Result")
 
 _VERSION_FIELD: Final = "gsgen_scene"
 _SCENE_FIELDS: Final = frozenset({_VERSION_FIELD, "models", "meshes"})
-_MAX_BYTES: Final = 64 << 20  # inputs such as poses may be written out in the file
+_MAX_BYTES: Final = 64 << 20  # inputs such as poses may be in the file
 
 
 @final
@@ -156,7 +157,7 @@ def open_scene(
 ) -> list[Source]:
     """Open the files of a scene: a source for each model, then one for each mesh.
 
-    A ``Player`` or a ``FrameSequence`` takes the sources; the caller closes them.
+    The sources are for a ``Player`` or a ``FrameSequence``; the caller closes them.
 
     Args:
         scene: The scene file, or its path.
@@ -180,7 +181,7 @@ def open_scene(
 
 def _open_model(model: SceneModel, provider: str, sizes: Mapping[str, int] | None) -> Source:
     if is_scene_file(model.path):
-        refuse("is a scene file: scenes hold models, not scenes", f"{model.where}.path")
+        refuse("is a scene file, expected a splat file or a generator", f"{model.where}.path")
     inner = _locate_errors(lambda: open_source(model.path, provider, sizes), f"{model.where}.path")
     try:
         return PlacedSource(
@@ -219,7 +220,7 @@ def _document(path: Path) -> Mapping[str, object]:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise SceneUnreadable(
-                f"has more than {_MAX_BYTES:,} bytes, the most for a scene file", where=str(path)
+                f"is larger than {_MAX_BYTES:,} bytes, the limit of scene files", where=str(path)
             )
         text = path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -243,11 +244,12 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def _model(fields: Fields, folder: Path) -> SceneModel:
+    opacity_scale = fields.number("opacity_scale", low=0)
     model = SceneModel(
         path=folder / fields.required("path"),
         transform=_transform(fields),
         settings=DrawSettings(
-            opacity_scale=fields.number("opacity_scale", low=0, fallback=1.0),
+            opacity_scale=1.0 if opacity_scale is None else opacity_scale,
             sh_degree=fields.whole("sh_degree", low=0, high=3),
             antialias=fields.choice("antialias", ("classic", "mip")),
             clip=_clip(fields),
@@ -274,7 +276,7 @@ def _transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
     steps = [name for name in ("translate", "rotate", "scale") if fields.has(name)]
     if matrix is not None:
         if steps:
-            fields.refuse(steps[0], "and `transform` exclude each other: leave one of them out")
+            fields.refuse(steps[0], "excludes `transform`: leave one of them out")
         require_affine(matrix, fields.location("transform"))
         return matrix
     transform = np.eye(4)
@@ -302,12 +304,9 @@ def _rotation(fields: Fields) -> Float[np.ndarray, "3 3"]:
     else:
         quaternion = fields.array("rotate", (4,))
         rotation = np.array([1.0, 0, 0, 0]) if quaternion is None else quaternion
-    length = np.linalg.norm(rotation)
-    if not length > 0:
+    if not np.linalg.norm(rotation) > 0:
         fields.refuse("rotate", "is the quaternion 0 0 0 0, expected one with a length")
-    w, x, y, z = rotation / length
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
+    return np.asarray(rotation_matrix(rotation[None])[0])
 
 
 def _clip(fields: Fields) -> Box | None:

@@ -1,4 +1,4 @@
-"""Scene sources: scenes in memory, as the sources that players and windows take."""
+"""Converts scenes in memory to the sources that players and windows take."""
 
 __all__ = ["SceneSource", "sources_of"]
 
@@ -37,7 +37,7 @@ class SceneSource(StaticSource):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the set with these drawing settings."""
+        """Return the splat set with other drawing settings."""
         degree = self._set.degree if sh_degree is None else sh_degree
         return replace(self._set, degree=degree, antialias=antialias or self.antialias)
 

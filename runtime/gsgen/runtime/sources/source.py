@@ -1,4 +1,4 @@
-"""Sources: Gaussians of a file, or of a generator that computes them in every frame."""
+"""Sources of Gaussians: files, and generators that compute new ones in every frame."""
 
 __all__ = [
     "GeneratorSource",
@@ -35,7 +35,7 @@ Center = Float[np.ndarray, "3"]
 Values = Mapping[str, object]
 """Tensor name or role → value."""
 
-_CROPPED = 2.0  # percent of the centres, at each end of each axis, that framing leaves out
+_CROPPED = 2.0  # percent of the centres, at each end of each axis, that framing ignores
 
 
 class Source(ABC):
@@ -45,7 +45,7 @@ class Source(ABC):
         name: Path or name of the source, for messages.
         data: The current Gaussians.
         up: The upward direction, a unit vector.
-        antialias: How the scene was trained.
+        antialias: Antialiasing of the training.
         color_space: Colour space of the Gaussians.
         weighted: Weights of Gaussians that are blended by weighted sums; None for sorted blending.
         meshes: Triangles that are drawn with the Gaussians.
@@ -79,34 +79,34 @@ class Source(ABC):
         """Wait for the pending frame, and update the Gaussians.
 
         Raises:
-            GsgenError: A value does not fit, or the model fails; it names model, input and frame.
+            GsgenError: A value does not fit, or the model fails; the error names model, input, frame.
         """
 
     @property
     def ready(self) -> bool:
-        """Whether :meth:`finish` would return at once."""
+        """Whether the pending frame is computed, so that :meth:`finish` returns at once."""
         return True
 
     @abstractmethod
     def abandon(self) -> None:
-        """Wait for the pending frame and discard its result or error."""
+        """Wait for the pending frame, and discard its result or error."""
 
     def interrupt(self) -> None:  # noqa: B027 - a file computes nothing
         """Stop the computation of the pending frame, which then fails."""
 
     def update(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Compute a frame and update the Gaussians; see :meth:`start` and :meth:`finish`."""
+        """Compute a frame and update the Gaussians, by :meth:`start` and :meth:`finish`."""
         self.start(camera, values, frame)
         self.finish()
 
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the Gaussians with their drawing settings.
+        """Return the source's Gaussians as a splat set with drawing settings.
 
         Args:
             sh_degree: Highest degree of spherical harmonics; None for the source's own, or all.
-            antialias: How the scene was trained; None for the source's own setting.
+            antialias: Antialiasing of the training; None for the source's own setting.
         """
         return SplatSet(
             self.data,
@@ -126,7 +126,7 @@ class Source(ABC):
 
     @abstractmethod
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input."""
+        """Return the shape of an input tensor."""
 
     def extent(self) -> tuple[Center, float]:
         """Return the centre of a box around most Gaussians, and half its diagonal.
@@ -139,11 +139,7 @@ class Source(ABC):
         return self._extent
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Compute some frames, and let the extent span them all.
-
-        Args:
-            frames: The number and the input values of each frame.
-        """
+        """Compute some frames, each by number and input values, and set the extent to all of them."""
         centers: dict[tuple[int, int], Float64[np.ndarray, "n 3"]] = {}
         for frame, values in frames:
             self.update(None, values, frame)
@@ -154,7 +150,7 @@ class Source(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Release what computes the frames."""
+        """Release the model of the source."""
 
 
 def named(inputs: Sequence[Input], word: str) -> list[Input]:
@@ -164,7 +160,7 @@ def named(inputs: Sequence[Input], word: str) -> list[Input]:
 
 
 def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
-    """Return the centres of the Gaussians with opacity, or of all if none has any."""
+    """Return the centres of visible Gaussians, or of all if none has an opacity above 0."""
     rows = data.rows[: data.count]
     centers = rows[:, layout.POSITION].astype(np.float64)
     finite = np.isfinite(centers).all(axis=1)
@@ -207,7 +203,7 @@ class StaticSource(Source):
 
 @final
 class StillSource(StaticSource):
-    """The Gaussians of a file, which stay the same in every frame.
+    """The Gaussians of a splat file, which stay the same in every frame.
 
     Args:
         path: A file that ``gsgen.formats.open_splats`` reads, such as PLY or NPZ.
@@ -256,7 +252,7 @@ class GeneratorSource(Source):
             raise
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Begin to run the model for a frame."""
+        """Begin to run the generator for a frame."""
         self.abandon()
         self._pending = frame, self._worker.start(camera, values)
 
@@ -266,7 +262,7 @@ class GeneratorSource(Source):
         return self._pending is None or self._pending[1].done()
 
     def finish(self) -> None:
-        """Wait for the model, and copy its changed outputs."""
+        """Wait for the generator, and copy its changed outputs."""
         if self._pending is None:
             return
         (frame, future), self._pending = self._pending, None
@@ -279,11 +275,11 @@ class GeneratorSource(Source):
             raise
 
     def interrupt(self) -> None:
-        """Stop the run of the model."""
+        """Stop the pending run of the generator."""
         self._worker.interrupt()
 
     def abandon(self) -> None:
-        """Wait for the model; after an error it computes all outputs again."""
+        """Wait for the pending frame of the generator, and discard its error."""
         if self._pending is not None:
             (_, future), self._pending = self._pending, None
             if future.exception() is None:
@@ -307,11 +303,11 @@ class GeneratorSource(Source):
         )
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input."""
+        """Return the shape of an input tensor of the generator."""
         return self._worker.session.inputs[name].shape
 
     def close(self) -> None:
-        """Release the session."""
+        """Release the session of the generator."""
         self._worker.close()
 
 

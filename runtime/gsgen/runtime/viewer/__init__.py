@@ -1,1 +1,1 @@
-"""How does `gsgen view` show a scene in a window?"""
+"""Viewer: how does `gsgen view` show a scene in a window?"""

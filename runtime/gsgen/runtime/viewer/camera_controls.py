@@ -1,4 +1,4 @@
-"""Camera controls: a camera that the user turns, moves and resets."""
+"""Interactive camera controls: orbit, look around, pan, zoom and fly."""
 
 __all__ = ["KEYS", "Controls", "unproject"]
 
@@ -20,7 +20,7 @@ _WHEEL: Final = 0.0012  # logarithm of the distance per wheel unit; a notch is 1
 _SPEED: Final = 0.5  # reaches per second
 _FAST: Final = 4.0  # factor of the speed with shift
 _MIN_DISTANCE: Final = 1e-4  # reaches between the eye and the pivot
-_NEAR_SHARE: Final = 0.01  # of the distance to the pivot, at which the near plane is
+_NEAR_SHARE: Final = 0.01  # distance of the near plane, relative to that of the pivot
 
 KEYS: Final = {
     "w": (0, 0, 1),
@@ -35,10 +35,10 @@ KEYS: Final = {
 
 @final
 class Controls:
-    """A camera that orbits, pans, zooms and flies.
+    """An interactive camera that orbits, pans, zooms and flies.
 
-    It turns about a pivot in front of it, which moves with it when it flies. Its orientation is a
-    rotation matrix, not two angles, so that tilted cameras of files keep their tilt.
+    The camera turns about a pivot in front of it, which moves with a flying camera. Its orientation
+    is a rotation matrix, not two angles, so that tilted cameras of files keep their tilt.
 
     Args:
         home: The first camera.
@@ -57,13 +57,13 @@ class Controls:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the first camera."""
+        """Reset the camera to its first position and direction."""
         self._rotation = self._home.view[:3, :3].copy()  # world → camera
         self._zoom = 1.0
         ahead = float(self._rotation[2] @ (self._center - self._home.eye))
         self._distance = ahead if ahead > _MIN_DISTANCE * self._reach else self._reach
         if self._home.kind == "panorama":
-            self._distance = _MIN_DISTANCE * self._reach  # it turns on the spot
+            self._distance = _MIN_DISTANCE * self._reach  # a panorama turns in place
         self.pivot = self._home.eye + self._distance * self._rotation[2]
 
     @property
@@ -72,12 +72,7 @@ class Controls:
         return np.asarray(self.pivot - self._distance * self._rotation[2])
 
     def camera(self, width: int, height: int) -> Camera:
-        """Return the camera for an image size; all of the first camera's view stays visible.
-
-        Args:
-            width: Width of the image, in pixels.
-            height: Height of the image, in pixels.
-        """
+        """Return the camera for an image size in pixels; all of the first view stays visible."""
         home = self._home
         view = np.eye(4)
         view[:3, :3] = self._rotation
@@ -98,37 +93,37 @@ class Controls:
         )
 
     def orbit(self, right: float, down: float) -> None:
-        """Turn about the pivot by a drag of some pixels."""
+        """Turn the camera about its pivot by a mouse drag, in pixels."""
         if self._home.kind == "panorama":
             return self.look(right, down)
         self._rotate(right * _TURN, down * _TURN)
 
     def look(self, right: float, down: float) -> None:
-        """Turn on the spot by a drag of some pixels."""
+        """Turn the camera in place by a mouse drag, in pixels."""
         eye = self.eye
         self._rotate(-right * _TURN, -down * _TURN)
         self.pivot = eye + self._distance * self._rotation[2]
 
     def _rotate(self, around: float, over: float) -> None:
-        """Turn about the upward direction, then about the camera's own right."""
+        """Rotate the camera about the upward direction, then about its horizontal axis."""
         rotation = self._rotation @ _rotation(self._up, around)
-        # The angle to straight up stays away from the poles, where the view would flip over.
+        # The angle to the upward direction avoids the poles, where the view would flip.
         angle = math.acos(float(np.clip(rotation[2] @ self._up, -1, 1)))
         target = float(np.clip(angle + over, min(angle, _POLE), max(angle, math.pi - _POLE)))
         rotation = rotation @ _rotation(rotation[0], target - angle)
-        # Orthogonalised, so that rounding errors of many drags do not add up.
+        # The matrix is orthogonalised, so that rounding errors of many drags do not add up.
         left, _, right = np.linalg.svd(rotation)
         self._rotation = left @ right
 
     def pan(self, right: float, down: float, width: int, height: int) -> None:
-        """Move the camera so that the pivot follows a drag, in pixels of an image of this size."""
+        """Move the camera so that its pivot follows a mouse drag, in pixels of an image size."""
         camera = self.camera(width, height)
         depth = {"pinhole": self._distance, "orthographic": 1.0, "panorama": self._reach}
         steps = -depth[camera.kind] * np.array([right / camera.fx, down / camera.fy, 0])
         self.pivot = self.pivot + self._rotation.T @ steps
 
     def wheel(self, amount: float) -> None:
-        """Move towards the pivot, or away from it for a positive amount; 100 is a notch."""
+        """Move the camera to its pivot, or away for a positive wheel amount; 100 is a notch."""
         factor = math.exp(float(np.clip(amount * _WHEEL, -5, 5)))
         if self._home.kind == "orthographic":
             self._zoom = float(np.clip(self._zoom / factor, 1e-4, 1e4))
@@ -137,7 +132,7 @@ class Controls:
             self._distance = float(np.clip(self._distance * factor, low, high))
 
     def fly(self, keys: frozenset[str], seconds: float, *, fast: bool) -> bool:
-        """Move in the directions of the held keys, and return whether the camera moved."""
+        """Move the camera in the directions of the held keys, and return whether it moved."""
         steps = np.sum([KEYS[key] for key in keys if key in KEYS] or [(0, 0, 0)], axis=0)
         if not steps.any():
             return False
@@ -146,7 +141,7 @@ class Controls:
         return True
 
     def focus(self, point: Vector) -> None:
-        """Turn towards a point, which becomes the pivot."""
+        """Turn the camera towards a point, which becomes its pivot."""
         eye = self.eye
         ahead = np.asarray(point, np.float64) - eye
         distance = float(np.linalg.norm(ahead))
@@ -157,7 +152,7 @@ class Controls:
         self._distance, self.pivot = distance, np.asarray(point, np.float64)
 
     def frame(self) -> None:
-        """Move to where the whole scene is in view, without turning."""
+        """Move the camera until the whole scene is in view, without turning it."""
         home = self._home
         self.pivot, self._zoom = self._center.copy(), 1.0
         if home.kind == "pinhole":
@@ -166,7 +161,7 @@ class Controls:
 
 
 def unproject(camera: Camera, x: float, y: float, depth: float) -> Vector:
-    """Return the point of the world at a pixel and a depth."""
+    """Return the world position at a pixel and a depth of a camera's image."""
     across, down = (x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy
     local = np.array([across, down, 1.0]) * depth
     if camera.kind == "orthographic":
@@ -180,7 +175,7 @@ def unproject(camera: Camera, x: float, y: float, depth: float) -> Vector:
 
 
 def _rotation(axis: Vector, angle: float) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation about an axis, right-handed (Rodrigues' formula)."""
+    """Return the right-handed rotation about a unit axis (Rodrigues' formula)."""
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross)

@@ -1,4 +1,4 @@
-"""Overlay: the panels over the picture, with statistics, a time slider, messages and help."""
+"""The viewer's panels over the picture: statistics, time slider, messages and help."""
 
 __all__ = ["HELP", "Overlay", "SliderState", "Statistics"]
 
@@ -33,7 +33,7 @@ HELP: Final = (
     ("H", "this help"),
     ("escape", "close"),
 )
-"""Keys and their effects, shown by the help panel and the guide."""
+"""Keys and mouse actions with their effects, shown by the help panel and the guide."""
 
 _REFRESH: Final = 0.25  # seconds between two updates of the statistics while something moves
 _EDGE: Final = 10  # pixels between a panel and the edge of the window
@@ -42,10 +42,10 @@ _CHARACTER: Final = 8.5  # pixels of a character, on average
 
 @final
 class Statistics:
-    """Counts and times of the last frames, updated slowly enough to be read.
+    """The viewer's statistics of the last frames, updated slowly enough to be read.
 
     Attributes:
-        rows: A name and a value for each line.
+        rows: Name and value of each line.
     """
 
     def __init__(self) -> None:
@@ -54,7 +54,7 @@ class Statistics:
         self._frame_times: deque[float] = deque()
 
     def refresh(self) -> None:
-        """Let the next update take effect at once."""
+        """Make the next update of the statistics take effect at once."""
         self._updated = -math.inf
 
     def update(
@@ -66,7 +66,7 @@ class Statistics:
         title: str,
         is_moving: bool,
     ) -> None:
-        """Count a frame at ``now`` seconds, and write the rows if they are due."""
+        """Count a frame drawn at ``now`` seconds, and update the rows if they are due."""
         self._frame_times.append(now)
         while now - self._frame_times[0] > 1:
             self._frame_times.popleft()
@@ -92,13 +92,7 @@ class Statistics:
 @final
 @dataclass(frozen=True, slots=True)
 class SliderState:
-    """The content of the time slider.
-
-    Attributes:
-        fraction: Position of the knob, from 0 to 1.
-        label: Text at the end.
-        playing: Whether the button pauses.
-    """
+    """The content of the time slider: knob position in [0, 1], label, and button state."""
 
     fraction: float
     label: str
@@ -107,13 +101,7 @@ class SliderState:
 
 @final
 class Overlay:
-    """Panels over the picture; each is drawn again only when its content changes.
-
-    Attributes:
-        statistics: Lines of the statistics panel.
-        shows_help: Whether the help panel is open.
-        shows_statistics: Whether the statistics panel is open; the help panel covers it.
-    """
+    """The viewer's panels, each of which is drawn again only when its content changes."""
 
     def __init__(self) -> None:
         self.statistics = Statistics()
@@ -128,13 +116,13 @@ class Overlay:
         slider: tuple[Slider, SliderState] | None,
         message: str,
     ) -> list[Panel]:
-        """Return the panels of the current frame.
+        """Return the panels over the current frame.
 
         Args:
             size: Width and height of the surface, in pixels.
             ratio: Pixels of the surface per logical pixel.
             slider: The time slider and its content, or None.
-            message: A text in the middle of the surface; may be empty.
+            message: Text in the middle of the surface; may be empty.
         """
         builders: dict[object, Callable[[], Panel]] = {}
         rows = self.statistics.rows
@@ -160,7 +148,7 @@ class Overlay:
 def _centered(
     rows: Sequence[tuple[str, str]], size: tuple[int, int], ratio: float, height: float
 ) -> Panel:
-    """Return a panel in the middle, at a fraction of the free height."""
+    """Return a panel of text, centred horizontally, at a fraction of the free height."""
     picture = paragraph(rows, ratio)
     left = max(0, (size[0] - picture.shape[1]) // 2)
     return Panel(picture, (left, max(0, round((size[1] - picture.shape[0]) * height))))

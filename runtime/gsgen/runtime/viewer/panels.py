@@ -1,4 +1,4 @@
-"""Panels: text and the time slider of a viewer, as small pictures."""
+"""Draws the viewer's text panels and time slider as small images."""
 
 __all__ = ["Slider", "paragraph"]
 
@@ -23,12 +23,7 @@ _ORANGE: Final = (255, 176, 64, 255)
 
 
 def paragraph(rows: Sequence[tuple[str, str]], ratio: float = 1.0) -> UInt8[np.ndarray, "h w 4"]:
-    """Return a panel with two columns of text.
-
-    Args:
-        rows: The left and the right text of each line; either may be empty.
-        ratio: Pixels of the surface per logical pixel.
-    """
+    """Draw a panel of two columns of text; ``ratio`` is surface pixels per logical pixel."""
     rows = [(_printable(left), _printable(right)) for left, right in rows]
     font, size = _font(round(_TEXT * ratio)), _TEXT * ratio
     margin, line = round(_MARGIN * ratio), round(size * _LINE_HEIGHT)
@@ -49,7 +44,7 @@ def paragraph(rows: Sequence[tuple[str, str]], ratio: float = 1.0) -> UInt8[np.n
 @final
 @dataclass(frozen=True, slots=True)
 class Slider:
-    """The layout of the time slider, in pixels of the surface.
+    """The layout of the time slider on a surface, in pixels of the surface.
 
     Attributes:
         width: Width of the surface.
@@ -63,12 +58,12 @@ class Slider:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the panel."""
+        """Width and height of the slider's panel."""
         return max(1, self.width - 2 * self._edge), round(34 * self.ratio)
 
     @property
     def corner(self) -> tuple[int, int]:
-        """The upper left corner of the panel."""
+        """The upper left corner of the slider's panel."""
         return self._edge, max(0, self.height - self.size[1] - self._edge)
 
     @property
@@ -76,32 +71,26 @@ class Slider:
         return round(_MARGIN * self.ratio)
 
     def _ends(self) -> tuple[float, float]:
-        """Return both ends of the track, in pixels from the left of the panel."""
+        """Return both ends of the slider's track, in pixels from the left of the panel."""
         width = self.size[0]
         return min(34 * self.ratio, width / 2), max(width - 130 * self.ratio, width / 2 + 1)
 
     def contains(self, x: float, y: float) -> bool:
-        """Return whether a point of the surface is on the panel."""
+        """Return whether a point of the surface is on the slider's panel."""
         left, top = self.corner
         return 0 <= x - left < self.size[0] and 0 <= y - top < self.size[1]
 
     def on_button(self, x: float) -> bool:
-        """Return whether a point of the panel is on the play button."""
+        """Return whether a point of the slider's panel is on the play button."""
         return x - self.corner[0] < self._ends()[0] - 6 * self.ratio
 
     def fraction(self, x: float) -> float:
-        """Return the position of a point along the track, from 0 to 1."""
+        """Return the position of a point along the slider's track, from 0 to 1."""
         low, high = self._ends()
         return float(np.clip((x - self.corner[0] - low) / (high - low), 0, 1))
 
     def picture(self, fraction: float, label: str, *, playing: bool) -> UInt8[np.ndarray, "h w 4"]:
-        """Return the panel.
-
-        Args:
-            fraction: Position of the knob, from 0 to 1.
-            label: Text at the end.
-            playing: Whether the button pauses.
-        """
+        """Draw the time slider, with the knob at a ``fraction`` and a label at the end."""
         (width, height), ratio, (low, high) = self.size, self.ratio, self._ends()
         image, draw = _blank_panel(width, height, ratio)
         middle, knob = height / 2, 6 * ratio
@@ -122,13 +111,13 @@ class Slider:
 
 
 def _printable(text: str) -> str:
-    """Replace characters that the font lacks."""
+    """Replace characters that Pillow's built-in font lacks."""
     return text.translate(_ASCII).encode("latin-1", "replace").decode("latin-1")
 
 
 @cache
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return Pillow's built-in font, which needs no file."""
+    """Return Pillow's built-in font, which needs no font file."""
     return ImageFont.load_default(max(6, size))
 
 
@@ -140,7 +129,7 @@ def _blank_panel(width: int, height: int, ratio: float) -> tuple[Image.Image, Im
 
 
 def _premultiplied(image: Image.Image) -> UInt8[np.ndarray, "h w 4"]:
-    """Return the pixels with colours multiplied by alpha."""
+    """Return the pixels of an image with colours multiplied by alpha."""
     pixels = np.asarray(image, np.uint16)
     pixels = np.concatenate([pixels[..., :3] * pixels[..., 3:] // 255, pixels[..., 3:]], axis=-1)
     return pixels.astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Present: shows a drawn image, and panels over it, on the surface of a window."""
+"""Shows a drawn image, and panels over it, on the surface of a window."""
 
 __all__ = ["Panel", "Present", "View"]
 
@@ -19,17 +19,11 @@ from gsgen.runtime.gpu.handles import (
     Texture,
 )
 from gsgen.runtime.kernels.shared.shader import source
-from gsgen.runtime.media.pictures import Mode
+from gsgen.runtime.media.pictures import MODES, Mode
 from gsgen.runtime.renderer.renderer import Drawn
 from gsgen.runtime.scene.camera import Camera
 
-_MODES: Final[dict[Mode, int]] = {
-    "color": 0,
-    "depth": 1,
-    "median-depth": 2,
-    "normal": 3,
-    "alpha": 4,
-}
+_MODES: Final[dict[Mode, int]] = {mode: number for number, mode in enumerate(MODES)}
 _CONSTANTS: Final = {
     "MODE_DEPTH": _MODES["depth"],
     "MODE_MEDIAN": _MODES["median-depth"],
@@ -49,7 +43,7 @@ _UNIFORMS: Final = np.dtype(
         ("filling", np.uint32, 3),
     ]
 )
-"""``Showing`` of ``present.wgsl``; a column of a matrix takes four numbers."""
+"""The bytes of ``struct Showing`` in present.wgsl."""
 
 _BLEND_OVER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
 
@@ -57,12 +51,7 @@ _BLEND_OVER: Final = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Panel:
-    """A picture that is drawn over the surface.
-
-    Attributes:
-        picture: Red, green and blue multiplied by alpha, and alpha, in sRGB.
-        corner: Upper left corner, in pixels from the left and the upper edge.
-    """
+    """A small sRGB image, multiplied by alpha, that is drawn over the surface at a corner."""
 
     picture: UInt8[np.ndarray, "h w 4"]
     corner: tuple[int, int]
@@ -71,10 +60,10 @@ class Panel:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class View:
-    """A drawn image on the device, and how it is shown.
+    """A drawn image in GPU memory, and how it is shown.
 
     Attributes:
-        drawn: The image on the device.
+        drawn: The image.
         camera: Camera of the image.
         mode: The output that is shown; the image must contain it.
         depths: The depths that become white and nearly black.
@@ -90,7 +79,7 @@ class View:
 
 @final
 class Present:
-    """Draws an image and panels by ``present.wgsl`` and ``panel.wgsl``.
+    """Draws an image and panels on a surface, by ``present.wgsl`` and ``panel.wgsl``.
 
     Args:
         device: The device of the images.
@@ -111,13 +100,7 @@ class Present:
         self._panel_bindings: dict[Panel, tuple[Texture, BindGroup]] = {}
 
     def __call__(self, target: Texture, view: View | None, panels: Sequence[Panel]) -> None:
-        """Draw an image and panels on a surface.
-
-        Args:
-            target: Texture of the surface, which the image fills.
-            view: The image; None for black.
-            panels: Panels from the lowest to the uppermost, cropped to the surface.
-        """
+        """Draw an image, or black, and panels from the lowest to the uppermost, on a surface."""
         width, height = target.size[:2]
         encoder = self._device.raw.create_command_encoder(label="present")
         attachment = {
@@ -154,7 +137,7 @@ class Present:
         return self._bound[1]
 
     def _panel_binding(self, panel: Panel) -> tuple[Texture, BindGroup]:
-        """Return the texture of a panel and its bind group, created when it is first shown."""
+        """Return the texture and the bind group of a panel, created when it is first shown."""
         if panel in self._panel_bindings:
             return self._panel_bindings[panel]
         raw = self._device.raw
@@ -198,7 +181,7 @@ def _pipeline(
     blend: dict[str, dict[str, str]] | None,
     **constants: int,
 ) -> tuple[BindGroupLayout, RenderPipeline]:
-    """Return the layout and the pipeline of a shader with a uniform and a second binding."""
+    """Create the bind group layout and the pipeline of a shader with two bindings."""
     layout = raw.create_bind_group_layout(
         label=name,
         entries=[

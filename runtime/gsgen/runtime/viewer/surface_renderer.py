@@ -1,4 +1,4 @@
-"""Surface renderer: draws a playback on the surface of a window, on a device that may be lost."""
+"""Draws a playback on the surface of a window, and recovers from a lost GPU device."""
 
 __all__ = ["SurfaceRenderer", "ViewRequest"]
 
@@ -27,20 +27,14 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewRequest:
-    """Camera and drawing mode of the next picture.
-
-    Attributes:
-        camera: Camera, and the size of the picture.
-        mode: The output that is shown.
-        background: Red, green, blue and alpha, from 0 to 1.
-    """
+    """Camera, display mode and background of the next picture."""
 
     camera: Camera
     mode: Mode
     background: tuple[float, ...]
 
     def key(self, playback: LivePlayback) -> object:
-        """Return a key that differs where the picture must be drawn again."""
+        """Return a key that changes when the picture must be drawn again."""
         camera = self.camera
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         camera_key = (camera.view.tobytes(), lens, camera.near)
@@ -55,8 +49,8 @@ class SurfaceRenderer:
 
     Args:
         open_device: Opens a device, at first and after a loss.
-        rasteriser: Rasteriser of the :class:`Renderer`.
-        compact: Keep Gaussians in fewer bytes; see :class:`Renderer`.
+        rasteriser: See :class:`Renderer`.
+        compact: See :class:`Renderer`.
 
     Attributes:
         renderer: Draws the images.
@@ -89,11 +83,7 @@ class SurfaceRenderer:
         self.drawn: Drawn | None = None
 
     def view(self, playback: LivePlayback, request: ViewRequest) -> View:
-        """Return a picture of a playback, drawn again only if anything has changed.
-
-        Args:
-            playback: The playback.
-            request: Camera and drawing mode.
+        """Draw a picture of a playback, or return the last one if nothing has changed.
 
         Raises:
             CapacityExceeded: The scene or the picture exceeds the device's memory or limits.
@@ -110,12 +100,7 @@ class SurfaceRenderer:
         return view
 
     def show(self, context: "WgpuContext", view: View | None, panels: Sequence[Panel]) -> None:
-        """Show a picture, or black, with panels over it.
-
-        Args:
-            context: The surface.
-            view: The result of :meth:`view`, or None.
-            panels: Panels over the picture.
+        """Show a picture, or black, with panels over it on a surface.
 
         Raises:
             DeviceLost: The device was lost.
@@ -168,7 +153,7 @@ class SurfaceRenderer:
         return Drawn(image, frame.rgba.shape[1], frame.visible, frame.pairs)
 
     def frame(self, playback: LivePlayback, request: ViewRequest) -> Frame:
-        """Return a picture as arrays; its colours go through the post-process models.
+        """Draw a picture of a playback as arrays, through its post-process models.
 
         Raises:
             GsgenError: The scene cannot be drawn, or a model fails.
@@ -177,7 +162,7 @@ class SurfaceRenderer:
         return playback.frame(player, request.camera)
 
     def recover(self) -> None:
-        """Open the device again; the next picture uploads the scene to it.
+        """Open the GPU device again after a loss; the next picture uploads the scene to it.
 
         Raises:
             DeviceUnavailable: No device can be opened.

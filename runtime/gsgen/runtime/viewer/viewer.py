@@ -1,4 +1,4 @@
-"""Viewer: turns input events into cameras and frames, and draws them on a surface."""
+"""The interactive viewer: handles input events, and draws frames on a surface."""
 
 __all__ = ["Event", "Viewer"]
 
@@ -109,9 +109,6 @@ class Viewer:
     def draw(self, context: "WgpuContext") -> bool:
         """Draw the current frame on a surface, and return whether another one will be needed.
 
-        Args:
-            context: The surface, which is configured here.
-
         Raises:
             DeviceUnavailable: The device was lost and cannot be opened again.
         """
@@ -123,7 +120,7 @@ class Viewer:
             return self._draw(context)
         except DeviceLost as error:
             raise DeviceUnavailable(
-                "the graphics device was lost, and lost again",
+                "the graphics device was lost twice while drawing one frame",
                 hint="Show fewer Gaussians or a smaller window; see `gsgen doctor`.",
             ) from error
 
@@ -172,7 +169,7 @@ class Viewer:
         return is_moving or self.playback.busy
 
     def _show_errors(self, action: Callable[[], None]) -> None:
-        """Run an action, and show its error as a message."""
+        """Run an action of the viewer, and show its error as a message."""
         try:
             action()
         except DeviceLost:
@@ -184,11 +181,7 @@ class Viewer:
         return ViewRequest(camera, self.mode, self._backgrounds[0])
 
     def camera(self, coarseness: int = 1) -> Camera:
-        """Return the current camera.
-
-        Args:
-            coarseness: Pixels of the surface per pixel of the image, along each axis.
-        """
+        """Return the viewer's camera; an image pixel covers ``coarseness``² surface pixels."""
         width, height = self._size
         camera = self.controls.camera(width, height)
         if coarseness == 1:
@@ -196,7 +189,7 @@ class Viewer:
         return camera.scaled(max(1, width // coarseness), max(1, height // coarseness))
 
     def _coarseness(self) -> int:
-        """Return the coarseness at which drawing keeps up with the user."""
+        """Return the coarseness of the image at which drawing keeps up with the user."""
         drawn = self._renderer.drawn
         if drawn is None:
             return 1
@@ -205,7 +198,7 @@ class Viewer:
 
     @property
     def slider(self) -> Slider | None:
-        """The time slider, or None where nothing moves."""
+        """The time slider, or None if nothing moves."""
         return Slider(*self._size, self._ratio) if self.playback.frames > 1 else None
 
     def _slider_state(self) -> SliderState:
@@ -221,7 +214,7 @@ class Viewer:
     # ----- events
 
     def handle(self, event: Event) -> None:
-        """Handle an input event; events of other types have no effect."""
+        """Handle an input event of rendercanvas; other event types have no effect."""
         handler = {
             "key_down": self._key_down,
             "key_up": self._key_up,
@@ -236,7 +229,7 @@ class Viewer:
             handler(event)
 
     def drop(self, paths: Sequence[Path]) -> None:
-        """Show other files instead; a message reports files that cannot be read."""
+        """Show dropped files instead of the scene; a message reports unreadable files."""
         if self._open_files is None:
             return
         try:
@@ -314,7 +307,7 @@ class Viewer:
         self.controls.wheel(float(event["dy"]))
 
     def _surface_position(self) -> tuple[float, float]:
-        """Return the pointer in pixels of the surface."""
+        """Return the position of the pointer in pixels of the surface."""
         return self._pointer[0] * self._ratio, self._pointer[1] * self._ratio
 
     # ----- actions of keys and of the pointer
@@ -356,7 +349,7 @@ class Viewer:
         self._show_errors(self._save_picture)
 
     def _save_picture(self) -> None:
-        """Save the picture at full resolution, and its camera under the same name."""
+        """Save the picture at full resolution, and the camera under the same name."""
         camera = self.camera()
         self.playback.settle(camera)
         frame = self._renderer.frame(self.playback, self._request(camera))
@@ -402,7 +395,7 @@ class Viewer:
 
 
 def _next(choices: Sequence[Choice], current: Choice) -> Choice:
-    """Return the choice after the current one; the first comes after the last."""
+    """Return the choice that cyclically follows the current one."""
     return choices[(choices.index(current) + 1) % len(choices)]
 
 

@@ -1,4 +1,4 @@
-"""Windows: shows a viewer on a rendercanvas canvas, in a window or a notebook."""
+"""Shows a viewer on a rendercanvas canvas, in a window or a notebook."""
 
 __all__ = ["accept_drops", "attach", "open_window", "require_display", "view"]
 
@@ -30,11 +30,7 @@ _MAX_SIZE: Final = (1920, 1080)  # pixels of a new window; larger cameras are sc
 
 
 def attach(viewer: Viewer, canvas: "BaseRenderCanvas") -> Callable[[], Exception | None]:
-    """Show a viewer on a canvas, and pass the canvas's events to it.
-
-    Args:
-        viewer: The viewer.
-        canvas: A rendercanvas canvas, of any backend.
+    """Show a viewer on a rendercanvas canvas, and pass the canvas's events to the viewer.
 
     Returns:
         A function that returns the error that ended drawing, or None.
@@ -65,7 +61,7 @@ def attach(viewer: Viewer, canvas: "BaseRenderCanvas") -> Callable[[], Exception
 
 
 def require_display() -> None:
-    """Check that a window can be opened.
+    """Raise if no window can be opened on this machine.
 
     Raises:
         DisplayUnavailable: There is no screen, or glfw or rendercanvas is not installed.
@@ -90,12 +86,7 @@ def require_display() -> None:
 
 
 def open_window(viewer: Viewer, title: str, size: tuple[int, int]) -> None:
-    """Show a viewer in a new window, and return when the window is closed.
-
-    Args:
-        viewer: The viewer.
-        title: Title of the window.
-        size: Width and height of its content, in pixels of the desktop.
+    """Show a viewer in a new window of ``size`` desktop pixels, until it is closed.
 
     Raises:
         DisplayUnavailable: No window can be opened.
@@ -115,9 +106,9 @@ def open_window(viewer: Viewer, title: str, size: tuple[int, int]) -> None:
 
 
 def accept_drops(viewer: Viewer, canvas: "BaseRenderCanvas") -> None:
-    """Open files that are dropped on a window.
+    """Open files that are dropped on a viewer's window.
 
-    rendercanvas 2.7 has no such event, but the glfw window of its canvas has.
+    rendercanvas 2.7 has no drop event; the glfw window of its canvas has one.
     """
     import glfw
 

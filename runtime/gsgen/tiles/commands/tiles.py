@@ -9,6 +9,7 @@ from gsgen.tiles.commands.info import info
 from gsgen.tiles.commands.plan import plan
 from gsgen.tiles.commands.score import score
 from gsgen.tiles.commands.serve import serve
+from gsgen.tiles.commands.simulate import simulate
 
 app = typer.Typer(
     help="Build, look into and serve tilesets of splats: 3D Tiles 1.1, coarse above, fine below.",
@@ -26,3 +27,4 @@ app.command("info")(info)
 app.command("plan")(plan)
 app.command("score")(score)
 app.command("serve")(serve)
+app.command("simulate")(simulate)

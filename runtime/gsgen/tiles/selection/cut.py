@@ -1,7 +1,8 @@
 """The cut of a tree by screen-space error: which tiles a camera sees, and which it wants drawn."""
 
-__all__ = ["Cut", "cut_tree", "request_order"]
+__all__ = ["Cut", "cut_tree", "cut_tree_often", "request_order"]
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -50,3 +51,43 @@ def request_order(tree: TileTree, cut: Cut) -> Int64[np.ndarray, " m"]:
     """Return the seen tiles in the order of requests: (level, −screen-space error, index)."""
     rows = np.flatnonzero(cut.seen)
     return np.asarray(rows[np.lexsort((rows, -cut.error[rows], tree.level[rows]))])
+
+
+def cut_tree_often(
+    tree: TileTree, frusta: Sequence[Frustum], max_error: float
+) -> tuple[Int64[np.ndarray, " m"], Bool[np.ndarray, "f m"]]:
+    """Return which tiles each of several frustums sees; only tiles below seen ones are looked at.
+
+    Args:
+        tree: The tiles.
+        frusta: Of perspective cameras with the same focal length and number of planes.
+        max_error: In pixels.
+
+    Returns:
+        Rows of the tree, ascending within a level, and for each frustum which of them it sees.
+    """
+    planes = np.stack([frustum.planes for frustum in frusta])
+    all_rows: list[Int64[np.ndarray, " m"]] = []
+    all_seen: list[Bool[np.ndarray, "f m"]] = []
+    refined = np.zeros((len(frusta), len(tree)), bool)
+    for rows in tree.rows_of_level:
+        open_below = np.ones((len(frusta), len(rows)), bool)
+        if tree.parent[rows[0]] >= 0:
+            open_below = refined[:, tree.parent[rows]]
+            reached = open_below.any(axis=0)
+            rows, open_below = rows[reached], open_below[:, reached]
+        if not len(rows):
+            break
+        center, half = tree.center[rows], tree.half_axes[rows]
+        vectors = np.concatenate([center[:, None], half], axis=1).reshape(-1, 3)
+        products = vectors @ planes[:, :, :3].reshape(-1, 3).T
+        products = products.reshape(len(rows), 4, *planes.shape[:2])
+        reach = products[:, 0] + planes[:, :, 3] + np.abs(products[:, 1:]).sum(axis=1)
+        seen = (reach >= 0).all(axis=2).T & open_below
+        for index, frustum in enumerate(frusta):
+            distance = frustum.distances(center, half)
+            error = frustum.screen_space_error(tree.error[rows], distance)
+            refined[index, rows] = seen[index] & (error > max_error) & ~tree.is_leaf[rows]
+        all_rows.append(rows)
+        all_seen.append(seen)
+    return np.concatenate(all_rows), np.concatenate(all_seen, axis=1)

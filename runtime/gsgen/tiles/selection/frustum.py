@@ -3,7 +3,7 @@
 __all__ = ["Frustum"]
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -26,7 +26,7 @@ class Frustum:
         planes: A point x is inside where n·x + d ≥ 0 for every row (n, d); unit normals. Four
             sides and z ≥ 0; a panorama has none.
         eye: Centre of the camera.
-        axis: Unit viewing direction.
+        rotation: Root frame → camera; its rows are right, down and forward.
         focal: Pixels for each unit of size over distance; of an orthographic camera, pixels
             for each unit.
         flat: Whether the camera is orthographic, so that size does not depend on distance.
@@ -34,7 +34,7 @@ class Frustum:
 
     planes: Planes
     eye: Float64[np.ndarray, " 3"]
-    axis: Float64[np.ndarray, " 3"]
+    rotation: Float64[np.ndarray, "3 3"]
     focal: float
     flat: bool = False
 
@@ -71,7 +71,7 @@ class Frustum:
         return cls(
             planes=_planes(sides, np.zeros(5), turn, -turn @ position),
             eye=np.asarray(position, np.float64),
-            axis=turn[2],
+            rotation=turn,
             focal=focal,
         )
 
@@ -105,8 +105,23 @@ class Frustum:
             planes = _planes(sides, distances, turn, shift)
         flat = camera.kind == "orthographic"
         return cls(
-            planes=planes, eye=eye, axis=turn[2], focal=focal * scale if flat else focal, flat=flat
+            planes=planes, eye=eye, rotation=turn, focal=focal * scale if flat else focal, flat=flat
         )
+
+    def moved(
+        self, position: Float64[np.ndarray, " 3"], quaternion: Float64[np.ndarray, " 4"]
+    ) -> "Frustum":
+        """Return the frustum of the same camera elsewhere.
+
+        Args:
+            position: Camera centre in the root frame.
+            quaternion: Camera → root frame, (w, x, y, z), unit length.
+        """
+        turn = rotation_matrix(quaternion[None])[0].T
+        distances = self.planes[:, 3] + self.planes[:, :3] @ self.eye
+        normals = self.planes[:, :3] @ self.rotation.T @ turn
+        planes = np.column_stack([normals, distances - normals @ position])
+        return replace(self, planes=planes, eye=np.asarray(position, np.float64), rotation=turn)
 
     def meets(
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]

@@ -71,7 +71,7 @@ def upper_hulls(
     """Return the upper hull of each row of points, as far as values grow with costs.
 
     Args:
-        cost: x of the points; infinite where there is none.
+        cost: x of the points; infinite for absent points.
         value: y of the points.
 
     Returns:

@@ -93,7 +93,7 @@ def _solve_cut(problem: JsonObject) -> Choice:
             f"{budget:,.0f} bytes",
             location=problem.at("budget_bytes"),
             expected="enough for the cheapest cut",
-            hint="Raise the budget, or list what is loaded.",
+            hint="Raise the budget, or list the loaded nodes.",
         )
     return choice
 

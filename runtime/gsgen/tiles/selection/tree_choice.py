@@ -214,7 +214,7 @@ def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
 
 
 def _running(values: Points, owner: Rows) -> Points:
-    """Return the cumulative sums that begin anew with each owner."""
+    """Return the cumulative sums that restart with each owner."""
     total = np.cumsum(values)
     first = np.searchsorted(owner, owner)
     return np.asarray(total - (total - values)[first])
@@ -240,7 +240,7 @@ def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Row
     equal = ~left & ~right
     over = _reduce(np.maximum, np.where(equal, level.value, -np.inf), starts, filled, -np.inf)
     joins = exists & (rise > fall) & (y > over)
-    # What stays beside a point that joins: up to the left tangent, from the right one on.
+    # Beside a point that joins, rows stay up to the left tangent and from the right one on.
     limit = np.where(left & (slope <= rise[level.owner]), level.cost, np.inf)
     last = _reduce(np.minimum, limit, starts, filled, np.inf)
     limit = np.where(right & (slope >= fall[level.owner]) & (slope > 0), level.cost, -np.inf)

@@ -2,8 +2,11 @@
 
 __all__ = ["HttpStore"]
 
+import random
+import time
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, final
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote, urljoin, urlsplit
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
@@ -19,26 +22,38 @@ _BACKOFF = 0.25
 _CHUNK = 1 << 18
 _NOT_FOUND = (404, 410)
 _TRANSIENT = (429, 500, 502, 503, 504)
+_REDIRECTS = (301, 302, 303, 307, 308)
+_MOST_REDIRECTS = 5
 
 
 @final
 class HttpStore(Store):
     """Reads files below a web address.
 
-    Errors of the server and connections that break are tried three times more, at growing
-    distance, or when ``Retry-After`` says so.
+    Errors of the server, connections that break and answers that are cut short are tried three
+    times more, at growing distance, or when ``Retry-After`` says so. Redirects are followed
+    within the origin, and to the allowed ones.
+
+    Args:
+        address: Of a file in the folder.
+        timeout: Seconds without a byte after which an attempt fails; 30 where absent.
+        allow_origins: Origins such as ``https://cdn.example.com`` that redirects may lead to.
     """
 
-    def __init__(self, address: str, *, timeout: float = _TIMEOUT) -> None:
+    def __init__(
+        self, address: str, *, timeout: float | None = None, allow_origins: Sequence[str] = ()
+    ) -> None:
         try:
             from urllib3 import PoolManager, Retry, Timeout
         except ImportError as error:
             raise ConfigInvalid(
                 "urllib3 is not installed", where=address, hint="pip install 'gsgen[tiles]'"
             ) from error
+        timeout = _TIMEOUT if timeout is None else timeout
         parts = urlsplit(address)
         folder = parts.path.rpartition("/")[0]
         self.name = f"{parts.scheme}://{parts.netloc}{folder}"
+        self._origins = {_origin(address), *map(_origin, allow_origins)}
         retries = Retry(
             _RETRIES,
             backoff_factor=_BACKOFF,
@@ -67,6 +82,42 @@ class HttpStore(Store):
         """Read bytes of a file on the web server, see :class:`~gsgen.tiles.stores.store.Store`."""
         if size == 0:
             return b""
+        return self._retried(lambda: self._read(path, start, size, limit))
+
+    def read_whole(
+        self, path: str, on_bytes: Callable[[int], None], limit: int = MAX_FILE
+    ) -> bytes:
+        """Return a file, and report its progress.
+
+        Args:
+            path: Relative to the folder.
+            on_bytes: Called with the number of bytes that have come; an exception that it raises
+                ends the request and is passed on.
+            limit: The most that is read.
+
+        Raises:
+            ContentMissing: There is no such file.
+            StoreUnavailable: The server cannot be read now.
+            TilesetInvalid: The file is larger than ``limit``.
+        """
+
+        def attempt() -> bytes:
+            on_bytes(0)
+            with self._request("GET", path, {"Accept-Encoding": "identity"}) as response:
+                return self._body(response, path, limit, None, on_bytes)
+
+        return self._retried(attempt)
+
+    def _retried(self, attempt: Callable[[], bytes]) -> bytes:
+        """Return what ``attempt`` reads; try again when an answer breaks off."""
+        for index in range(_RETRIES):
+            try:
+                return attempt()
+            except _AnswerBroken:
+                time.sleep(_BACKOFF * 2**index + random.uniform(0, _BACKOFF))
+        return attempt()
+
+    def _read(self, path: str, start: int, size: int | None, limit: int) -> bytes:
         ranged = start > 0 or size is not None
         last = "" if size is None else str(start + size - 1)
         # Whole files keep their coding; a range is of the bytes as they are stored.
@@ -82,7 +133,12 @@ class HttpStore(Store):
         return data if partial or not start else data[start:]
 
     def _body(
-        self, response: "BaseHTTPResponse", path: str, limit: int, count: int | None
+        self,
+        response: "BaseHTTPResponse",
+        path: str,
+        limit: int,
+        count: int | None,
+        on_bytes: Callable[[int], None] = lambda received: None,
     ) -> bytes:
         """Read at most ``count`` bytes of an HTTP response; raise above ``limit``."""
         from urllib3.exceptions import HTTPError
@@ -91,30 +147,56 @@ class HttpStore(Store):
         try:
             for chunk in response.stream(_CHUNK):
                 body += chunk
+                on_bytes(len(body))
                 if count is not None and len(body) >= count:
                     break
                 if len(body) > limit:
                     raise too_large(self.name, path, len(body), limit)
         except HTTPError as error:
-            raise self._failed(path, f"the answer broke off ({error})") from error
+            raise _AnswerBroken(
+                f"the answer broke off ({error})",
+                location=f"{self.name}/{path}",
+                expected="the file",
+                fault=Fault.CONTENT,
+            ) from error
         return bytes(body if count is None else body[:count])
 
     def _request(self, method: str, path: str, headers: dict[str, str]) -> "_Answer":
         from urllib3.exceptions import HTTPError
 
         address = f"{self.name}/{quote(path)}"
-        try:
-            response = self._pool.request(
-                method, address, headers=headers, preload_content=False, redirect=False
-            )
-        except HTTPError as error:
-            raise self._failed(path, f"no answer ({error})") from error
+        for _ in range(_MOST_REDIRECTS + 1):
+            try:
+                response = self._pool.request(
+                    method, address, headers=headers, preload_content=False, redirect=False
+                )
+            except HTTPError as error:
+                raise self._failed(path, f"no answer ({error})") from error
+            if response.status not in _REDIRECTS:
+                break
+            response.drain_conn()
+            address = self._redirected(path, address, response.headers.get("Location", ""))
+        else:
+            raise self._failed(path, f"more than {_MOST_REDIRECTS} redirects")
         if response.status in (200, 206, 416):
             return _Answer(response)
         response.drain_conn()
         if response.status in _NOT_FOUND:
             raise missing(self.name, path, f"the server answers {response.status}")
         raise self._failed(path, f"the server answers {response.status}")
+
+    def _redirected(self, path: str, address: str, location: str) -> str:
+        """Return where a redirect leads; raise if that is another origin."""
+        target = urljoin(address, location)
+        if not location or _origin(target) not in self._origins:
+            raise TilesetInvalid(
+                f"the server redirects to {target!r:.200}",
+                location=f"{self.name}/{path}",
+                expected=f"an address of {' or '.join(sorted(self._origins))}",
+                hint=f"Trust it with --allow-origin {_origin(target)}.",
+                fault=Fault.URI,
+            )
+        return target
 
     def _failed(self, path: str, actual: str) -> TilesetInvalid:
         return StoreUnavailable(
@@ -124,6 +206,16 @@ class HttpStore(Store):
     def close(self) -> None:
         """Close all connections to the web server."""
         self._pool.clear()
+
+
+def _origin(address: str) -> str:
+    """Return scheme, host and port of an address."""
+    parts = urlsplit(address)
+    return f"{parts.scheme}://{parts.netloc}".lower()
+
+
+class _AnswerBroken(StoreUnavailable):
+    """An answer ended before all its bytes had come."""
 
 
 @final

@@ -2,6 +2,7 @@
 
 __all__ = ["INDEX", "open_store"]
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 from urllib.parse import unquote, urlsplit
@@ -14,12 +15,13 @@ from gsgen.tiles.stores.zip_store import ZipStore
 INDEX: Final = "tileset.json"
 
 
-def open_store(source: str | Path) -> tuple[Store, str]:
+def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tuple[Store, str]:
     """Return the file store of a tileset, and the path of its index in the store.
 
     Args:
         source: ``tileset.json``, the folder that holds one, a ``.3tz`` archive, or an address
             (http, https) of a ``tileset.json``.
+        allow_origins: Other origins that redirects of a server may lead to.
     """
     text = str(source)
     for scheme in ("http", "https"):
@@ -27,7 +29,8 @@ def open_store(source: str | Path) -> tuple[Store, str]:
         if text.lower().startswith(f"{scheme}:/"):
             address = f"{scheme}://{text[len(scheme) + 1 :].lstrip('/')}"
             name = urlsplit(address).path.rpartition("/")[2]
-            return HttpStore(address if name else f"{address}/"), unquote(name) or INDEX
+            folder = address if name else f"{address}/"
+            return HttpStore(folder, allow_origins=allow_origins), unquote(name) or INDEX
     path = Path(source)
     if path.suffix.lower() == ".3tz":
         return ZipStore(path), INDEX

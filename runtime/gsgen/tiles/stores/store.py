@@ -61,18 +61,23 @@ def missing(store: str, path: str, reason: str = "the file does not exist") -> C
     """Return the error for a tileset file that does not exist."""
     return ContentMissing(
         reason,
-        location=f"{store}: {path}",
+        location=_location(store, path),
         expected="a file that can be read",
         hint="Copy or build the tileset again: a part of it is missing.",
         fault=Fault.CONTENT,
     )
 
 
+def _location(store: str, path: str) -> str:
+    """Return the full address of a file on a server, or its path after that of the store."""
+    return f"{store}/{path}" if "://" in store else f"{store}: {path}"
+
+
 def too_large(store: str, path: str, size: int, limit: int) -> TilesetInvalid:
     """Return the error for a tileset file above the size limit."""
     return TilesetInvalid(
         f"{size:,} bytes",
-        location=f"{store}: {path}",
+        location=_location(store, path),
         expected=f"{limit:,} bytes or fewer",
         fault=Fault.CONTENT,
     )

@@ -122,7 +122,7 @@ class GaussianGenerator(nn.Module, ABC):
         space: Coordinate frame and matrix memory order.
         color_space: Colour space of the colours from SH or RGB.
         antialias: How the model was trained: ``classic`` (0.3 px dilation) or ``mip``.
-        depends_on: Role → whether outputs change with it; roles not named do.
+        depends_on: Input or role → whether outputs change with it; those not named do.
         count_semantics: ``upper-bound`` if rows before the count may have opacity 0.
         family: ``static``, ``mlp``, ``4d``, ``avatar`` or another word.
         producer: Tool, source and licence; the SDK itself if absent.

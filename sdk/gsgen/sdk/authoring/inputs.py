@@ -4,14 +4,38 @@ The Visionary viewer binds the default names to the correct role.
 """
 
 __all__ = [
+<<<<<<< HEAD
     "appearance_id", "camera_position", "conditioning", "control", "expression", "frame_index",
     "image", "pose", "projection", "root_rotation", "root_translation", "shape", "time", "timestep",
     "view", "viewport",
 ]  # fmt: skip
+=======
+    "appearance_id",
+    "audio",
+    "camera_position",
+    "condition",
+    "conditioning",
+    "control",
+    "expression",
+    "frame_index",
+    "image",
+    "pose",
+    "projection",
+    "root_rotation",
+    "root_translation",
+    "shape",
+    "time",
+    "timestep",
+    "view",
+    "viewport",
+]
+>>>>>>> 2de02c0384d2a13dca311bc049847b44e879a98e
 
+from collections.abc import Sequence
 from typing import Literal
 
-from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.manifest import Input, Joint
+from gsgen.sdk.errors import GeneratorInvalid
 
 Range = tuple[float, float]
 
@@ -77,10 +101,21 @@ def pose(
     joints: int,
     name: str = "pose",
     *,
-    convention: Literal["smpl-axis-angle", "axis-angle", "quaternion-wxyz"] = "axis-angle",
+    convention: Literal[
+        "smpl-axis-angle", "axis-angle", "quaternion-wxyz", "flame", "mano"
+    ] = "axis-angle",
     range: Range = (-3.1416, 3.1416),
+    skeleton: Sequence[Joint] = (),
 ) -> Input:
-    """Declare joint rotations, float32 [joints, 3] (axis-angle) or [joints, 4] (quaternions)."""
+    """Declare joint rotations, float32 [joints, 3] (axis-angle) or [joints, 4] (quaternions).
+
+    Args:
+        joints: Number of joints; 5 for ``flame``, 16 for ``mano``.
+        name: The tensor's name.
+        convention: Meaning and order of the rotations.
+        range: Smallest and largest value, in radians.
+        skeleton: Name, parent and rest position of each joint, for tools that retarget motion.
+    """
     quaternions = convention == "quaternion-wxyz"
     return Input(
         name=name,
@@ -89,12 +124,21 @@ def pose(
         range=(-1.0, 1.0) if quaternions else range,
         default="identity" if quaternions else "zeros",
         convention=convention,
+        joints=tuple(skeleton),
     )
 
 
-def shape(count: int, name: str = "shape", *, range: Range = (-3.0, 3.0)) -> Input:
+def shape(
+    count: int,
+    name: str = "shape",
+    *,
+    range: Range = (-3.0, 3.0),
+    convention: Literal["flame", "mano", "smplx-10"] | None = None,
+) -> Input:
     """Declare the input for the shape coefficients of a body model, float32 [count]."""
-    return Input(name=name, role="shape", shape=(count,), range=range, default="zeros")
+    return Input(
+        name=name, role="shape", shape=(count,), range=range, default="zeros", convention=convention
+    )
 
 
 def root_translation(name: str = "root_translation", *, range: Range = (-1.0, 1.0)) -> Input:
@@ -120,9 +164,69 @@ def root_rotation(
     )
 
 
-def expression(count: int, name: str = "expression", *, range: Range = (-2.0, 2.0)) -> Input:
-    """Declare the input for the expression coefficients of a face model, float32 [count]."""
-    return Input(name=name, role="expression", shape=(count,), range=range, default="zeros")
+def expression(
+    count: int,
+    name: str = "expression",
+    *,
+    range: Range | None = None,
+    convention: Literal["flame", "arkit-52", "smplx-10"] | None = None,
+) -> Input:
+    """Declare the input for the expression coefficients of a face model, float32 [count].
+
+    The range is [0, 1] for ``arkit-52`` and [−2, 2] otherwise, unless it is given.
+    """
+    usual = (0.0, 1.0) if convention == "arkit-52" else (-2.0, 2.0)
+    return Input(
+        name=name,
+        role="expression",
+        shape=(count,),
+        range=range or usual,
+        default="zeros",
+        convention=convention,
+    )
+
+
+def audio(
+    rate: float,
+    *,
+    samples: int | None = None,
+    mel: tuple[int, int] | None = None,
+    window: int | None = None,
+    hop: int | None = None,
+    name: str = "audio",
+) -> Input:
+    """Declare the input for sound: float32 [samples], or [columns, bands] of mel energies.
+
+    Args:
+        rate: Samples per second.
+        samples: Number of samples, each in [−1, 1].
+        mel: Number of columns and of bands, in place of samples.
+        window: Samples under the window of one column.
+        hop: Samples from one column to the next.
+        name: The tensor's name.
+
+    Raises:
+        GeneratorInvalid: Both or neither of ``samples`` and ``mel`` are given.
+    """
+    if (samples is None) == (mel is None):
+        hint = "Give samples=160, or mel=(columns, bands)."
+        raise GeneratorInvalid("needs samples or mel, not both", where="inputs.audio", hint=hint)
+    return Input(
+        name=name,
+        role="audio",
+        shape=mel or (samples or 1,),
+        range=(-1.0, 1.0) if mel is None else None,
+        default="zeros",
+        convention="mel" if mel else "samples",
+        rate=rate,
+        window=window,
+        hop=hop,
+    )
+
+
+def condition(size: int, name: str = "condition", *, range: Range = (-3.0, 3.0)) -> Input:
+    """Declare the input for numbers that another model computes, float32 [size]."""
+    return Input(name=name, role="condition", shape=(size,), range=range, default="zeros")
 
 
 def appearance_id(count: int, name: str = "appearance_id") -> Input:

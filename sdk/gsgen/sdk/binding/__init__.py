@@ -28,6 +28,7 @@ __all__ = [
     "Pinhole", "ProviderUnavailable", "RunFailed", "SessionClosed", "SizeUnknown", "Stop",
 ]  # fmt: skip
 
+<<<<<<< HEAD
 _HOME = {
     name: module
     for module, names in {
@@ -42,3 +43,6 @@ _HOME = {
 }
 
 __getattr__ = lazy_getattr(__name__, _HOME)
+=======
+__getattr__ = lazy_getattr(__name__)
+>>>>>>> 2de02c0384d2a13dca311bc049847b44e879a98e

@@ -11,7 +11,7 @@ __all__ = [
 
 import os
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -41,6 +41,7 @@ from gsgen.contract.spec.manifest import (
 )
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.spec.onnx_facts import INLINE_LIMIT
+from gsgen.contract.spec.reader_needs import smallest_profile
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
@@ -227,8 +228,9 @@ def _padded(rows: np.ndarray, total: int) -> np.ndarray:
 
 def _model(outputs: dict[str, np.ndarray], manifest: GeneratorManifest, opset: int) -> ModelProto:
     model = ModelProto(ir_version=_IR_VERSION, producer_name="gsgen")
+    described = replace(manifest, operator_profile=smallest_profile({"Mul"}, opset))
     model.opset_import.add(domain="", version=opset)
-    model.metadata_props.add(key=MANIFEST_KEY, value=dumps(manifest, indent=None))
+    model.metadata_props.add(key=MANIFEST_KEY, value=dumps(described, indent=None))
     graph = model.graph
     graph.name = "static"
     for name, value in outputs.items():

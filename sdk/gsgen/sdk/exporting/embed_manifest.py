@@ -1,6 +1,9 @@
 """Rewrite a traced graph for its target, and embed the manifest."""
 
-__all__ = ["rewrite_and_embed"]
+__all__ = ["rewrite_and_embed", "with_profile"]
+
+from dataclasses import replace
+from typing import TypeVar
 
 import onnx_ir as ir
 from onnx_ir.passes.common import NameFixPass
@@ -8,9 +11,13 @@ from onnx_ir.passes.common import NameFixPass
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import dumps
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
+from gsgen.contract.spec.reader_needs import smallest_profile
 from gsgen.contract.spec.targets import Target
 from gsgen.sdk.passes.framework.base import RewriteTarget, opset_of
 from gsgen.sdk.rewriting.rewrite import Change, rewrite_graph
+
+AnyManifest = TypeVar("AnyManifest", bound=Manifest)
 
 
 def rewrite_and_embed(
@@ -31,5 +38,13 @@ def rewrite_and_embed(
         node.metadata_props.clear()
     for value in (*model.graph.inputs, *model.graph.outputs):
         value.metadata_props.clear()
-    model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
+    model.metadata_props[MANIFEST_KEY] = dumps(with_profile(manifest, model), indent=None)
     return changes
+
+
+def with_profile(manifest: AnyManifest, model: ir.Model) -> AnyManifest:
+    """Return ``manifest`` with the operator profile that holds the graph, or with none."""
+    names = {node.op_type for node in model.graph.all_nodes()}
+    own = all(node.domain in MAIN_DOMAIN for node in model.graph.all_nodes())
+    profile = smallest_profile(names, opset_of(model)) if own else None
+    return replace(manifest, operator_profile=profile)

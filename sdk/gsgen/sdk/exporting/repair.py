@@ -14,14 +14,19 @@ from onnx_ir.passes.common import NameFixPass
 
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
+<<<<<<< HEAD
 from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
 from gsgen.contract.process.atomic_files import atomic_write
+=======
+from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_model
+>>>>>>> 2de02c0384d2a13dca311bc049847b44e879a98e
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.sdk.authoring.packed_module import APPEARANCE_RGB, APPEARANCE_SH, COUNT, GAUSSIANS
+from gsgen.sdk.exporting.embed_manifest import with_profile
 from gsgen.sdk.passes import (
     CastCount,
     PadColor,
@@ -90,6 +95,9 @@ def repair(
     for _, change in steps:
         change(model)
     NameFixPass()(model)
+    model.metadata_props.pop(NEUTRAL_KEY, None)
+    if manifest.operator_profile is not None:
+        manifest = with_profile(manifest, model)
     model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
     with _draft(target, source) as draft:
         save_model(model, draft, external_weights=external_weights)

@@ -15,7 +15,7 @@ from pathlib import Path
 import onnx_ir as ir
 
 from gsgen.contract.model.inspected_model import inspect_model
-from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
+from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_model
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.limits import Limits
@@ -317,6 +317,7 @@ def _convert(
         if declared.appearance.space == "rgb":
             PadColor(declared.appearance.name)(model)
         text = dumps(float16_manifest(manifest), indent=None)
+        model.metadata_props.pop(NEUTRAL_KEY, None)
         model.metadata_props[MANIFEST_KEY] = text
     tidy(model)
 

@@ -3,7 +3,9 @@
 from collections.abc import Iterator
 
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.probes import NAMED
 from gsgen.contract.probing.run_comparison import Behaviour, Comparison
+from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -81,18 +83,37 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
 
     Hint:
         Export without detaching the input (numpy round trips, `.item()`, Python branches), or set
-        "depends_on": {role: false}.
+        "depends_on": {input or role: false}.
     """
-    generator = behaviour.subject.generator
-    declared = generator.depends_on if generator else {}
     for role, comparisons in behaviour.varied.items():
         if not _leads_anywhere(behaviour.subject, role):
             continue  # another rule reports it
         changes = any(comparison.changed for comparison in comparisons)
-        location = f"role {role}"
-        if declared.get(role, True) and not (changes or _zero_changes(behaviour, role)):
+        location = _location(role)
+        if _depends(behaviour, role) and not (changes or _zero_changes(behaviour, role)):
             actual = f"no output changes with it ({len(comparisons)} variations)"
             yield Violation.at(location, actual, "an effect, or depends_on false")
+
+
+def _inputs_of(subject: InspectedModel, key: str) -> list[Input]:
+    """Return the inputs of a key of ``Behaviour.varied``: a role, or one input."""
+    inputs = subject.manifest.inputs if subject.manifest else ()
+    return [entry for entry in inputs if key in (entry.role, f"{NAMED}{entry.name}")]
+
+
+def _depends(behaviour: Behaviour, key: str) -> bool:
+    """Return whether outputs may change with any of the inputs of a key."""
+    generator = behaviour.subject.generator
+    entries = _inputs_of(behaviour.subject, key)
+    return generator is None or any(map(generator.depends, entries))
+
+
+def _is_of_camera(subject: InspectedModel, key: str) -> bool:
+    return any(entry.role in _OF_CAMERA for entry in _inputs_of(subject, key))
+
+
+def _location(key: str) -> str:
+    return key if key.startswith(NAMED) else f"role {key}"
 
 
 def _zero_changes(behaviour: Behaviour, role: str) -> bool:
@@ -108,7 +129,7 @@ def _zero_changes(behaviour: Behaviour, role: str) -> bool:
 def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
     graph = subject.graph
     used = {name for tensor in graph.outputs for name in graph.ancestors(tensor.name)[0]}
-    return any(tensor.name in used for _, tensor in subject.inputs_of(role))
+    return any(entry.name in used for entry in _inputs_of(subject, role))
 
 
 @rule(
@@ -127,15 +148,14 @@ def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
         shows the time or pose of an earlier frame.
 
     Hint:
-        Remove the role from "depends_on", or set it to true.
+        Remove the name from "depends_on", or set it to true.
     """
-    generator = behaviour.subject.generator
-    declared = generator.depends_on if generator else {}
     for role, comparisons in behaviour.varied.items():
         changed = next((c.changed for c in comparisons if c.changed), None)
-        if changed and role not in _OF_CAMERA and not declared.get(role, True):
+        of_camera = _is_of_camera(behaviour.subject, role)
+        if changed and not of_camera and not _depends(behaviour, role):
             actual = f"output {next(iter(changed))} changes with it"
-            yield Violation.at(f"role {role}", actual, "depends_on true")
+            yield Violation.at(_location(role), actual, "depends_on true")
 
 
 @rule(
@@ -156,9 +176,7 @@ def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Set "depends_on": {"view": true}, or compute the camera-dependent part elsewhere.
     """
-    generator = behaviour.subject.generator
-    declared = generator.depends_on if generator else {}
     for role, comparisons in behaviour.varied.items():
-        if role in _OF_CAMERA and not declared.get(role, True):
+        if _is_of_camera(behaviour.subject, role) and not _depends(behaviour, role):
             for comparison in comparisons:
                 yield from _differences(comparison, f"the same at every {role}")

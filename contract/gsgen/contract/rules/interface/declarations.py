@@ -166,21 +166,21 @@ def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
-    """`depends_on` names only roles of declared inputs.
+    """`depends_on` names only declared inputs and their roles.
 
     Why:
-        A misspelt role says nothing of the one that was meant, which then counts as one that the
+        A misspelt name says nothing of the one that was meant, which then counts as one that the
         outputs depend on: the model runs at every move of a camera that it does not look at.
 
     Hint:
-        Write the role as it stands in the inputs, or remove the entry.
+        Write the name or the role as it stands in the inputs, or remove the entry.
     """
     generator = subject.generator
     if generator is None or subject.candidate is not None:
         return
-    declared_roles = list(dict.fromkeys(entry.role for entry in generator.inputs))
+    known = dict.fromkeys(name for entry in generator.inputs for name in (entry.name, entry.role))
     for role in generator.depends_on:
-        if role not in declared_roles:
-            actual = "no such role" if role not in ROLES else "no input has it"
-            listed = ", ".join(declared_roles) or "none: there are no inputs"
+        if role not in known:
+            actual = "no input has this role" if role in ROLES else "neither an input nor a role"
+            listed = ", ".join(known) or "none: there are no inputs"
             yield Violation.at(f"manifest depends_on {role!r}", actual, f"one of {listed}")

@@ -1,12 +1,14 @@
 """Rules of declared inputs (GI): ranges, defaults and conventions that a runtime can use."""
 
+__all__ = ["declared_inputs", "shape_of"]
+
 from collections.abc import Iterator
 from math import prod
 
 from gsgen.contract.model.graph import static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.manifest import Input, TrajectoryManifest
-from gsgen.contract.spec.roles import KINDS, ROLES
+from gsgen.contract.spec.roles import CONVENTION_SHAPES, KINDS, ROLES, matches_shape
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
@@ -23,7 +25,7 @@ _ROUNDING = 1e-6
 # A runtime knows the camera, the clock, the window and the picture; users set these roles.
 _USER_ROLES = (
     *("pose", "shape", "expression", "root_translation", "root_rotation"),
-    *("appearance_id", "control", "timestep", "conditioning"),
+    *("appearance_id", "control", "timestep", "conditioning", "audio", "condition"),
 )
 
 
@@ -31,11 +33,12 @@ def _place(entry: Input) -> str:
     return f"manifest input {entry.name}"
 
 
-def _entries(subject: InspectedModel) -> tuple[Input, ...]:
+def declared_inputs(subject: InspectedModel) -> tuple[Input, ...]:
+    """Return the inputs that the manifest declares."""
     return subject.manifest.inputs if subject.manifest else ()
 
 
-def _shape(subject: InspectedModel, entry: Input) -> tuple[int, ...] | None:
+def shape_of(subject: InspectedModel, entry: Input) -> tuple[int, ...] | None:
     """Return the size of every axis of an input, from the graph or else from the manifest."""
     tensor = subject.graph.input(entry.name)
     dims = static_dims(tensor) if tensor else None
@@ -61,7 +64,7 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Write "range": [low, high]; for frame numbers, identities and timesteps with whole numbers.
     """
-    for entry in _entries(subject):
+    for entry in declared_inputs(subject):
         if entry.range is None:
             continue
         low, high = entry.range
@@ -92,8 +95,8 @@ def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
         Give one number for all elements, as many as there are (row-major), "zeros", or "identity"
         for matrices and quaternions.
     """
-    for entry in _entries(subject):
-        shape = _shape(subject, entry)
+    for entry in declared_inputs(subject):
+        shape = shape_of(subject, entry)
         if entry.default is None or shape is None:
             continue
         fault = _misfit(entry, shape)
@@ -149,20 +152,23 @@ def input_convention_known(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Name one of the role's conventions, as the page of roles lists them, or none.
     """
-    for entry in _entries(subject):
+    for entry in declared_inputs(subject):
         if entry.convention is None:
             continue
-        known, shape = ROLES[entry.role].conventions, _shape(subject, entry)
+        known, shape = ROLES[entry.role].conventions, shape_of(subject, entry)
         actual = f"convention {entry.convention!r}"
         if entry.convention not in known:
             expected = f"one of {', '.join(known)}" if known else f"none, as {entry.role} has"
             yield Violation.at(_place(entry), actual, expected)
-        elif shape is not None and not _holds(entry.convention, shape):
+        elif shape is not None and not _holds(entry, shape):
             expected = "a shape that can hold it"
             yield Violation.at(_place(entry), f"{actual} for shape {list(shape)}", expected)
 
 
-def _holds(convention: str, shape: tuple[int, ...]) -> bool:
+def _holds(entry: Input, shape: tuple[int, ...]) -> bool:
+    convention = entry.convention
+    if (entry.role, convention) in CONVENTION_SHAPES:
+        return matches_shape(CONVENTION_SHAPES[entry.role, str(convention)], shape)
     if convention == "matrix":
         return shape == (3, 3)
     if convention == "quaternion-wxyz":
@@ -190,7 +196,7 @@ def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
         Declare loop, frames and fps for the roles time and frame_index alone, and the rate that
         the scene was recorded at; leave fps out if it is unknown.
     """
-    for entry in _entries(subject):
+    for entry in declared_inputs(subject):
         timing = {"loop": entry.loop, "fps": entry.fps, "frames": entry.frames}
         declared = [name for name, value in timing.items() if value is not None]
         if declared and entry.role not in _TIMED:
@@ -221,8 +227,8 @@ def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Divide degrees by 180 and multiply by π, in the range and in what is fed.
     """
-    for entry in _entries(subject):
-        shape = _shape(subject, entry)
+    for entry in declared_inputs(subject):
+        shape = shape_of(subject, entry)
         if entry.role not in _ROTATIONS or entry.range is None or shape is None:
             continue
         is_vector = shape[-1:] == (_AXIS_ANGLE,) and entry.convention != "matrix"
@@ -253,7 +259,7 @@ def input_has_a_start(subject: InspectedModel) -> Iterator[Violation]:
     """
     if subject.candidate is not None:
         return
-    for entry in _entries(subject):
+    for entry in declared_inputs(subject):
         if entry.role in _USER_ROLES and entry.default is None:
             low = "zeros" if entry.range is None else f"{entry.range[0]:g}, the low end,"
             actual = f"role {entry.role} without a default: {low} would be fed"

@@ -212,15 +212,15 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
 
     Hint:
         Export without detaching the input (numpy round trips, `.item()`, Python branches), remove
-        it, or set "depends_on": {role: false}.
+        it, or set "depends_on": {input or role: false}.
     """
     graph, generator = subject.graph, subject.generator
-    idle = generator.depends_on if generator else {}
     used: set[str] = set()
     for tensor in graph.outputs:
         used |= graph.ancestors(tensor.name)[0]
     for entry in subject.manifest.inputs if subject.manifest else ():
-        if entry.name not in used and idle.get(entry.role, True):
+        expected = generator is None or generator.depends(entry)
+        if entry.name not in used and expected:
             yield Violation.at(
                 f"input {entry.name}",
                 "no output depends on it",

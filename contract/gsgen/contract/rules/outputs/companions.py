@@ -5,13 +5,10 @@ from collections.abc import Iterator
 from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.manifest import ImageOutput, PostProcessManifest, TrajectoryManifest
-from gsgen.contract.spec.roles import POST_PROCESS, TRAJECTORY
+from gsgen.contract.spec.roles import POST_PROCESS, STATE_SIZES, TRAJECTORY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
-
-# Numbers in a camera state: the centre, then the rotation.
-_STATE = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
 
 
 @rule(
@@ -92,7 +89,7 @@ def states_as_declared(subject: InspectedModel) -> Iterator[Violation]:
     if not isinstance(manifest, TrajectoryManifest):
         return
     future, doubt = manifest.outputs.future, manifest.outputs.uncertainty
-    state, graph = _STATE[future.representation], subject.graph
+    state, graph = STATE_SIZES[future.representation], subject.graph
     doubt_size = {"covariance-upper": state * (state + 1) // 2}.get(doubt.semantics, state)
     for name, expected in ((future.name, state), (doubt.name, doubt_size)):
         yield from _check_size(graph.output(name), f"output {name}", (future.steps, expected))

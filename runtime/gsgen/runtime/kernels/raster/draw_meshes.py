@@ -324,7 +324,7 @@ def _direction_reference(
 def _angles(
     uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "2 1 w"], Float[np.ndarray, "2 h 1"]]:
-    """Split the ray numbers into those of pixel columns and those of pixel rows."""
+    """Split ray directions into those of pixel columns and those of pixel rows."""
     width, angles = int(uniform["size"][0]), rays.T.astype(np.float64)
     return angles[:, None, :width], angles[:, width:, None]
 

@@ -50,7 +50,7 @@ class OrderTies:
         order: Buffer,
         *origins: Buffer,
     ) -> Step:
-        """Return the dispatch that sorts ties.
+        """Return the dispatch that sorts splats of equal depth keys.
 
         Args:
             capacity: Most splats.
@@ -75,5 +75,5 @@ def order_ties_reference(
     origins: UInt32[np.ndarray, " m"],
     order: UInt32[np.ndarray, " n"],
 ) -> UInt32[np.ndarray, " n"]:
-    """Sort ``order`` as ``order_ties.wgsl`` must if no tie is longer than MOST_TIED."""
+    """Sort splats by key, remainder and set: the reference of ``order_ties.wgsl``."""
     return order[np.lexsort((origins[order], lows[order], keys))]

@@ -27,7 +27,7 @@ from gsgen.runtime.kernels.shared.subgroups import lanes
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Layers:
-    """Images with depths among the splats, front to back; splats behind a layer follow it.
+    """Image layers with depths, which are blended among the splats, front to back.
 
     A pixel of a layer is a colour multiplied by its alpha, and the alpha; its depth is along +z,
     or NOWHERE or infinite where the layer is empty. A later layer is nowhere in front of an

@@ -1,0 +1,117 @@
+"""GI rules of skeletons, blend weights and sound."""
+
+from collections.abc import Iterator
+
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.rules.interface.input_declarations import declared_inputs, shape_of
+from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.rule import rule
+
+_SOUND = ("rate", "window", "hop")
+_MEL = "mel"
+_ARKIT = "arkit-52"
+
+
+@rule(
+    "GI030",
+    "joints-fit-pose",
+    Severity.ERROR,
+    over="model",
+    fixture="joint_before_parent",
+    needs=("GM004", "GI005"),
+)
+def joints_fit_pose(subject: InspectedModel) -> Iterator[Violation]:
+    """The joints of a pose are as many as its rows, have names, and come after their parents.
+
+    Why:
+        A tool that retargets motion walks the joints once, from the root outwards, and writes row
+        k by joint k.
+
+    Hint:
+        List one joint for each row, in the order of the rows, parents first.
+    """
+    for entry in declared_inputs(subject):
+        if not entry.joints:
+            continue
+        shape = shape_of(subject, entry)
+        if entry.role != "pose":
+            yield _at(entry, f"role {entry.role} with joints", "role pose")
+        elif shape is not None and len(entry.joints) != shape[0]:
+            yield _at(entry, f"{len(entry.joints)} joints", f"{shape[0]}, one for each row")
+        else:
+            yield from _order_faults(entry)
+
+
+def _order_faults(entry: Input) -> Iterator[Violation]:
+    seen: set[str] = set()
+    for joint in entry.joints:
+        if joint.name in seen:
+            yield _at(entry, f"two joints {joint.name!r}", "different names")
+        if joint.parent is not None and joint.parent not in seen:
+            actual = f"joint {joint.name!r} before its parent {joint.parent!r}"
+            yield _at(entry, actual, "parents first")
+        seen.add(joint.name)
+
+
+@rule(
+    "GI031",
+    "blend-weights-in-unit-range",
+    Severity.WARNING,
+    over="model",
+    fixture="arkit_weights_in_percent",
+    needs=("GM004", "GI015"),
+)
+def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
+    """The range of ARKit's blend weights lies in [0, 1].
+
+    Why:
+        Trackers send weights from 0 to 1. A model that expects percent does not move its face.
+
+    Hint:
+        Divide by 100 in the model, and declare "range": [0, 1].
+    """
+    for entry in declared_inputs(subject):
+        if entry.convention == _ARKIT and entry.range is not None:
+            low, high = entry.range
+            if not 0 <= low <= high <= 1:
+                yield _at(entry, f"range {[low, high]}", "within [0, 1]")
+
+
+@rule(
+    "GI032",
+    "sound-described",
+    Severity.ERROR,
+    over="model",
+    fixture="sound_without_rate",
+    needs=("GM004", "GI015"),
+)
+def sound_described(subject: InspectedModel) -> Iterator[Violation]:
+    """Sound has a rate, and mel columns a window and a hop; no other input has them.
+
+    Why:
+        A runtime that resamples a microphone to an assumed rate moves the lips at another speed.
+
+    Hint:
+        Declare "rate" in samples per second; for mel also "window" and "hop", in samples.
+    """
+    for entry in declared_inputs(subject):
+        declared = [name for name in _SOUND if getattr(entry, name) is not None]
+        if entry.role != "audio":
+            if declared:
+                yield _at(entry, f"role {entry.role} with {', '.join(declared)}", "role audio")
+            continue
+        shape = shape_of(subject, entry)
+        is_mel = entry.convention == _MEL or (shape is not None and len(shape) > 1)
+        needed = _SOUND if is_mel else _SOUND[:1]
+        missing = [name for name in needed if name not in declared]
+        if missing:
+            yield _at(entry, f"no {', '.join(missing)}", f"{', '.join(needed)} of the sound")
+        elif is_mel and (entry.hop or 0) > (entry.window or 0):
+            actual = f"hop {entry.hop} beyond the window {entry.window}"
+            yield _at(entry, actual, "hop <= window, so that no sample is skipped")
+
+
+def _at(entry: Input, actual: str, expected: str) -> Violation:
+    return Violation.at(f"manifest input {entry.name}", actual, expected)

@@ -1,0 +1,188 @@
+"""GM rules of what a reader must know and run: extensions, operator profiles, costs, units."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY
+from gsgen.contract.spec.layout import ROW
+from gsgen.contract.spec.manifest import GeneratorManifest, TrajectoryManifest
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
+from gsgen.contract.spec.reader_needs import PROFILES, REGISTERED
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import format_bytes
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import MANIFEST_PARSED
+from gsgen.contract.validation.rule import rule
+
+_MOST_NAMED = 5
+
+
+@rule(
+    "GM030",
+    "required-extensions-used",
+    Severity.ERROR,
+    over="model",
+    fixture="extension_required_alone",
+    kinds=KINDS,
+    needs=MANIFEST_PARSED,
+)
+def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
+    """Every extension in `extensions_required` also stands in `extensions_used`.
+
+    Why:
+        A tool lists what a collection of models uses by the second field alone.
+
+    Hint:
+        Add the name to "extensions_used".
+    """
+    manifest = subject.manifest
+    used = manifest.extensions_used if manifest else ()
+    for name in manifest.extensions_required if manifest else ():
+        if name not in used:
+            actual = f"{name} is not in extensions_used"
+            yield Violation.at("manifest extensions_required", actual, f"{name} in both lists")
+
+
+@rule(
+    "GM031",
+    "required-extensions-known",
+    Severity.WARNING,
+    over="model",
+    fixture="extension_unregistered",
+    kinds=KINDS,
+    needs=("GM030",),
+)
+def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
+    """Every required extension is registered.
+
+    Why:
+        A reader refuses a model that requires what it does not know; an extension that nobody else
+        can look up closes the model to all readers but one.
+
+    Hint:
+        Register the extension as the page of extensions says, or do not require it.
+    """
+    for name in subject.manifest.extensions_required if subject.manifest else ():
+        if name not in REGISTERED:
+            known = ", ".join(REGISTERED) or "none is registered yet"
+            expected = f"a registered extension ({known})"
+            yield Violation.at("manifest extensions_required", name, expected)
+
+
+@rule(
+    "GM032",
+    "operator-profile-holds",
+    Severity.ERROR,
+    over="model",
+    fixture="operator_outside_profile",
+    kinds=KINDS,
+    needs=(*MANIFEST_PARSED, "GG019"),
+)
+def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
+    """The graph has only operators and operator sets of the declared profile.
+
+    Why:
+        A runtime with the operators of a profile accepts the model for its word, and fails at
+        load or in the middle of a frame.
+
+    Hint:
+        Replace the operators, with `gsgen rewrite` for example, or remove "operator_profile".
+    """
+    name = subject.manifest.operator_profile if subject.manifest else None
+    if name is None:
+        return
+    if name not in PROFILES:
+        expected = f"one of {', '.join(PROFILES)}"
+        yield Violation.at("manifest operator_profile", repr(name), expected)
+        return
+    profile = PROFILES[name]
+    opset = max(
+        (o.version for o in subject.file.proto.opset_import if o.domain in MAIN_DOMAIN), default=0
+    )
+    if not profile.opset[0] <= opset <= profile.opset[1]:
+        expected = f"{profile.opset[0]} to {profile.opset[1]}, as {name} has"
+        yield Violation.at("manifest operator_profile", f"operator set {opset}", expected)
+    missing = profile.missing(node.op_type for node in subject.graph.all_nodes())
+    if missing:
+        more = f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
+        actual = f"{', '.join(missing[:_MOST_NAMED])}{more} in the graph"
+        yield Violation.at("manifest operator_profile", actual, f"operators of {name} alone")
+
+
+@rule(
+    "GM034",
+    "cost-plausible",
+    Severity.WARNING,
+    over="model",
+    fixture="cost_below_outputs",
+    needs=("GM005",),
+)
+def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
+    """A declared memory holds at least one frame of packed rows.
+
+    Why:
+        A scheduler that plans by a number that is too small runs out of memory.
+
+    Hint:
+        Measure the peak memory of a session with `gsgen bench`, in bytes.
+    """
+    generator, declared = subject.generator, subject.declared_gaussians
+    if generator is None or declared is None:
+        return
+    frame = declared.capacity * ROW * np.dtype(declared.dtype).itemsize
+    for number, entry in enumerate(generator.cost):
+        if entry.bytes is not None and entry.bytes < frame:
+            expected = f"at least {format_bytes(frame)}, the packed rows"
+            yield Violation.at(f"manifest cost.{number}", format_bytes(entry.bytes), expected)
+
+
+@rule(
+    "GM035",
+    "manifest-keys-agree",
+    Severity.ERROR,
+    over="model",
+    fixture="two_manifests",
+    kinds=KINDS,
+)
+def manifest_keys_agree(subject: InspectedModel) -> Iterator[Violation]:
+    """A model with both metadata keys has the same manifest under each.
+
+    Why:
+        One reader looks under one key, the next under the other: the same file is two models.
+
+    Hint:
+        Keep one of the two, or write the same text under both.
+    """
+    texts = {subject.file.metadata.get(key) for key in (MANIFEST_KEY, NEUTRAL_KEY)} - {None}
+    if len(texts) > 1:
+        actual = f"{MANIFEST_KEY} and {NEUTRAL_KEY} differ"
+        yield Violation.at("metadata_props", actual, "one manifest")
+
+
+@rule(
+    "GM036",
+    "unit-agrees-with-scale",
+    Severity.ERROR,
+    over="model",
+    fixture="metre_of_a_foot",
+    kinds=KINDS,
+    needs=MANIFEST_PARSED,
+)
+def unit_agrees_with_scale(subject: InspectedModel) -> Iterator[Violation]:
+    """The unit `metre` is one metre long.
+
+    Why:
+        One reader takes the unit, the next the length: the scene is placed at two sizes.
+
+    Hint:
+        Write "unit": "arbitrary" beside a "metres_per_unit" other than 1.
+    """
+    manifest = subject.manifest
+    declares_space = isinstance(manifest, (GeneratorManifest, TrajectoryManifest))
+    space = manifest.space if declares_space else None
+    if space is not None and space.unit == "metre" and space.metres_per_unit not in (None, 1.0):
+        actual = f"unit metre with {space.metres_per_unit:g} metres_per_unit"
+        yield Violation.at("manifest space", actual, "1, or unit arbitrary")

@@ -1,0 +1,102 @@
+"""GM and GS rules of files beside a model: inputs of test vectors, digests of weights."""
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.run_comparison import ProbeRuns
+from gsgen.contract.spec.manifest import VectorFile
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import MANIFEST_PARSED
+from gsgen.contract.validation.rule import rule
+
+_CHUNK = 1 << 20
+
+
+def _digest(path: Path) -> str:
+    hasher = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(_CHUNK):
+            hasher.update(chunk)
+    return hasher.hexdigest()
+
+
+def _fault(folder: Path, location: str, sha256: str) -> tuple[str, str] | None:
+    """Return the fault of a file beside the model and the expectation, or None."""
+    path = folder / location
+    if "\0" in location or not path.resolve().is_relative_to(folder.resolve()):
+        return "leads out of the model's folder", "a file in it or below"
+    if not path.is_file():
+        return "no such file", "a file beside the model"
+    actual = _digest(path)
+    return None if actual == sha256 else (f"sha256 {actual[:12]}…", f"{sha256[:12]}…, as declared")
+
+
+@rule(
+    "GM033",
+    "vector-files-whole",
+    Severity.ERROR,
+    over="model",
+    fixture="vector_file_changed",
+    kinds=KINDS,
+    needs=("GM004",),
+)
+def vector_files_whole(subject: InspectedModel) -> Iterator[Violation]:
+    """The files of a test vector hold all its inputs, lie beside the model, and have their digests.
+
+    Why:
+        A reader in another language feeds these files: with a missing or another one it computes
+        other outputs, and blames its own code.
+
+    Hint:
+        Write them again with `gsgen vectors`, and ship the folder with the model.
+    """
+    manifest, folder = subject.manifest, subject.file.path.parent
+    names = sorted(entry.name for entry in manifest.inputs) if manifest else []
+    for number, vector in enumerate(manifest.test_vectors if manifest else ()):
+        where = f"manifest test_vectors.{number}"
+        if vector.files and sorted(file.input for file in vector.files) != names:
+            listed = ", ".join(file.input for file in vector.files)
+            yield Violation.at(where, f"files for {listed}", f"one for each of {', '.join(names)}")
+        yield from _check_files(where, vector.files, folder)
+
+
+def _check_files(where: str, files: tuple[VectorFile, ...], folder: Path) -> Iterator[Violation]:
+    for file in files:
+        fault = _fault(folder, file.path, file.sha256)
+        if fault is not None:
+            yield Violation.at(where, f"{file.path!r}: {fault[0]}", fault[1])
+
+
+@rule(
+    "GS005",
+    "external-data-unchanged",
+    Severity.ERROR,
+    over="execution",
+    fixture="external_data_changed",
+    kinds=KINDS,
+    needs=(*MANIFEST_PARSED, "GS001"),
+)
+def external_data_unchanged(probe_runs: ProbeRuns) -> Iterator[Violation]:
+    """Files of external data have the digests that the manifest declares, and the model uses them.
+
+    Why:
+        A model and its weights travel as two files. With the weights of another export the model
+        runs, and draws something else.
+
+    Hint:
+        Ship the weights that were exported with the model; after a change, write the digests again.
+    """
+    subject = probe_runs.subject
+    used = {ref.location for ref in subject.file.external}
+    for entry in subject.manifest.external_data if subject.manifest else ():
+        where = f"external data {entry.path!r}"
+        if entry.path not in used:
+            yield Violation.at(where, "no weight lies there", "a file that the model uses")
+            continue
+        fault = _fault(subject.file.path.parent, entry.path, entry.sha256)
+        if fault is not None:
+            yield Violation.at(where, *fault)

@@ -1,0 +1,81 @@
+"""What a reader must know to read a model: the registry of extensions, and operator profiles."""
+
+__all__ = ["PROFILES", "REGISTERED", "Extension", "OperatorProfile", "smallest_profile"]
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Extension:
+    """A registered extension.
+
+    Attributes:
+        name: The field that holds its data, such as ``x-studio-relight``.
+        owner: Who maintains its specification.
+        page: Where its specification is published.
+    """
+
+    name: str
+    owner: str
+    page: str
+
+
+# None is registered yet. An entry is added as docs/spec/extensions.md says.
+REGISTERED: dict[str, Extension] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorProfile:
+    """A set of operators of the ONNX domain, and the operator sets that define them.
+
+    Attributes:
+        name: What ``operator_profile`` says.
+        opset: Lowest and highest operator set.
+        operators: Names of the operators.
+        summary: One sentence for people.
+    """
+
+    name: str
+    opset: tuple[int, int]
+    operators: frozenset[str]
+    summary: str
+
+    def missing(self, operators: Iterable[str]) -> list[str]:
+        """Return the operators that the profile does not have, sorted."""
+        return sorted(set(operators) - self.operators)
+
+    def holds(self, operators: Iterable[str], opset: int) -> bool:
+        """Return whether a runtime of this profile runs a graph of ``operators``."""
+        return self.opset[0] <= opset <= self.opset[1] and not self.missing(operators)
+
+
+_PORTABLE = """
+Abs Acos Acosh Add And ArgMax ArgMin Asin Asinh Atan Atanh AveragePool BatchNormalization Cast
+CastLike Ceil Clip Concat Constant Conv ConvTranspose Cos Cosh CumSum DepthToSpace
+DequantizeLinear Div Einsum Elu Equal Erf Exp Expand Flatten Floor Gather GatherElements
+GatherND Gemm GlobalAveragePool Greater GreaterOrEqual HardSigmoid HardSwish Identity
+InstanceNormalization LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax
+LpNormalization MatMul Max MaxPool Min Mul Neg Not PRelu Pad Pow Reciprocal ReduceL1 ReduceL2
+ReduceLogSumExp ReduceMax ReduceMean ReduceMin ReduceProd ReduceSum ReduceSumSquare Relu
+Reshape Resize ScatterElements ScatterND Shape Sigmoid Sin Sinh Slice Softmax Softplus Split
+Sqrt Squeeze Sub Tan Tanh ThresholdedRelu Tile TopK Transpose Trilu Unsqueeze Where
+"""
+
+PROFILES = {
+    profile.name: profile
+    for profile in (
+        OperatorProfile(
+            "portable-1",
+            (13, 20),
+            frozenset(_PORTABLE.split()),
+            "What ONNX Runtime's WebGPU providers capture in float32; no control flow.",
+        ),
+    )
+}
+
+
+def smallest_profile(operators: Iterable[str], opset: int) -> str | None:
+    """Return the name of the first profile that holds a graph, or None."""
+    names = set(operators)
+    return next((p.name for p in PROFILES.values() if p.holds(names, opset)), None)

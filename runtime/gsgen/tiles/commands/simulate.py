@@ -1,0 +1,122 @@
+"""`gsgen tiles simulate`: how a tileset streams along a path, over a network."""
+
+__all__ = ["simulate"]
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gsgen.contract.errors import ConfigInvalid
+
+
+class PolicyName(StrEnum):
+    """The policies of the client."""
+
+    REACTIVE = "reactive"
+    PREDICTIVE = "predictive"
+    ORACLE = "oracle"
+    ALL = "all"
+
+
+TilesetArgument = Annotated[
+    str,
+    typer.Argument(
+        help="tileset.json, its folder, a .3tz archive, or an address (http, https).",
+        show_default=False,
+    ),
+]
+PathOption = Annotated[
+    Path,
+    typer.Option(
+        help="CSV t,x,y,z,qw,qx,qy,qz: camera to tileset, OpenCV axes, a frame a row.",
+        show_default=False,
+    ),
+]
+NetworkOption = Annotated[
+    Path,
+    typer.Option(
+        help="CSV t,mbps: megabits a second from each time on; the last for ever.",
+        show_default=False,
+    ),
+]
+PolicyOption = Annotated[
+    PolicyName,
+    typer.Option(
+        help="Ask for seen tiles (reactive), also for predicted ones, or for those that the "
+        "path will see (oracle); all compares them."
+    ),
+]
+
+
+def simulate(
+    tileset: TilesetArgument,
+    path: PathOption,
+    network: NetworkOption,
+    policy: PolicyOption = PolicyName.REACTIVE,
+    predictor: Annotated[
+        str, typer.Option(help="constant-velocity, none, or an ONNX file.", metavar="NAME|FILE")
+    ] = "constant-velocity",
+    width: Annotated[int, typer.Option(help="Of the image, in pixels.", min=1)] = 1280,
+    height: Annotated[int, typer.Option(help="Of the image, in pixels.", min=1)] = 720,
+    fov: Annotated[float, typer.Option(help="Vertical field of view, in degrees.")] = 50.0,
+    sse: Annotated[
+        float, typer.Option(help="Screen-space error, in pixels, above which tiles are refined.")
+    ] = 16.0,
+    rtt: Annotated[
+        float, typer.Option(help="Milliseconds from a request to its first byte.", min=0)
+    ] = 50.0,
+    connections: Annotated[
+        int, typer.Option(help="How many requests may run at once.", min=1, max=64)
+    ] = 1,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw loaded tiles and received bytes over time.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Stream TILESET along a camera path over a simulated network, on a virtual clock.
+
+    Planner and predictor are those of the viewer. Equal arguments give equal results. Exits 0,
+    2 for wrong options, or 4 if a file cannot be read.
+    """
+    from gsgen.tiles.loading import load_tileset
+    from gsgen.tiles.prediction.predictors import predictor_maker
+    from gsgen.tiles.prediction.prefetch import ViewSettings
+    from gsgen.tiles.selection.tile_tree import TileTree
+    from gsgen.tiles.simulate import client
+    from gsgen.tiles.simulate.report import format_table, metrics_document, write_plot
+    from gsgen.tiles.simulate.tables import read_path, read_trace
+    from gsgen.tiles.stores.opening import open_store
+
+    for name, value, most in (("--fov", fov, 180.0), ("--sse", sse, float("inf"))):
+        if not 0 < value < most:
+            raise ConfigInvalid(f"is {value}, expected above 0 and below {most:g}", where=name)
+    make_predictor = predictor_maker(predictor)
+    poses, trace = read_path(path), read_trace(network)
+    store, index = open_store(tileset)
+    with store:
+        tree = TileTree.of_tileset(load_tileset(store, index, name=tileset), store)
+    policies = client.POLICIES if policy is PolicyName.ALL else (client.policy_named(policy),)
+    simulations = [
+        client.simulate(
+            tree,
+            poses,
+            trace,
+            policy=entry,
+            predictor=make_predictor,
+            view=ViewSettings(width=width, height=height, fov_y=fov, max_error=sse),
+            rtt=rtt / 1000,
+            connections=connections,
+        )
+        for entry in policies
+    ]
+    if plot is not None:
+        write_plot(simulations, plot)
+    if not as_json:
+        typer.echo(format_table(simulations))
+    elif len(simulations) == 1:
+        typer.echo(json.dumps(metrics_document(simulations[0])))
+    else:
+        typer.echo(json.dumps([metrics_document(entry) for entry in simulations]))

@@ -1,0 +1,93 @@
+"""Camera poses over time: differences of rotations, and interpolation."""
+
+__all__ = [
+    "Pose",
+    "interpolate",
+    "matrix_quaternion",
+    "quaternion_product",
+    "rotation_quaternion",
+    "rotation_vector",
+]
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float64
+
+Quaternion = Float64[np.ndarray, " 4"]
+Vector = Float64[np.ndarray, " 3"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Where a camera was at a time.
+
+    Attributes:
+        time: In seconds.
+        position: Camera centre, in the root frame.
+        quaternion: Camera → root frame, (w, x, y, z), unit length; OpenCV axes.
+    """
+
+    time: float
+    position: Vector
+    quaternion: Quaternion
+
+
+def quaternion_product(first: Quaternion, second: Quaternion) -> Quaternion:
+    """Return the rotation ``second`` followed by ``first``."""
+    w, v, s, u = first[0], first[1:], second[0], second[1:]
+    return np.asarray(np.r_[w * s - v @ u, w * u + s * v + np.cross(v, u)])
+
+
+def matrix_quaternion(rotation: Float64[np.ndarray, "3 3"]) -> Quaternion:
+    """Return the unit quaternion of a rotation matrix (Bar-Itzhack 2000)."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    symmetric = np.array(
+        [
+            [a + e + i, h - f, c - g, d - b],
+            [h - f, a - e - i, b + d, c + g],
+            [c - g, b + d, e - a - i, f + h],
+            [d - b, c + g, f + h, i - a - e],
+        ]
+    )
+    quaternion = np.linalg.eigh(symmetric)[1][:, -1]
+    return np.asarray(quaternion if quaternion[0] >= 0 else -quaternion)
+
+
+def rotation_vector(quaternion: Quaternion) -> Vector:
+    """Return axis × angle in radians, the angle at most π: the same for q and −q."""
+    if quaternion[0] < 0:
+        quaternion = -quaternion
+    sine = float(np.linalg.norm(quaternion[1:]))
+    if sine < 1e-12:
+        return 2 * quaternion[1:]
+    return np.asarray(quaternion[1:] * (2 * np.arctan2(sine, quaternion[0]) / sine))
+
+
+def rotation_quaternion(vector: Vector) -> Quaternion:
+    """Return the unit quaternion of axis × angle."""
+    angle = float(np.linalg.norm(vector))
+    scale = 0.5 if angle < 1e-12 else np.sin(angle / 2) / angle
+    quaternion = np.r_[np.cos(angle / 2), vector * scale]
+    return np.asarray(quaternion / np.linalg.norm(quaternion))
+
+
+def interpolate(poses: Sequence[Pose], time: float) -> Pose:
+    """Return the pose at ``time`` between ``poses``, which ascend; held before and after them.
+
+    Positions go straight, rotations at constant speed the shorter way round.
+    """
+    if time <= poses[0].time or len(poses) == 1:
+        return Pose(time, poses[0].position, poses[0].quaternion)
+    if time >= poses[-1].time:
+        return Pose(time, poses[-1].position, poses[-1].quaternion)
+    after = next(index for index, pose in enumerate(poses) if pose.time >= time)
+    low, high = poses[after - 1], poses[after]
+    share = (time - low.time) / (high.time - low.time)
+    inverse = low.quaternion * [1, -1, -1, -1]
+    turn = rotation_vector(quaternion_product(high.quaternion, inverse))
+    quaternion = quaternion_product(rotation_quaternion(turn * share), low.quaternion)
+    return Pose(time, low.position + share * (high.position - low.position), quaternion)

@@ -1,0 +1,51 @@
+"""Open predictors by name or file."""
+
+__all__ = ["NAMES", "predictor_maker"]
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final, final
+
+from gsgen.contract.errors import UnknownName
+from gsgen.tiles.prediction.poses import Pose
+from gsgen.tiles.prediction.predictor import ConstantVelocity, Prediction, Predictor
+
+
+@final
+class _NoPredictor:
+    """Predicts nothing, so that nothing is prefetched."""
+
+    name, reach = "none", 0.0
+
+    def observe(self, pose: Pose) -> None:
+        del pose
+
+    def predict(self, ahead: Sequence[float]) -> Prediction | None:
+        del ahead
+        return None
+
+
+NAMES: Final[dict[str, Callable[[], Predictor]]] = {
+    "constant-velocity": ConstantVelocity,
+    "none": _NoPredictor,
+}
+
+
+def predictor_maker(name: str) -> Callable[[], Predictor]:
+    """Return what makes the predictor ``name``, one for each path.
+
+    Args:
+        name: One of :data:`NAMES`, or the path of an ONNX file of kind trajectory-predictor.
+
+    Raises:
+        UnknownName: There is neither a predictor nor a file of that name.
+        InputUnreadable: The file is not such a model.
+    """
+    if name in NAMES:
+        return NAMES[name]
+    path = Path(name)
+    if not path.is_file() and path.suffix.lower() != ".onnx":
+        raise UnknownName.among("predictor", name, NAMES)
+    from gsgen.tiles.prediction.onnx_predictor import TrajectoryModel
+
+    return TrajectoryModel.open(path).predictor

@@ -1,0 +1,192 @@
+"""Prefetch: which tiles will be wanted soon, by prediction or by knowing the path."""
+
+__all__ = ["HorizonPrefetch", "PathPrefetch", "Prefetch", "ViewSettings"]
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol, final
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from gsgen.tiles.prediction.poses import Pose, quaternion_product, rotation_quaternion
+from gsgen.tiles.prediction.predictor import Prediction, Predictor
+from gsgen.tiles.selection.cut import cut_tree, cut_tree_often
+from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.tile_tree import TileTree
+
+HORIZON: Final = 2.0
+"""Seconds ahead for which tiles are fetched."""
+MOST_WASTE: Final = 0.15
+"""Share of the bytes that may be wasted: above it the horizon is halved."""
+
+_SHARES: Final = (0.125, 0.25, 0.5, 1.0)  # of the horizon: the moments that are looked at
+_TRUST: Final = (1.0, 0.9, 0.75, 0.6)  # of the largest waste: later moments leave room for sooner
+_LEAST_PROBABILITY: Final = 0.5
+_INTERVAL: Final = 0.1  # seconds between plans
+_STATE: Final = 6
+_LEAST_HORIZON: Final = 0.125
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewSettings:
+    """The image and the error of the client.
+
+    Attributes:
+        width: In pixels.
+        height: In pixels.
+        fov_y: Vertical field of view, in degrees.
+        max_error: Screen-space error above which tiles are refined, in pixels.
+    """
+
+    width: int = 1280
+    height: int = 720
+    fov_y: float = 50.0
+    max_error: float = 16.0
+
+    def frustum(
+        self, position: Float64[np.ndarray, " 3"], quaternion: Float64[np.ndarray, " 4"]
+    ) -> Frustum:
+        """Return the frustum of a pose."""
+        return Frustum.from_pose(
+            position, quaternion, width=self.width, height=self.height, fov_y=self.fov_y
+        )
+
+
+class Prefetch(Protocol):
+    """Says which tiles will be wanted."""
+
+    def observe(self, pose: Pose, waste: float) -> None:
+        """Note the pose of a frame, and the share of bytes that were wasted so far."""
+        ...
+
+    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[tuple[int, float]]:
+        """Return tiles that are not loaded and will be wanted, the most urgent first.
+
+        Each comes with the share of the largest waste that may be risked for it.
+        """
+        ...
+
+
+@final
+class HorizonPrefetch:
+    """Prefetches what a predictor expects to be seen within a horizon.
+
+    Sixteen sigma points stand for the uncertainty of each predicted pose: the pose itself four
+    times, and √6 standard deviations to both sides of it in each of the six dimensions
+    (Julier and Uhlmann 1997). The probability of a tile is the share of the points that see it.
+
+    Args:
+        tree: The tiles.
+        predictor: Of the camera.
+        frustum_at: Returns the frustum of a position and a quaternion.
+        max_error: Screen-space error above which tiles are refined, in pixels.
+    """
+
+    def __init__(
+        self,
+        tree: TileTree,
+        predictor: Predictor,
+        frustum_at: Callable[[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 4"]], Frustum],
+        max_error: float,
+    ) -> None:
+        self._tree, self._predictor = tree, predictor
+        self._frustum_at, self._max_error = frustum_at, max_error
+        self.horizon = HORIZON
+        self._time = 0.0
+        self._planned: float | None = None
+        self._order: list[tuple[int, float]] = []
+
+    def observe(self, pose: Pose, waste: float) -> None:
+        """Note a pose; above the largest waste the horizon is halved, once a horizon."""
+        self._predictor.observe(pose)
+        self._time = pose.time
+        if self._planned is not None and self._time - self._planned < _INTERVAL:
+            return
+        self._planned = None
+        longer, shorter = min(HORIZON, self.horizon * 1.05), max(_LEAST_HORIZON, self.horizon / 2)
+        self.horizon = shorter if waste > MOST_WASTE else longer
+
+    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[tuple[int, float]]:
+        """Return the tiles that are likely to be seen, the earliest and coarsest first."""
+        if self._planned is None:
+            self._planned = self._time
+            self._order = self._plan()
+        return [(tile, trust) for tile, trust in self._order if not loaded[tile]]
+
+    def _plan(self) -> list[tuple[int, float]]:
+        reach = min(self.horizon, self._predictor.reach)
+        prediction = self._predictor.predict([reach * share for share in _SHARES])
+        if prediction is None:
+            return []
+        probability = self._probability(prediction)
+        likely = probability >= _LEAST_PROBABILITY
+        rows = np.flatnonzero(likely.any(axis=0))
+        first = likely.argmax(axis=0)[rows]
+        order = np.lexsort((rows, -probability[first, rows], self._tree.level[rows], first))
+        return [(int(rows[row]), _TRUST[first[row]]) for row in order]
+
+    def _probability(self, prediction: Prediction) -> Float64[np.ndarray, "k n"]:
+        """Return how likely each tile is seen at each predicted pose."""
+        frusta, weights = [], []
+        for position, quaternion, deviation in zip(
+            prediction.position, prediction.quaternion, prediction.deviation, strict=True
+        ):
+            frusta.append(self._frustum_at(position, quaternion))
+            weights.append(4 / 16)
+            for sign in (1, -1):
+                for axis in range(_STATE):
+                    offset = np.zeros(_STATE)
+                    offset[axis] = sign * np.sqrt(_STATE) * deviation[axis]
+                    turned = quaternion_product(rotation_quaternion(offset[3:]), quaternion)
+                    frusta.append(self._frustum_at(position + offset[:3], turned))
+                    weights.append(1 / 16)
+        rows, seen = cut_tree_often(self._tree, frusta, self._max_error)
+        points = 1 + 2 * _STATE
+        shares = (seen * np.array(weights)[:, None]).reshape(-1, points, len(rows)).sum(axis=1)
+        probability = np.zeros((len(shares), len(self._tree)))
+        probability[:, rows] = shares
+        return probability
+
+
+@final
+class PathPrefetch:
+    """Prefetches along a path that is known: the bound on every prediction.
+
+    Args:
+        tree: The tiles.
+        path: All poses of the path.
+        frustum_at: Returns the frustum of a position and a quaternion.
+        max_error: Screen-space error above which tiles are refined, in pixels.
+    """
+
+    def __init__(
+        self,
+        tree: TileTree,
+        path: Sequence[Pose],
+        frustum_at: Callable[[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 4"]], Frustum],
+        max_error: float,
+    ) -> None:
+        self._times: list[list[float]] = [[] for _ in tree.tiles]
+        before = np.zeros(len(tree), bool)
+        for pose in path:
+            cut = cut_tree(tree, frustum_at(pose.position, pose.quaternion), max_error)
+            for tile in np.flatnonzero(cut.wanted & ~before).tolist():
+                self._times[tile].append(pose.time)
+            before = cut.wanted
+        self._time = -np.inf
+
+    def observe(self, pose: Pose, waste: float) -> None:
+        """Note the time of a frame."""
+        del waste
+        self._time = pose.time
+
+    def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[tuple[int, float]]:
+        """Return the tiles that will be wanted, the earliest first."""
+        entries = [
+            (next((time for time in times if time > self._time), np.inf), tile)
+            for tile, times in enumerate(self._times)
+            if times and not loaded[tile]
+        ]
+        return [(tile, 1.0) for time, tile in sorted(entries) if time < np.inf]

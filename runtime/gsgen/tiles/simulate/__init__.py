@@ -1,0 +1,1 @@
+"""Simulation: how would a tileset stream along a path, over a network, on a virtual clock?"""

@@ -1,0 +1,144 @@
+"""A simulated network: a rate that varies over time, shared by a few connections."""
+
+__all__ = ["Delivery", "RateTrace", "SimulatedLink", "VirtualClock"]
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+_DONE = 1e-6  # of a byte
+
+
+@final
+class VirtualClock:
+    """A clock that stands still until the simulation moves it."""
+
+    def __init__(self, start: float) -> None:
+        self.time = start
+
+    def now(self) -> float:
+        """Return the simulated time, in seconds."""
+        return self.time
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class RateTrace:
+    """Rates of a network: each holds from its time to the next, the first also before it.
+
+    Attributes:
+        times: In seconds, ascending.
+        rates: In bytes a second, 0 or more; the last one holds for ever.
+    """
+
+    times: Float64[np.ndarray, " n"]
+    rates: Float64[np.ndarray, " n"]
+
+    def rate(self, time: float) -> float:
+        """Return the rate at a time, in bytes a second."""
+        index = int(np.searchsorted(self.times, time, side="right")) - 1
+        return float(self.rates[max(index, 0)])
+
+    def next_change(self, time: float) -> float:
+        """Return when the rate changes after ``time``; infinite if never."""
+        index = int(np.searchsorted(self.times, time, side="right"))
+        if index == 0 and len(self.times) > 1:
+            index = 1
+        return float(self.times[index]) if index < len(self.times) else math.inf
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """A tile that was received whole."""
+
+    tile: int
+    time: float
+
+
+@final
+@dataclass(slots=True)
+class _Transfer:
+    tile: int
+    start: float
+    remaining: float
+
+
+@final
+class SimulatedLink:
+    """Connections that take turns at equal shares of the rate; a request first takes the RTT.
+
+    Args:
+        clock: The time of requests.
+        trace: The rate.
+        size: Bytes of each tile.
+        rtt: Seconds from a request to the first byte.
+        connections: How many requests may run at once.
+    """
+
+    def __init__(
+        self,
+        clock: VirtualClock,
+        trace: RateTrace,
+        size: Int64[np.ndarray, " n"],
+        *,
+        rtt: float,
+        connections: int,
+    ) -> None:
+        self._clock, self._trace, self._size = clock, trace, size
+        self._rtt, self._connections = rtt, connections
+        self._transfers: list[_Transfer] = []
+
+    @property
+    def free(self) -> int:
+        """How many more requests can be made now."""
+        return self._connections - len(self._transfers)
+
+    def request(self, tile: int) -> None:
+        """Begin to fetch a tile now."""
+        start = self._clock.now() + self._rtt
+        self._transfers.append(_Transfer(tile, start, float(self._size[tile])))
+
+    def progress(self, tile: int) -> float:
+        """Return the share of a tile's bytes that were received."""
+        return 1 - self._transfer(tile).remaining / max(float(self._size[tile]), 1.0)
+
+    def cancel(self, tile: int) -> int:
+        """Stop a request; return how many bytes were received."""
+        transfer = self._transfer(tile)
+        self._transfers.remove(transfer)
+        return round(float(self._size[tile]) - transfer.remaining)
+
+    def _transfer(self, tile: int) -> _Transfer:
+        return next(entry for entry in self._transfers if entry.tile == tile)
+
+    def advance(self, until: float) -> Delivery | None:
+        """Move the clock to the next delivery, at most to ``until``.
+
+        Returns:
+            The delivery, or None where the clock reached ``until`` without one.
+        """
+        while True:
+            now = self._clock.now()
+            active = [entry for entry in self._transfers if entry.start <= now]
+            done = [entry for entry in active if entry.remaining <= _DONE]
+            if done:
+                self._transfers.remove(done[0])
+                return Delivery(done[0].tile, now)
+            if now >= until:
+                return None
+            share = self._trace.rate(now) / max(len(active), 1)
+            waiting = [entry.start for entry in self._transfers if entry.start > now]
+            moment = min([until, self._trace.next_change(now), *waiting])
+            if active and share > 0:
+                least = min(entry.remaining for entry in active)
+                moment = min(moment, max(now + least / share, math.nextafter(now, math.inf)))
+            for entry in active:
+                spent = share * (moment - now)
+                left = entry.remaining - spent
+                # Rounding of a late time may leave a part of a byte.
+                entry.remaining = 0.0 if left <= 2 * share * math.ulp(moment) else left
+            self._clock.time = moment

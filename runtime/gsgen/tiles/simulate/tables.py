@@ -1,0 +1,105 @@
+"""Read camera paths and network traces from CSV files."""
+
+__all__ = ["read_path", "read_trace"]
+
+import csv
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.contract.errors import InputUnreadable
+from gsgen.tiles.prediction.poses import Pose
+from gsgen.tiles.simulate.network import RateTrace
+
+PATH_COLUMNS: Final = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
+TRACE_COLUMNS: Final = ("t", "mbps")
+_MOST_BYTES: Final = 256 << 20
+_BITS: Final = 8e-6  # megabits of a byte
+_LEAST_LENGTH: Final = 1e-9
+
+
+def read_path(path: Path) -> list[Pose]:
+    """Read a camera path: CSV ``t,x,y,z,qw,qx,qy,qz``, camera → tileset, OpenCV axes.
+
+    Raises:
+        InputUnreadable: The file is missing or not such a table; the error names the line.
+    """
+    rows = _read_table(path, PATH_COLUMNS)
+    lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    if (short := np.flatnonzero(lengths < _LEAST_LENGTH)).size:
+        line = int(short[0])
+        raise _refuse(path, line + 2, f"quaternion {rows[line, 4:].tolist()}", "a length above 0")
+    quaternions = rows[:, 4:] / lengths[:, None]
+    return [
+        Pose(float(row[0]), row[1:4].copy(), quaternion)
+        for row, quaternion in zip(rows, quaternions, strict=True)
+    ]
+
+
+def read_trace(path: Path) -> RateTrace:
+    """Read a network trace: CSV ``t,mbps``, megabits a second from each time on.
+
+    Raises:
+        InputUnreadable: The file is missing or not such a table; the error names the line.
+    """
+    rows = _read_table(path, TRACE_COLUMNS)
+    if (negative := np.flatnonzero(rows[:, 1] < 0)).size:
+        line = int(negative[0])
+        raise _refuse(path, line + 2, f"{rows[line, 1]:g} Mbps", "0 or more")
+    return RateTrace(rows[:, 0], rows[:, 1] / _BITS)
+
+
+def _read_table(path: Path, columns: tuple[str, ...]) -> Float64[np.ndarray, "n c"]:
+    """Read the named columns of a CSV file as numbers; the first one, time, ascends."""
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise InputUnreadable(
+                f"{path.stat().st_size:,} bytes, expected {_MOST_BYTES:,} or fewer",
+                where=str(path),
+                hint="Split the table.",
+            )
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputUnreadable(
+            f"cannot be read: {reason}",
+            where=str(path),
+            hint=f"Name a CSV file with the columns {','.join(columns)}.",
+        ) from error
+    lines = csv.reader(text.splitlines())
+    header = [name.strip() for name in next(lines, [])]
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise _refuse(path, 1, f"columns {','.join(header)!r:.60}", ",".join(columns))
+    picks = [header.index(name) for name in columns]
+    rows: list[list[float]] = []
+    for fields in lines:
+        if not fields:
+            continue
+        rows.append(_read_row(path, lines.line_num, fields, picks, len(header)))
+        if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
+            expected = f"a time after {rows[-2][0]:g}"
+            raise _refuse(path, lines.line_num, f"t {rows[-1][0]:g}", expected)
+    if not rows:
+        raise _refuse(path, 2, "the table has no rows", "one at least")
+    return np.array(rows, np.float64)
+
+
+def _read_row(
+    path: Path, line: int, fields: list[str], picks: list[int], width: int
+) -> list[float]:
+    if len(fields) != width:
+        raise _refuse(path, line, f"{len(fields)} fields", f"{width}, as in the first line")
+    try:
+        row = [float(fields[pick]) for pick in picks]
+    except ValueError:
+        row = [np.nan]
+    if not np.isfinite(row).all():
+        raise _refuse(path, line, f"{','.join(fields)!r:.60}", "finite numbers")
+    return row
+
+
+def _refuse(path: Path, line: int, actual: str, expected: str) -> InputUnreadable:
+    return InputUnreadable(f"{actual}, expected {expected}", where=f"{path}, line {line}")

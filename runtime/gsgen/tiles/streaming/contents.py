@@ -1,0 +1,107 @@
+"""Turn the contents of tiles into rows that a pool takes as they are."""
+
+__all__ = ["ContentReader"]
+
+from collections.abc import Callable
+from functools import partial
+from typing import final
+
+import numpy as np
+
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients
+from gsgen.runtime.gpu.morton_order import along_curve
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.gltf.placement import join_placed
+from gsgen.tiles.leaves import MAX_CONTENT, decode_tile_content
+from gsgen.tiles.selection.tile_tree import TileTree
+from gsgen.tiles.stores.http_store import HttpStore
+from gsgen.tiles.stores.store import Store
+from gsgen.tiles.streaming.disk_cache import DiskCache
+from gsgen.tiles.streaming.session_frame import TileArrival
+from gsgen.tiles.tileset import Tileset
+
+
+@final
+class ContentReader:
+    """Reads and decodes the contents of tiles; safe to use from many threads.
+
+    Args:
+        store: Of the tileset.
+        tileset: The tileset.
+        tree: Its tiles.
+        cache: Keeps files of a server; None to keep nothing.
+    """
+
+    def __init__(
+        self, store: Store, tileset: Tileset, tree: TileTree, cache: DiskCache | None
+    ) -> None:
+        self._store, self._tileset, self._tree = store, tileset, tree
+        self._cache = cache if isinstance(store, HttpStore) else None
+        degree = tileset.metadata.get("sh_degree")
+        known = isinstance(degree, int) and 0 <= degree <= MAX_DEGREE
+        self.sh_degree = int(degree) if known else MAX_DEGREE  # type: ignore[arg-type]
+
+    def fetch(self, tile: int, on_bytes: Callable[[int], None]) -> list[bytes]:
+        """Return the files of a tile.
+
+        Args:
+            tile: Key of the tile.
+            on_bytes: Called with the number of bytes that came.
+
+        Raises:
+            TilesetInvalid: A file is missing, or cannot be read.
+        """
+        files: list[bytes] = []
+        for content in self._tree.tiles[tile].contents:
+            report = partial(_report_sum, on_bytes, sum(map(len, files)))
+            files.append(self._file(content.uri, report))
+        return files
+
+    def _file(self, uri: str, on_bytes: Callable[[int], None]) -> bytes:
+        if not isinstance(self._store, HttpStore):
+            return self._store.read(uri, limit=MAX_CONTENT)
+        data = self._cache.get(self._store.name, uri) if self._cache else None
+        if data is None:
+            data = self._store.read_whole(uri, on_bytes, MAX_CONTENT)
+            if self._cache:
+                self._cache.put(self._store.name, uri, data)
+        return data
+
+    def decode(self, tile: int, files: list[bytes]) -> TileArrival:
+        """Decode the files of a tile.
+
+        Raises:
+            TilesetInvalid: A file is damaged, or its splats are not as many as declared.
+        """
+        entry = self._tree.tiles[tile]
+        placed = [
+            part
+            for content, data in zip(entry.contents, files, strict=True)
+            for part in decode_tile_content(self._store, self._tileset, entry, content, data)
+        ]
+        count = sum(map(len, placed))
+        declared = entry.metadata.get("splats")
+        if isinstance(declared, int | np.integer) and declared != count:
+            raise TilesetInvalid(
+                f"{count:,} splats",
+                location=entry.contents[0].uri,
+                expected=f"{declared:,}, as the metadata of the tile count",
+                fault=Fault.COUNTS,
+            )
+        channels = 3 * coefficients(self.sh_degree)
+        origin = placed[0].origin if placed else np.zeros(3)
+        rows = np.zeros((count, 10), np.float32)
+        appearance = np.zeros((count, channels), np.float32)
+        if count:
+            data = SplatData.from_splats(join_placed(placed, origin))
+            order = along_curve(data.rows[:, :3])
+            rows[:] = data.rows[order]
+            shared = min(channels, data.appearance.shape[1])
+            appearance[:, :shared] = data.appearance[order, :shared]
+        return TileArrival(tile=tile, rows=rows, appearance=appearance, origin=origin)
+
+
+def _report_sum(on_bytes: Callable[[int], None], before: int, count: int) -> None:
+    """Report bytes of a file after those of the files before it."""
+    on_bytes(before + count)

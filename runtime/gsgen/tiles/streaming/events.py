@@ -1,0 +1,188 @@
+"""Events of a session as JSON lines, which can be replayed without a network."""
+
+__all__ = ["EventLog", "ReplayLink", "read_events"]
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from gsgen.contract.errors import InputUnreadable
+from gsgen.tiles.errors import StoreUnavailable, TilesetInvalid
+from gsgen.tiles.json_values import JsonDict, parse_object
+from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.streaming.fetch import FetchResult
+from gsgen.tiles.streaming.session_frame import SessionFrame, TileArrival
+
+
+@final
+class EventLog:
+    """Writes a line for each frame: time, frustum, answers, and what the session decided.
+
+    Raises:
+        InputUnreadable: The file cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._file = path.open("w", encoding="utf-8")
+        except OSError as error:
+            raise InputUnreadable(
+                f"cannot be written: {error.strerror}",
+                where=str(path),
+                hint="Choose another --log.",
+            ) from error
+
+    def frame(
+        self,
+        time: float,
+        frustum: Frustum,
+        received: Sequence[FetchResult[TileArrival]],
+        frame: SessionFrame,
+    ) -> None:
+        """Write the events of a frame."""
+        event = {
+            "t": time,
+            "planes": frustum.planes.tolist(),
+            "eye": frustum.eye.tolist(),
+            "rotation": frustum.rotation.tolist(),
+            "focal": frustum.focal,
+            "flat": frustum.flat,
+            "received": [result.tile for result in received if result.error is None],
+            "failed": [
+                [result.tile, str(result.error), isinstance(result.error, StoreUnavailable)]
+                for result in received
+                if result.error is not None
+            ],
+            "arrived": [arrival.tile for arrival in frame.arrivals],
+            "evicted": list(frame.evicted),
+            "drawn": [[entry.tile, entry.fade] for entry in frame.drawn],
+            "missing": frame.missing,
+        }
+        self._file.write(json.dumps(event) + "\n")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FrameEvents:
+    """A line of a log.
+
+    Attributes:
+        time: Of the frame, in seconds.
+        frustum: Of the camera.
+        received: Tiles whose contents had come.
+        failed: Tiles that could not be had: key, message, and whether it may pass.
+        drawn: Tiles that were drawn, and their fades.
+        arrived: Tiles that were uploaded.
+        evicted: Tiles that left.
+    """
+
+    time: float
+    frustum: Frustum
+    received: tuple[int, ...]
+    failed: tuple[tuple[int, str, bool], ...]
+    drawn: tuple[tuple[int, float], ...]
+    arrived: tuple[int, ...]
+    evicted: tuple[int, ...]
+
+
+def read_events(path: Path) -> Iterator[FrameEvents]:
+    """Yield the frames of a log.
+
+    Raises:
+        InputUnreadable: The file cannot be read, or a line is not an event.
+    """
+    try:
+        lines = path.read_bytes().splitlines()
+    except OSError as error:
+        raise InputUnreadable(
+            f"cannot be read: {error.strerror}", where=str(path), hint="Name a file of --log."
+        ) from error
+    for number, line in enumerate(lines, 1):
+        values: JsonDict = parse_object(line, f"{path}, line {number}, ").values
+        try:
+            yield FrameEvents(
+                time=float(values["t"]),
+                frustum=Frustum(
+                    planes=np.array(values["planes"], np.float64).reshape(-1, 4),
+                    eye=np.array(values["eye"], np.float64).reshape(3),
+                    rotation=np.array(values["rotation"], np.float64).reshape(3, 3),
+                    focal=float(values["focal"]),
+                    flat=bool(values["flat"]),
+                ),
+                received=tuple(map(int, values["received"])),
+                failed=tuple((int(t), str(m), bool(p)) for t, m, p in values["failed"]),
+                drawn=tuple((int(tile), float(fade)) for tile, fade in values["drawn"]),
+                arrived=tuple(map(int, values["arrived"])),
+                evicted=tuple(map(int, values["evicted"])),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputUnreadable(
+                f"is not an event ({error!r:.60})", where=f"{path}, line {number}"
+            ) from error
+
+
+@final
+class ReplayLink:
+    """A link and a clock that repeat a log: answers come in the frames in which they came.
+
+    Args:
+        read: Returns the decoded content of a tile.
+        connections: Of the session that wrote the log.
+    """
+
+    def __init__(self, read: Callable[[int], TileArrival], connections: int) -> None:
+        self._read, self._connections = read, connections
+        self._requested: set[int] = set()
+        self._events: FrameEvents | None = None
+
+    def begin(self, events: FrameEvents) -> None:
+        """Set the events of the frame that comes next."""
+        self._events = events
+
+    def now(self) -> float:
+        """Return the time of the frame."""
+        assert self._events is not None
+        return self._events.time
+
+    @property
+    def free(self) -> int:
+        """How many more requests can be made now."""
+        return self._connections - len(self._requested)
+
+    def request(self, tile: int) -> None:
+        """Note a request."""
+        self._requested.add(tile)
+
+    def progress(self, tile: int) -> float:
+        """Return 1: a cancellation depends on time, which a log does not repeat."""
+        del tile
+        return 1.0
+
+    def cancel(self, tile: int) -> int:
+        """Forget a request."""
+        self._requested.discard(tile)
+        return 0
+
+    def poll(self) -> list[FetchResult[TileArrival]]:
+        """Return the answers of the frame."""
+        assert self._events is not None
+        results = [FetchResult(t, self._read(t), None) for t in self._events.received]
+        for tile, message, may_pass in self._events.failed:
+            kind = StoreUnavailable if may_pass else TilesetInvalid
+            results.append(FetchResult(tile, None, kind(message)))
+        self._requested -= {result.tile for result in results}
+        return results
+
+    def wait(self, seconds: float) -> None:
+        """Return at once."""
+
+    def close(self) -> None:
+        """Do nothing."""

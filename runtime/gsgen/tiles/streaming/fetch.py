@@ -1,0 +1,157 @@
+"""Fetch and decode the contents of tiles on threads: the link of a real session."""
+
+__all__ = ["FetchLink", "FetchResult"]
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from queue import SimpleQueue
+from threading import Event, Lock, Semaphore, Thread
+from typing import Generic, TypeVar, final
+
+from gsgen.contract.errors import GsgenError
+
+Decoded = TypeVar("Decoded")
+_DECODERS = 2  # threads that decode at once: more would take frames their time
+
+OnBytes = Callable[[int], None]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class FetchResult(Generic[Decoded]):
+    """The answer to a request.
+
+    Attributes:
+        tile: Key of the tile.
+        content: The decoded content; None where ``error`` says why.
+        error: Why there is no content.
+    """
+
+    tile: int
+    content: Decoded | None
+    error: GsgenError | None
+
+
+class _Cancelled(Exception):
+    """The planner stopped the request."""
+
+
+@final
+class _Request:
+    def __init__(self, tile: int) -> None:
+        self.tile, self.received = tile, 0
+        self.is_cancelled = False
+
+    def on_bytes(self, received: int) -> None:
+        self.received = received
+        if self.is_cancelled:
+            raise _Cancelled
+
+
+@final
+class FetchLink(Generic[Decoded]):
+    """Runs each request on a thread of its own, which ends with the process.
+
+    A connection is free again as soon as its bytes are there, while they are decoded.
+
+    Args:
+        fetch: Reads the files of a tile, and reports how many came; called on threads.
+        decode: Decodes them; called on threads.
+        size: Bytes of each tile, for progress.
+        connections: How many requests run at once.
+    """
+
+    def __init__(
+        self,
+        fetch: Callable[[int, OnBytes], list[bytes]],
+        decode: Callable[[int, list[bytes]], Decoded],
+        size: Callable[[int], int],
+        connections: int,
+    ) -> None:
+        self._fetch, self._decode, self._size = fetch, decode, size
+        self._connections = connections
+        self._decoders = Semaphore(_DECODERS)
+        self._active: dict[int, _Request] = {}
+        self._lock = Lock()
+        self._results: SimpleQueue[FetchResult[Decoded]] = SimpleQueue()
+        self._news = Event()
+
+    @property
+    def free(self) -> int:
+        """How many more requests can be made now."""
+        with self._lock:
+            return self._connections - len(self._active)
+
+    def request(self, tile: int) -> None:
+        """Begin to fetch a tile."""
+        request = _Request(tile)
+        with self._lock:
+            self._active[tile] = request
+        Thread(target=self._run, args=(request,), name="gsgen-fetch", daemon=True).start()
+
+    def progress(self, tile: int) -> float:
+        """Return the share of a tile's bytes that came; 1 while they are decoded."""
+        with self._lock:
+            request = self._active.get(tile)
+        return 1.0 if request is None else request.received / max(self._size(tile), 1)
+
+    def cancel(self, tile: int) -> int:
+        """Stop a request whose bytes are not all there; return how many came."""
+        with self._lock:
+            request = self._active.pop(tile, None)
+            if request is None:  # its bytes have come in the meantime
+                return 0
+            request.is_cancelled = True
+            return request.received
+
+    def poll(self) -> list[FetchResult[Decoded]]:
+        """Return the answers since the last call."""
+        self._news.clear()
+        results = []
+        while not self._results.empty():
+            results.append(self._results.get())
+        return results
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until there is an answer, at most ``seconds``."""
+        self._news.wait(seconds)
+
+    def close(self) -> None:
+        """Stop all requests; threads end after the piece that they are reading."""
+        with self._lock:
+            for request in self._active.values():
+                request.is_cancelled = True
+            self._active.clear()
+
+    def _run(self, request: _Request) -> None:
+        try:
+            data = self._fetch(request.tile, request.on_bytes)
+        except _Cancelled:
+            return
+        except GsgenError as error:
+            if self._finish(request):
+                self._answer(FetchResult(request.tile, None, error))
+            return
+        if self._finish(request):
+            with self._decoders:
+                self._decode_and_answer(request.tile, data)
+
+    def _finish(self, request: _Request) -> bool:
+        """Free the connection; return whether anybody still wants the answer."""
+        with self._lock:
+            if request.is_cancelled:
+                return False
+            del self._active[request.tile]
+            return True
+
+    def _decode_and_answer(self, tile: int, data: list[bytes]) -> None:
+        try:
+            content = self._decode(tile, data)
+        except GsgenError as error:
+            self._answer(FetchResult(tile, None, error))
+        else:
+            self._answer(FetchResult(tile, content, None))
+
+    def _answer(self, result: FetchResult[Decoded]) -> None:
+        self._results.put(result)
+        self._news.set()

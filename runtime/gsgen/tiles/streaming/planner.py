@@ -1,0 +1,189 @@
+"""The planner of requests: demand first, then what will be wanted."""
+
+__all__ = ["Link", "RequestPlanner"]
+
+from dataclasses import dataclass
+from typing import Final, Protocol, final
+
+import numpy as np
+from jaxtyping import Bool, Int64
+
+from gsgen.tiles.prediction.poses import Pose
+from gsgen.tiles.prediction.prefetch import HORIZON, MOST_WASTE, PathPrefetch, Prefetch
+from gsgen.tiles.selection.cut import Cut, request_order
+from gsgen.tiles.selection.tile_tree import TileTree
+from gsgen.tiles.streaming.metrics import MetricsRecorder
+
+CANCEL_BELOW: Final = 0.5
+"""A request is cancelled only below this share of its bytes."""
+
+_MOST_UNSEEN: Final = 0.25  # of the bytes: those that may still be seen included
+_PATIENCE: Final = 2 * HORIZON  # seconds after which a prefetched tile counts as wasted
+_PRIOR: Final = 4.0  # prefetched tiles, half of them seen, that precision begins with
+
+
+class Link(Protocol):
+    """Connections to a store, real or simulated."""
+
+    @property
+    def free(self) -> int:
+        """How many more requests can be made now."""
+        ...
+
+    def request(self, tile: int) -> None:
+        """Begin to fetch the contents of a tile."""
+        ...
+
+    def progress(self, tile: int) -> float:
+        """Return the share of a tile's bytes that were received."""
+        ...
+
+    def cancel(self, tile: int) -> int:
+        """Stop a request; return how many bytes were received."""
+        ...
+
+
+@final
+@dataclass(slots=True, eq=False)
+class _InFlight:
+    """A request that has no answer yet."""
+
+    is_prefetch: bool
+
+
+@final
+class RequestPlanner:
+    """Keeps the connections of a link busy, in the order in which tiles are needed.
+
+    Seen tiles come first, by level, screen-space error and index. Only while none of them is
+    missing, tiles of ``prefetch`` are asked for, as long as the expected waste stays in its bound:
+    the planner measures how many of the prefetched tiles are seen. When a seen tile is missing,
+    prefetches that are less than half done stop.
+
+    Args:
+        tree: The tiles.
+        link: The connections.
+        recorder: Receives requests and cancellations.
+        prefetch: None for a client that only reacts.
+    """
+
+    def __init__(
+        self, tree: TileTree, link: Link, recorder: MetricsRecorder, prefetch: Prefetch | None
+    ) -> None:
+        self._tree, self._link, self._recorder = tree, link, recorder
+        self._prefetch = prefetch
+        self._is_bounded = not isinstance(prefetch, PathPrefetch)
+        self._demand: Int64[np.ndarray, " m"] = np.zeros(0, np.int64)
+        self._in_flight: dict[int, _InFlight] = {}
+        self._ledger = _PrefetchLedger(tree.size)
+
+    @property
+    def in_flight(self) -> frozenset[int]:
+        """Tiles that were asked for and have not arrived."""
+        return frozenset(self._in_flight)
+
+    def frame(self, pose: Pose, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
+        """Take over the needs of a new frame, and stop prefetches that stand in their way.
+
+        Args:
+            pose: Of the camera.
+            cut: Of the camera.
+            loaded: Tiles that are there, or cannot be had.
+        """
+        self._demand = request_order(self._tree, cut)
+        if self._prefetch is None:
+            return
+        seen = cut.seen
+        self._ledger.frame(pose.time, seen & loaded)
+        wasted = self._recorder.unseen_bytes - self._ledger.pending_bytes
+        self._prefetch.observe(pose, wasted / max(self._recorder.bytes, 1))
+        for tile, entry in self._in_flight.items():
+            entry.is_prefetch = entry.is_prefetch and not seen[tile]
+        if self._missing(loaded):
+            for tile in [tile for tile, entry in self._in_flight.items() if entry.is_prefetch]:
+                if self._link.progress(tile) < CANCEL_BELOW:
+                    self._recorder.cancel(self._link.cancel(tile))
+                    del self._in_flight[tile]
+
+    def arrive(self, tile: int, time: float) -> None:
+        """Note that the contents of a tile arrived at ``time``."""
+        self._recorder.arrive(tile, time)
+        entry = self._in_flight.pop(tile, None)
+        if entry is not None and entry.is_prefetch:
+            self._ledger.arrive(tile, time)
+
+    def fail(self, tile: int) -> None:
+        """Note that a request ended with an error."""
+        self._in_flight.pop(tile, None)
+
+    def fill(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
+        """Make requests while connections are free; return their tiles."""
+        requests: list[int] = []
+        while self._link.free > 0:
+            tile, is_prefetch = self._next(loaded)
+            if tile is None:
+                break
+            self._in_flight[tile] = _InFlight(is_prefetch)
+            self._recorder.request()
+            self._link.request(tile)
+            requests.append(tile)
+        return requests
+
+    def _missing(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
+        """Return the seen tiles that are not there and were not asked for."""
+        rows = self._demand[~loaded[self._demand]].tolist()
+        return [tile for tile in rows if tile not in self._in_flight]
+
+    def _next(self, loaded: Bool[np.ndarray, " n"]) -> tuple[int | None, bool]:
+        missing = self._missing(loaded)
+        if missing:
+            return missing[0], False
+        if self._prefetch is None or not loaded[self._demand].all():
+            return None, False
+        for tile, trust in self._prefetch.candidates(loaded):
+            if tile not in self._in_flight:
+                fits = self._may_waste(int(self._tree.size[tile]), trust)
+                return (tile, True) if fits else (None, False)
+        return None, False
+
+    def _may_waste(self, size: int, trust: float) -> bool:
+        """Return whether the expected waste stays in its bound with a tile of ``size`` more."""
+        if not self._is_bounded:
+            return True
+        in_flight = [tile for tile, entry in self._in_flight.items() if entry.is_prefetch]
+        asked = int(self._tree.size[in_flight].sum()) + size
+        received, unseen = self._recorder.bytes + asked, self._recorder.unseen_bytes + asked
+        pending = self._ledger.pending_bytes + asked
+        expected = unseen - pending * self._ledger.precision
+        return expected <= MOST_WASTE * trust * received and unseen <= _MOST_UNSEEN * received
+
+
+@final
+class _PrefetchLedger:
+    """Remembers which prefetched tiles were seen, and how many were fetched in vain."""
+
+    def __init__(self, size: Int64[np.ndarray, " n"]) -> None:
+        self._size = size
+        self._arrivals: dict[int, float] = {}
+        self._seen = self._late = 0
+        self.pending_bytes = 0
+
+    @property
+    def precision(self) -> float:
+        """Share of the prefetched tiles that were seen in time; a half before any was."""
+        return (self._seen + _PRIOR / 2) / (self._seen + self._late + _PRIOR)
+
+    def arrive(self, tile: int, time: float) -> None:
+        """Note that a prefetched tile has arrived."""
+        self._arrivals[tile] = time
+        self.pending_bytes += int(self._size[tile])
+
+    def frame(self, time: float, seen: Bool[np.ndarray, " n"]) -> None:
+        """Settle the tiles that are seen now, and those that were not seen for too long."""
+        for tile, arrival in list(self._arrivals.items()):
+            is_late = time - arrival > _PATIENCE
+            if seen[tile] or is_late:
+                self._seen += bool(seen[tile])
+                self._late += is_late and not seen[tile]
+                self.pending_bytes -= int(self._size[tile])
+                del self._arrivals[tile]

@@ -1,0 +1,99 @@
+"""Which tiles are resident in a pool of slots, and which of them leave for others."""
+
+__all__ = ["ResidentTiles"]
+
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from gsgen.tiles.selection.tile_tree import TileTree
+
+
+@final
+class ResidentTiles:
+    """The tiles of a pool; their slots never exceed its capacity.
+
+    A tile leaves that is not needed: of those the ones without an expected use, the least
+    recently used, the finest first. The root, tiles that are needed and all tiles above them stay.
+
+    Attributes:
+        resident: Whether each tile is there.
+        used_slots: Slots of all resident tiles.
+
+    Args:
+        tree: The tiles.
+        slots: Slots that each tile needs.
+        capacity: Slots of the pool.
+    """
+
+    def __init__(self, tree: TileTree, slots: Int64[np.ndarray, " n"], capacity: int) -> None:
+        self._tree, self._slots, self._capacity = tree, slots, capacity
+        self.resident: Bool[np.ndarray, " n"] = np.zeros(len(tree), bool)
+        self.used_slots = 0
+        self._last_use: Float64[np.ndarray, " n"] = np.full(len(tree), -np.inf)
+        self._protected: Bool[np.ndarray, " n"] = np.zeros(len(tree), bool)
+        self._expected: Bool[np.ndarray, " n"] = np.zeros(len(tree), bool)
+
+    def frame(
+        self,
+        time: float,
+        needed: Bool[np.ndarray, " n"],
+        expected: Bool[np.ndarray, " n"] | None = None,
+    ) -> None:
+        """Note the needs of a frame.
+
+        Args:
+            time: In seconds.
+            needed: Tiles that are drawn, or will be as soon as they are there.
+            expected: Tiles that will probably be seen soon.
+        """
+        self._protected = self.with_ancestors(needed)
+        self._last_use[self._protected] = time
+        self._expected = np.zeros_like(needed) if expected is None else expected
+
+    def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Return ``tiles`` with all tiles above them, and the root."""
+        marked = tiles.copy()
+        marked[0] = True
+        for rows in reversed(self._tree.rows_of_level[1:]):
+            marked[self._tree.parent[rows[marked[rows]]]] = True
+        return marked
+
+    def admit(self, tile: int, time: float) -> tuple[int, ...] | None:
+        """Make a tile resident.
+
+        Returns:
+            The tiles that leave for it; None where it does not fit beside those that stay.
+        """
+        if self.resident[tile]:
+            return ()
+        lack = self.used_slots + int(self._slots[tile]) - self._capacity
+        evicted = self._victims(lack)
+        if evicted is None:
+            return None
+        for victim in evicted:
+            self.remove(victim)
+        self.resident[tile] = True
+        self.used_slots += int(self._slots[tile])
+        self._last_use[tile] = time
+        return evicted
+
+    def remove(self, tile: int) -> None:
+        """Take a resident tile out."""
+        self.resident[tile] = False
+        self.used_slots -= int(self._slots[tile])
+
+    def _victims(self, lack: int) -> tuple[int, ...] | None:
+        """Return tiles with ``lack`` slots or more that may leave, or None."""
+        if lack <= 0:
+            return ()
+        rows = np.flatnonzero(self.resident & ~self._protected)
+        order = np.lexsort(
+            (-rows, -self._tree.level[rows], self._last_use[rows], self._expected[rows])
+        )
+        rows = rows[order]
+        freed = np.cumsum(self._slots[rows])
+        if not len(freed) or freed[-1] < lack:
+            return None
+        return tuple(rows[: int(np.searchsorted(freed, lack)) + 1].tolist())

@@ -1,0 +1,312 @@
+"""A streaming session: a camera a frame in, tiles to upload and to draw out."""
+
+__all__ = ["SessionOptions", "TilesetSession", "open_session"]
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol, final
+
+import numpy as np
+from jaxtyping import Bool, Int64
+
+from gsgen.tiles.errors import StoreUnavailable
+from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
+from gsgen.tiles.prediction.predictors import predictor_maker
+from gsgen.tiles.prediction.prefetch import HorizonPrefetch
+from gsgen.tiles.selection.cut import Cut, cut_tree
+from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.tile_tree import TileTree
+from gsgen.tiles.stores.opening import open_store
+from gsgen.tiles.stores.store import Store
+from gsgen.tiles.streaming.clock import Clock, SystemClock
+from gsgen.tiles.streaming.contents import ContentReader
+from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
+from gsgen.tiles.streaming.drawing import FADE_SECONDS, Fades, drawable_tiles
+from gsgen.tiles.streaming.events import EventLog
+from gsgen.tiles.streaming.fetch import FetchLink, FetchResult
+from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
+from gsgen.tiles.streaming.planner import Link, RequestPlanner
+from gsgen.tiles.streaming.residency import ResidentTiles
+from gsgen.tiles.streaming.session_frame import DrawnTile, SessionFrame, TileArrival
+
+SLOT_ROWS: Final = 4096
+UPLOAD_BUDGET: Final = 4 << 20
+_COARSER: Final = 2**0.25  # step of the error while a cut does not fit the pool
+_MOST_STEPS: Final = 80
+_RETRY_AFTER: Final = 30.0  # seconds after which a tile that could not be had is asked for again
+_MOST_PENDING: Final = 64  # decoded tiles that wait for their upload
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionOptions:
+    """How a tileset is streamed.
+
+    Attributes:
+        max_error: Screen-space error above which tiles are refined, in pixels.
+        max_splats: Rows of the pool, in whole slots.
+        slot_rows: Rows of a slot.
+        upload_budget: Bytes of arrivals in a frame.
+        fade_seconds: Of a cross-fade; 0 for pictures that do not depend on time.
+        connections: Requests at once.
+        predictor: A name or a file, see :func:`predictor_maker`.
+        cache_bytes: Cap of the disk cache; 0 for none.
+        cache_folder: Of the disk cache; the user's where absent.
+        allow_origins: Other origins that redirects may lead to.
+        log: File of events as JSON lines; None for none.
+    """
+
+    max_error: float = 16.0
+    max_splats: int = 2_000_000
+    slot_rows: int = SLOT_ROWS
+    upload_budget: int = UPLOAD_BUDGET
+    fade_seconds: float = FADE_SECONDS
+    connections: int = 6
+    predictor: str = "constant-velocity"
+    cache_bytes: int = 2 << 30
+    cache_folder: Path | None = None
+    allow_origins: tuple[str, ...] = ()
+    log: Path | None = None
+
+
+class ArrivalLink(Link, Protocol):
+    """A link whose answers are decoded tiles."""
+
+    def poll(self) -> Sequence[FetchResult[TileArrival]]:
+        """Return the answers since the last call."""
+        ...
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until there is an answer, at most ``seconds``."""
+        ...
+
+    def close(self) -> None:
+        """Stop all requests."""
+        ...
+
+
+def open_session(
+    source: str | Path,
+    options: SessionOptions | None = None,
+    *,
+    report: Callable[[str], None] | None = None,
+) -> "TilesetSession":
+    """Open a tileset for streaming.
+
+    Args:
+        source: ``tileset.json``, its folder, a ``.3tz`` archive, or an address.
+        options: How it is streamed.
+        report: Receives a line for each tile that cannot be had; stderr where absent.
+
+    Raises:
+        TilesetInvalid: The index is wrong.
+        ConfigInvalid: An address is given and urllib3 is not installed.
+    """
+    options = options or SessionOptions()
+    predictor_maker(options.predictor)  # fails before anything is read
+    store, index = open_store(source, allow_origins=options.allow_origins)
+    try:
+        tileset = load_tileset(store, index, name=str(source))
+        tree = TileTree.of_tileset(tileset, store)
+        cache = None
+        if options.cache_bytes:
+            folder = options.cache_folder or default_cache_folder()
+            cache = DiskCache(folder, options.cache_bytes)
+        reader = ContentReader(store, tileset, tree, cache)
+        link: FetchLink[TileArrival] = FetchLink(
+            reader.fetch, reader.decode, lambda tile: int(tree.size[tile]), options.connections
+        )
+        return TilesetSession(
+            tree,
+            link,
+            SystemClock(),
+            options,
+            sh_degree=reader.sh_degree,
+            report=report or _print_line,
+            store=store,
+        )
+    except BaseException:
+        store.close()
+        raise
+
+
+def _print_line(line: str) -> None:
+    sys.stderr.write(f"gsgen: {line}\n")
+
+
+@final
+class TilesetSession:
+    """Streams a tileset; see :mod:`~gsgen.tiles.streaming.session_frame` for the protocol.
+
+    Attributes:
+        tree: The tiles; keys are their indices.
+        sh_degree: Of all arrivals.
+        slot_rows: Rows of a slot.
+        pool_slots: Slots of the pool.
+        upload_budget: Bytes of arrivals in a frame.
+
+    Args:
+        tree: The tiles.
+        link: Fetches and decodes them.
+        clock: Of frames and fades.
+        options: How the tileset is streamed.
+        sh_degree: Of all arrivals.
+        report: Receives a line for each tile that cannot be had.
+        store: Closed with the session.
+    """
+
+    def __init__(
+        self,
+        tree: TileTree,
+        link: ArrivalLink,
+        clock: Clock,
+        options: SessionOptions,
+        *,
+        sh_degree: int,
+        report: Callable[[str], None] = _print_line,
+        store: Store | None = None,
+    ) -> None:
+        self.tree, self.sh_degree, self.slot_rows = tree, sh_degree, options.slot_rows
+        self.upload_budget = options.upload_budget
+        self.pool_slots = -(-options.max_splats // options.slot_rows)
+        self._options, self._link, self._clock = options, link, clock
+        self._report, self._store = report, store
+        self._recorder = MetricsRecorder(tree.parent, tree.size)
+        self._frustum: Frustum | None = None
+        prefetch = HorizonPrefetch(
+            tree, predictor_maker(options.predictor)(), self._frustum_at, options.max_error
+        )
+        self._prefetch = prefetch
+        self._planner = RequestPlanner(tree, link, self._recorder, prefetch)
+        self._slots: Int64[np.ndarray, " n"] = -(-tree.splats // options.slot_rows)
+        self._residents = ResidentTiles(tree, self._slots, self.pool_slots)
+        self._fades = Fades(tree, options.fade_seconds)
+        self._is_empty = np.array([not tile.contents for tile in tree.tiles])
+        self._pending: dict[int, TileArrival] = {}
+        self._retry_at: dict[int, float] = {}
+        self._log = EventLog(options.log) if options.log else None
+
+    @property
+    def metrics(self) -> StreamingMetrics:
+        """The metrics of all frames so far."""
+        return self._recorder.summary()
+
+    @property
+    def resident(self) -> Bool[np.ndarray, " n"]:
+        """Which tiles are in the pool."""
+        return self._residents.resident
+
+    def frame(self, frustum: Frustum) -> SessionFrame:
+        """Return what to upload and to draw now; never waits for the network."""
+        time = self._clock.now()
+        self._frustum = frustum
+        received = self._receive(time)
+        cut = self._fitting_cut(frustum)
+        visible = self._fades.values > 0
+        self._residents.frame(time, cut.seen | visible)
+        evicted, arrivals = self._upload(time, cut)
+        dead = self._dead(time)
+        there = self._residents.resident | self._is_empty
+        self._recorder.frame(time, cut, there)
+        self._request(time, cut, there | dead)
+        drawn = drawable_tiles(self.tree, cut, there)
+        self._fades.frame(time, drawn, cut.seen)
+        fades = self._fades.values
+        missing = int((cut.wanted & ~there & ~dead).sum())
+        frame = SessionFrame(
+            evicted=evicted,
+            arrivals=arrivals,
+            drawn=tuple(
+                DrawnTile(tile, float(fades[tile]))
+                for tile in np.flatnonzero((fades > 0) & ~self._is_empty).tolist()
+            ),
+            missing=missing,
+            is_complete=missing == 0 and self._fades.is_settled,
+        )
+        if self._log:
+            self._log.frame(time, frustum, received, frame)
+        return frame
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until something arrives or fails, at most ``seconds``."""
+        self._link.wait(seconds)
+
+    def close(self) -> None:
+        """Stop all requests, and close the store and the log."""
+        self._link.close()
+        if self._store:
+            self._store.close()
+        if self._log:
+            self._log.close()
+
+    def _frustum_at(self, position: np.ndarray, quaternion: np.ndarray) -> Frustum:
+        assert self._frustum is not None
+        return self._frustum.moved(position, quaternion)
+
+    def _receive(self, time: float) -> list[FetchResult[TileArrival]]:
+        """Take the answers of the link; report tiles that cannot be had."""
+        results = list(self._link.poll())
+        for result in results:
+            if result.content is not None:
+                self._planner.arrive(result.tile, time)
+                self._pending[result.tile] = result.content
+                continue
+            self._planner.fail(result.tile)
+            passing = isinstance(result.error, StoreUnavailable)
+            self._retry_at[result.tile] = time + _RETRY_AFTER if passing else np.inf
+            self._report(str(result.error).replace("\n", " "))
+        return results
+
+    def _dead(self, time: float) -> Bool[np.ndarray, " n"]:
+        """Return the tiles that cannot be had now."""
+        dead = np.zeros(len(self.tree), bool)
+        dead[[tile for tile, retry in self._retry_at.items() if retry > time]] = True
+        return dead
+
+    def _fitting_cut(self, frustum: Frustum) -> Cut:
+        """Return the finest cut whose tiles, with those above them, fit the pool."""
+        error = self._options.max_error
+        for _ in range(_MOST_STEPS):
+            cut = cut_tree(self.tree, frustum, error)
+            if int(self._slots[cut.seen].sum()) <= self.pool_slots:
+                break
+            error *= _COARSER
+        return cut
+
+    def _upload(self, time: float, cut: Cut) -> tuple[tuple[int, ...], tuple[TileArrival, ...]]:
+        """Admit decoded tiles within the upload budget: seen ones first, coarse before fine."""
+        level, error, seen = self.tree.level, cut.error, cut.seen
+        order = sorted(self._pending, key=lambda t: (not seen[t], level[t], -error[t], t))
+        evicted: list[int] = []
+        arrivals: list[TileArrival] = []
+        room = self.upload_budget
+        for tile in order:
+            arrival = self._pending[tile]
+            if arrivals and arrival.upload_bytes > room:
+                break
+            victims = self._residents.admit(tile, time)
+            del self._pending[tile]
+            if victims is None:
+                continue  # no room beside the drawn tiles: it is asked for again later
+            for victim in victims:
+                self._fades.drop(victim)
+            evicted += victims
+            arrivals.append(arrival)
+            room -= arrival.upload_bytes
+        for tile in [tile for tile in reversed(order) if tile in self._pending][:-_MOST_PENDING]:
+            del self._pending[tile]
+        return tuple(evicted), tuple(arrivals)
+
+    def _request(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
+        """Make requests by the needs of this frame."""
+        assert self._frustum is not None
+        loaded = loaded.copy()
+        loaded[list(self._pending)] = True
+        # What would not fit the pool is not asked for.
+        loaded |= self._slots > self.pool_slots
+        pose = Pose(time, self._frustum.eye, matrix_quaternion(self._frustum.rotation.T))
+        self._planner.frame(pose, cut, loaded)
+        self._planner.fill(loaded)

@@ -1,0 +1,199 @@
+"""Simulations: the reactive client is that of an independent program; prefetching is no worse."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.tiles.loading import open_tileset
+from gsgen.tiles.prediction.prefetch import ViewSettings
+from gsgen.tiles.selection.tile_tree import TileTree
+from gsgen.tiles.simulate.client import Simulation, simulate
+from gsgen.tiles.simulate.network import RateTrace, SimulatedLink, VirtualClock
+from gsgen.tiles.simulate.tables import read_path, read_trace
+from support.commands import gsgen
+from support.tiles.journeys import (
+    PATH_HEADER,
+    TRACE_HEADER,
+    journeys,
+    networks,
+    write_rows,
+    write_town,
+)
+from tiles.simulate.reactive_oracle import reactive
+
+JOURNEYS = journeys()
+NETWORKS = networks()
+SMALL = ViewSettings(width=320, height=180)
+SMOOTH = ("orbit", "street", "flight", "turning")
+
+
+@pytest.mark.parametrize(
+    ("journey", "network", "rtt", "view"),
+    [
+        ("orbit", "20", 50, {}),
+        ("street", "mobile", 120, {"sse": 24, "fov": 70, "width": 640, "height": 480}),
+        ("wander", "50", 0, {"sse": 40}),
+        ("turning", "mobile", 30, {"sse": 20, "width": 300, "height": 600}),
+    ],
+)
+def test_the_reactive_client_is_that_of_its_description(
+    tmp_path: Path, journey: str, network: str, rtt: float, view: dict
+) -> None:
+    tileset = write_town(tmp_path, depth=3, seed=1)
+    rows = JOURNEYS[journey][:160]
+    path = write_rows(tmp_path / "path.csv", PATH_HEADER, rows)
+    trace = write_rows(tmp_path / "trace.csv", TRACE_HEADER, NETWORKS[network])
+    options = [part for name, value in view.items() for part in (f"--{name}", value)]
+    result = gsgen(
+        "tiles", "simulate", tileset, "--path", path, "--network", trace,
+        "--policy", "reactive", "--rtt", rtt, *options, "--json",
+    )  # fmt: skip
+    assert result.code == 0, result.err
+    metrics = json.loads(result.out)
+    usual = {"width": 1280, "height": 720, "fov": 50.0, "sse": 16.0}
+    expected = reactive(tileset, path, trace, rtt / 1000, **(usual | view))
+    assert expected["entries"] > 30
+    assert expected["hit_rate"] < 1
+    for name, value in expected.items():
+        assert metrics[name] == pytest.approx(value, rel=0.02, abs=1e-9), name
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> TileTree:
+    return TileTree.of_tileset(open_tileset(write_town(tmp_path_factory.mktemp("town"))))
+
+
+def run(tmp_path: Path, tree: TileTree, journey: str, network: str, policy: str) -> Simulation:
+    path = write_rows(tmp_path / "path.csv", PATH_HEADER, JOURNEYS[journey])
+    trace = write_rows(tmp_path / "trace.csv", TRACE_HEADER, NETWORKS[network])
+    return simulate(tree, read_path(path), read_trace(trace), policy=policy, view=SMALL)
+
+
+@pytest.mark.parametrize("network", ["20", "mobile"])
+@pytest.mark.parametrize("journey", list(JOURNEYS))
+def test_prefetching_raises_hits_and_delays_nothing(
+    tmp_path: Path, tree: TileTree, journey: str, network: str
+) -> None:
+    reacting = run(tmp_path, tree, journey, network, "reactive").metrics
+    predicting = run(tmp_path, tree, journey, network, "predictive").metrics
+    assert reacting.entries == predicting.entries > 50
+    assert predicting.hit_rate > reacting.hit_rate
+    assert predicting.p95_delay_s <= reacting.p95_delay_s
+    assert predicting.hole_frames <= reacting.hole_frames
+    assert predicting.waste <= 0.15
+    if journey in SMOOTH:
+        knowing = run(tmp_path, tree, journey, network, "oracle").metrics
+        assert predicting.hit_rate >= 0.9 * knowing.hit_rate
+        assert knowing.waste <= 0.15
+
+
+def test_equal_simulations_are_equal_bit_for_bit(tmp_path: Path, tree: TileTree) -> None:
+    for policy in ("reactive", "predictive", "oracle"):
+        first = run(tmp_path, tree, "wander", "mobile", policy)
+        assert first == run(tmp_path, tree, "wander", "mobile", policy)
+
+
+@pytest.mark.parametrize("connections", [1, 3])
+def test_a_link_delivers_what_the_rate_allows(connections: int) -> None:
+    """The bytes of all deliveries, compared with the integral of the rate in small steps."""
+    rng = np.random.default_rng(connections)
+    times = np.cumsum(rng.uniform(0.1, 1, 20))
+    rates = rng.uniform(0, 1e5, 20)
+    rates[5], rates[-1] = 0, 8e4
+    size = rng.integers(1, 30_000, 60)
+    clock = VirtualClock(0.3)
+    link = SimulatedLink(clock, RateTrace(times, rates), size, rtt=0.05, connections=connections)
+    pending, starts, ends = list(range(60)), {}, {}
+    while pending or link.free < connections:
+        while pending and link.free:
+            starts[pending[0]] = clock.now()
+            link.request(pending.pop(0))
+        delivery = link.advance(math.inf)
+        assert delivery is not None
+        ends[delivery.tile] = delivery.time
+    # Small steps: every transfer that has begun has an equal share.
+    step, now, left = 1e-3, 0.3, dict(enumerate(size.astype(float)))
+    while left and now < 60:
+        active = [t for t in left if starts[t] + 0.05 <= now]
+        index = max(int(np.searchsorted(times, now, side="right")) - 1, 0)
+        for tile in active:
+            left[tile] -= rates[index] * step / len(active)
+            if left[tile] <= 0:
+                assert now == pytest.approx(ends[tile], abs=0.1)
+                del left[tile]
+        now += step
+    assert not left
+
+
+def test_a_cancelled_request_has_the_bytes_that_came() -> None:
+    clock = VirtualClock(0.0)
+    trace = RateTrace(np.array([0.0]), np.array([1000.0]))
+    link = SimulatedLink(clock, trace, np.array([5000, 1000]), rtt=0.5, connections=1)
+    link.request(0)
+    assert link.advance(2.5) is None
+    assert link.progress(0) == pytest.approx(0.4)
+    assert link.cancel(0) == 2000
+    assert link.free == 1
+    link.request(1)
+    delivery = link.advance(9.0)
+    assert delivery is not None
+    assert (delivery.tile, delivery.time) == (1, pytest.approx(4.0))
+
+
+def test_the_table_and_the_plot_compare_all_policies(tmp_path: Path) -> None:
+    from PIL import Image
+
+    tileset = write_town(tmp_path, depth=2)
+    path = write_rows(tmp_path / "path.csv", PATH_HEADER, JOURNEYS["orbit"][:60])
+    trace = write_rows(tmp_path / "trace.csv", TRACE_HEADER, NETWORKS["20"])
+    options = ["--path", path, "--network", trace, "--policy", "all"]
+    plot = tmp_path / "plot.png"
+    result = gsgen("tiles", "simulate", tileset, *options, "--plot", plot)
+    assert result.code == 0, result.err
+    for word in ("reactive", "predictive", "oracle", "hit rate", "waste", "received"):
+        assert word in result.out
+    with Image.open(plot) as picture:
+        assert np.asarray(picture.convert("L")).std() > 5
+    first = plot.read_bytes()
+    gsgen("tiles", "simulate", tileset, *options, "--plot", plot)
+    assert plot.read_bytes() == first
+    listed = json.loads(gsgen("tiles", "simulate", tileset, *options, "--json").out)
+    assert [entry["policy"] for entry in listed] == ["reactive", "predictive", "oracle"]
+    result = gsgen("tiles", "simulate", tileset, *options, "--plot", tmp_path / "plot.xyz")
+    assert result.code == 2
+    assert "plot.xyz" in result.err
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("a,b\n1,2\n", "line 1: columns 'a,b', expected t,x,y,z"),
+        ("t,x,y,z,qw,qx,qy,qz\n", "the table has no rows"),
+        ("t,x,y,z,qw,qx,qy,qz\n0,0,0,0,1,0,0\n", "line 2: 7 fields"),
+        ("t,x,y,z,qw,qx,qy,qz\n0,0,0,0,1,0,0,nan\n", "line 2: '0,0,0,0,1,0,0,nan'"),
+        ("t,x,y,z,qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n0,0,0,0,1,0,0,0\n", "line 3: t 0"),
+        ("t,x,y,z,qw,qx,qy,qz\n0,0,0,0,0,0,0,0\n", "line 2: quaternion"),
+    ],
+)
+def test_a_wrong_path_is_named_with_its_line(tmp_path: Path, rows: str, message: str) -> None:
+    tileset = write_town(tmp_path, depth=1)
+    trace = write_rows(tmp_path / "trace.csv", TRACE_HEADER, NETWORKS["20"])
+    path = tmp_path / "path.csv"
+    path.write_text(rows)
+    result = gsgen("tiles", "simulate", tileset, "--path", path, "--network", trace)
+    assert result.code == 4
+    assert message in result.err
+    path.write_text("t,x,y,z,qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n")
+    trace.write_text("t,mbps\n0,-1\n")
+    result = gsgen("tiles", "simulate", tileset, "--path", path, "--network", trace)
+    assert result.code == 4
+    assert "-1 Mbps" in result.err
+    result = gsgen("tiles", "simulate", tileset, "--path", path, "--network", tmp_path / "none")
+    assert result.code == 4
+    options = ["--path", path, "--network", trace, "--predictor", "constant_velocity"]
+    result = gsgen("tiles", "simulate", tileset, *options)
+    assert result.code == 2
+    assert "constant-velocity" in result.err

@@ -1,0 +1,204 @@
+"""Evictions: 10,000 random events hold the capacity, and what is needed keeps its ancestors."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.tiles.loading import open_tileset
+from gsgen.tiles.selection.cut import Cut
+from gsgen.tiles.selection.tile_tree import TileTree
+from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
+from gsgen.tiles.streaming.drawing import Fades, drawable_tiles
+from gsgen.tiles.streaming.residency import ResidentTiles
+from support.tiles.journeys import write_town
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> TileTree:
+    return TileTree.of_tileset(open_tileset(write_town(tmp_path_factory.mktemp("town"), depth=3)))
+
+
+def random_cut(rng: np.random.Generator, tree: TileTree) -> Cut:
+    refined = (rng.uniform(size=len(tree)) < 0.6) & ~tree.is_leaf
+    seen = rng.uniform(size=len(tree)) < 0.8
+    seen[0] = True
+    for rows in tree.rows_of_level[1:]:
+        above = tree.parent[rows]
+        seen[rows] &= seen[above] & refined[above]
+    return Cut(seen, seen & ~refined, np.zeros(len(tree)))
+
+
+def test_ten_thousand_events_hold_the_capacity_and_the_ancestors(tree: TileTree) -> None:
+    rng = np.random.default_rng(0)
+    slots = rng.integers(1, 6, len(tree))
+    capacity = 40
+    pool = ResidentTiles(tree, slots, capacity)
+    there: set[int] = set()
+    needed_rows: list[int] = []
+    evictions = refusals = 0
+    for event in range(10_000):
+        if event % 7 == 0:
+            needed_rows = rng.permutation(sorted(there))[: rng.integers(0, 20)].tolist()
+            needed = np.isin(np.arange(len(tree)), needed_rows)
+            expected = rng.uniform(size=len(tree)) < 0.2
+            pool.frame(float(event), needed, expected)
+        tile = int(rng.integers(len(tree)))
+        victims = pool.admit(tile, float(event))
+        if victims is None:
+            refusals += 1
+        else:
+            evictions += len(victims)
+            assert len(set(victims)) == len(victims)
+            assert tile not in victims
+            there = (there - set(victims)) | {tile}
+        assert there == set(np.flatnonzero(pool.resident).tolist())
+        assert pool.used_slots == slots[sorted(there)].sum() <= capacity
+        protected = {0}.union(*({row, *tree.ancestors(row)} for row in needed_rows))
+        assert not protected & set(victims or ())
+    assert evictions > 1000
+    assert refusals > 0
+
+
+def test_the_least_recently_used_and_finest_leave_first(tree: TileTree) -> None:
+    pool = ResidentTiles(tree, np.ones(len(tree), np.int64), 4)
+    nobody = np.zeros(len(tree), bool)
+    coarse = int(tree.rows_of_level[1][0])
+    fine = int(tree.rows_of_level[3][0])
+    late = int(tree.rows_of_level[3][-1])
+    for tile, time in ((0, 0.0), (coarse, 1.0), (fine, 1.0), (late, 2.0)):
+        assert pool.admit(tile, time) == ()
+    pool.frame(3.0, nobody)
+    new = int(tree.rows_of_level[2][0])
+    assert pool.admit(new, 3.0) == (fine,)
+    expected = nobody.copy()
+    expected[coarse] = True
+    pool.frame(4.0, nobody, expected)
+    assert pool.admit(fine, 4.0) == (late,)
+    with_slots = ResidentTiles(tree, np.full(len(tree), 5), 4)
+    assert with_slots.admit(coarse, 0.0) is None
+
+
+def drawn_by_a_walk(tree: TileTree, cut: Cut, resident: np.ndarray) -> set[int]:
+    """What to draw, by recursion from its definition."""
+    children: dict[int, list[int]] = {row: [] for row in range(len(tree))}
+    for row in range(1, len(tree)):
+        children[int(tree.parent[row])].append(row)
+
+    def below(row: int) -> list[int]:
+        return [child for child in children[row] if cut.seen[child]]
+
+    def shown(row: int) -> bool:
+        replaced = not cut.wanted[row] and below(row) and not tree.adds[row]
+        return bool(resident[row]) or bool(replaced and all(map(shown, below(row))))
+
+    def draw(row: int) -> set[int]:
+        here = {row} if resident[row] else set()
+        if cut.wanted[row]:
+            return here
+        parts = set().union(*(draw(child) for child in below(row)))
+        if tree.adds[row]:
+            return here | parts
+        if below(row) and all(map(shown, below(row))):
+            return parts
+        return here or parts
+
+    return draw(0) if cut.seen[0] else set()
+
+
+def test_what_is_drawn_is_that_of_a_walk(tree: TileTree) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        cut = random_cut(rng, tree)
+        resident = rng.uniform(size=len(tree)) < rng.choice([0.3, 0.7, 0.95, 1.0])
+        drawn = drawable_tiles(tree, cut, resident)
+        assert set(np.flatnonzero(drawn).tolist()) == drawn_by_a_walk(tree, cut, resident)
+        if resident[cut.wanted].all():
+            below = np.bincount(tree.parent[1:][cut.seen[1:]], minlength=len(tree))
+            shown = cut.wanted | (cut.seen & (below == 0) & resident)
+            np.testing.assert_array_equal(drawn, shown)
+
+
+def test_a_replacement_fades_and_a_tile_that_comes_into_view_does_not(tree: TileTree) -> None:
+    fades = Fades(tree, 0.25)
+    seen = np.ones(len(tree), bool)
+    drawn = np.zeros(len(tree), bool)
+    drawn[0] = True
+    fades.frame(0.0, drawn, seen)
+    assert fades.values[0] == 1
+    children = np.flatnonzero(tree.parent == 0)
+    replaced = np.zeros(len(tree), bool)
+    replaced[children] = True
+    values = []
+    for time in np.arange(1, 8) * 0.05:
+        fades.frame(time, replaced, seen)
+        sums = fades.values[children] + fades.values[0]
+        np.testing.assert_allclose(sums, 1)
+        values.append(float(fades.values[0]))
+    np.testing.assert_allclose(values, [0.8, 0.6, 0.4, 0.2, 0, 0, 0], atol=1e-9)
+    assert fades.is_settled
+    # One leaves the view, and comes back: at once, both times.
+    gone, hidden = replaced.copy(), seen.copy()
+    gone[children[0]] = hidden[children[0]] = False
+    fades.frame(0.4, gone, hidden)
+    assert fades.values[children[0]] == 0
+    fades.frame(0.41, replaced, seen)
+    assert fades.values[children[0]] == 1
+    # The change back, interrupted half way.
+    fades.frame(0.5, drawn, seen)
+    middle = fades.values[0]
+    assert 0 < middle < 1
+    fades.frame(0.55, replaced, seen)
+    assert fades.values[0] < middle
+    still = Fades(tree, 0.0)
+    still.frame(0.0, drawn, seen)
+    still.frame(0.0, replaced, seen)
+    assert still.is_settled
+    assert still.values[0] == 0
+
+
+def named(data: bytes) -> str:
+    import hashlib
+
+    return f"t/3/5-{hashlib.sha256(data).hexdigest()[:8]}.glb"
+
+
+def test_the_disk_cache_holds_its_cap_and_gives_back_the_bytes(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    cache = DiskCache(tmp_path / "cache", 50_000)
+    files = [rng.bytes(int(size)) for size in rng.integers(1, 9000, 60)]
+    hits = 0
+    for _ in range(2000):
+        data = files[int(rng.integers(60))]
+        cached = cache.get("http://a", named(data))
+        assert cached in (None, data)
+        hits += cached is not None
+        if cached is None:
+            cache.put("http://a", named(data), data)
+        total = sum(f.stat().st_size for f in (tmp_path / "cache").iterdir())
+        assert total == cache.total_bytes <= 50_000
+    assert 100 < hits < 1900
+    assert DiskCache(tmp_path / "cache", 50_000).total_bytes == cache.total_bytes
+    assert cache.get("http://b", named(files[0])) is None
+
+
+def test_a_file_that_changed_on_disk_or_has_no_digest_is_not_given(tmp_path: Path) -> None:
+    cache = DiskCache(tmp_path, 1000)
+    cache.put("a", "tileset.json", b"{}")
+    cache.put("a", "t/0/0-00000000.glb", b"not that digest")
+    assert list(tmp_path.iterdir()) == []
+    cache.put("a", named(b"data"), b"data")
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(b"dat")
+    assert cache.get("a", named(b"data")) is None
+    assert list(tmp_path.iterdir()) == []
+    cache.put("a", named(b"x" * 2000), b"x" * 2000)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_cache_lies_where_the_user_wants(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
+    assert default_cache_folder() == Path("/somewhere/gsgen/tiles")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", "/home/user")
+    assert default_cache_folder() == Path("/home/user/.cache/gsgen/tiles")

@@ -1,0 +1,304 @@
+"""Sessions: flights over real and faulty servers always give a frame, within every budget."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.formats import write_ply
+from gsgen.runtime.scene.camera import Camera
+from gsgen.tiles.errors import TilesetInvalid
+from gsgen.tiles.leaves import read_tile_content
+from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.selection.cut import cut_tree
+from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.serving.faults import FailureRule, NetworkFaults
+from gsgen.tiles.serving.server import serve_folder
+from gsgen.tiles.stores import http_store
+from gsgen.tiles.stores.folder_store import FolderStore
+from gsgen.tiles.streaming.contents import ContentReader
+from gsgen.tiles.streaming.events import ReplayLink, read_events
+from gsgen.tiles.streaming.session import SessionOptions, TilesetSession, open_session
+from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
+from support.tiles.builds import build
+from support.tiles.tile_scenes import scattered
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("town")
+    write_ply(folder / "scene.ply", scattered(12_000, degree=1))
+    build([folder / "scene.ply"], folder / "tiles")
+    return folder / "tiles"
+
+
+@contextmanager
+def served(folder: Path, faults: NetworkFaults | None = None) -> Iterator[str]:
+    with serve_folder(folder, faults=faults) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        try:
+            yield server.address
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def cameras(count: int) -> list[Frustum]:
+    """A flight over the scene, towards its middle."""
+    eyes = [(18 - 30 * i / count, -16 + 12 * i / count, 6.0) for i in range(count)]
+    return [
+        Frustum.from_camera(Camera.look_at(eye, (0.5, 0.2, 0), up=(0, 0, 1), width=640, height=360))
+        for eye in eyes
+    ]
+
+
+OPTIONS = SessionOptions(slot_rows=128, max_splats=40_000, cache_bytes=0, max_error=4.0)
+
+
+class Pool:
+    """Follows the protocol as a renderer would, and checks every promise of it."""
+
+    def __init__(self, session: TilesetSession) -> None:
+        protocol: StreamingSession = session
+        self.session, self.slots = protocol, {}
+
+    def take(self, frame: SessionFrame) -> None:
+        for tile in frame.evicted:
+            del self.slots[tile]
+        sizes = [arrival.upload_bytes for arrival in frame.arrivals]
+        assert len(sizes) <= 1 or sum(sizes) <= self.session.upload_budget
+        for arrival in frame.arrivals:
+            assert arrival.tile not in self.slots
+            assert arrival.rows.dtype == arrival.appearance.dtype == np.float32
+            assert arrival.appearance.shape == (len(arrival.rows), 3 * 4)
+            self.slots[arrival.tile] = -(-len(arrival.rows) // self.session.slot_rows)
+        assert sum(self.slots.values()) <= self.session.pool_slots
+        tiles = [entry.tile for entry in frame.drawn]
+        assert tiles == sorted(set(tiles))
+        assert set(tiles) <= self.slots.keys()
+        assert all(0 < entry.fade <= 1 for entry in frame.drawn)
+
+
+def complete(session: TilesetSession, frustum: Frustum, pool: Pool) -> SessionFrame:
+    for _ in range(600):
+        frame = session.frame(frustum)
+        pool.take(frame)
+        if frame.is_complete:
+            return frame
+        session.wait(0.05)
+    raise AssertionError("the cut never became complete")
+
+
+def fly(source: str | Path, options: SessionOptions = OPTIONS, frames: int = 40):
+    """Fly, hover until all is there; return the session, its last frame and its reports."""
+    lines: list[str] = []
+    session = open_session(source, options, report=lines.append)
+    pool = Pool(session)
+    path = cameras(frames)
+    for frustum in path:
+        pool.take(session.frame(frustum))
+        session.wait(0.01)
+    last = complete(session, path[-1], pool)
+    return session, last, lines
+
+
+def test_a_complete_cut_is_the_wanted_tiles(town: Path) -> None:
+    session, last, lines = fly(town)
+    cut = cut_tree(session.tree, cameras(40)[-1], 4.0)
+    assert [entry.tile for entry in last.drawn] == np.flatnonzero(cut.wanted).tolist()
+    assert all(entry.fade == 1 for entry in last.drawn)
+    assert len(last.drawn) > 5
+    assert session.metrics.hole_frames < 40
+    assert lines == []
+    session.close()
+
+
+def test_arrivals_hold_the_splats_of_their_tiles_in_morton_order(town: Path) -> None:
+    session = open_session(town, replace(OPTIONS, fade_seconds=0))
+    store, pool = FolderStore(town), Pool(session)
+    tileset = load_tileset(store, "tileset.json")
+    arrivals = {}
+    for _ in range(300):
+        frame = session.frame(cameras(2)[0])
+        pool.take(frame)
+        arrivals |= {arrival.tile: arrival for arrival in frame.arrivals}
+        if frame.is_complete:
+            break
+        session.wait(0.05)
+    assert len(arrivals) > 3
+    for tile, arrival in arrivals.items():
+        entry = session.tree.tiles[tile]
+        (placed,) = read_tile_content(store, tileset, entry, entry.contents[0])
+        expected = placed.positions()
+        actual = arrival.rows[:, :3] + arrival.origin
+        key = np.lexsort(np.round(expected, 3).T), np.lexsort(np.round(actual, 3).T)
+        np.testing.assert_allclose(actual[key[1]], expected[key[0]], atol=2e-3)
+        if len(arrival.rows) < 200:
+            continue
+        steps = np.linalg.norm(np.diff(arrival.rows[:, :3], axis=0), axis=1).mean()
+        shuffled = np.random.default_rng(0).permutation(arrival.rows[:, :3])
+        assert steps < 0.5 * np.linalg.norm(np.diff(shuffled, axis=0), axis=1).mean()
+    session.close()
+
+
+def test_a_small_pool_draws_a_coarser_cut_and_never_overflows(town: Path) -> None:
+    options = replace(OPTIONS, max_splats=4000, upload_budget=20_000)
+    session, last, _ = fly(town, options)
+    assert last.is_complete
+    assert 0 < sum(session.tree.splats[entry.tile] for entry in last.drawn) <= 4000
+    session.close()
+
+
+@pytest.mark.parametrize(
+    "failures",
+    [
+        (FailureRule(404, 0.3),),
+        (FailureRule("cut", 0.3),),
+        (FailureRule(503, 0.3),),
+        (FailureRule("cut", 1.0),),
+        (FailureRule("stall", 0.2),),
+    ],
+    ids=["404", "cut", "503", "all-cut", "stall"],
+)
+def test_a_faulty_server_still_gives_frames(
+    town: Path, monkeypatch: pytest.MonkeyPatch, failures: tuple[FailureRule, ...]
+) -> None:
+    monkeypatch.setattr(http_store, "_BACKOFF", 0.01)
+    monkeypatch.setattr(http_store, "_TIMEOUT", 0.3)
+    faults = NetworkFaults(failures=(), seed=1)
+    with served(town, faults) as address:
+        lines: list[str] = []
+        source = f"{address}tileset.json"
+        session = open_session(source, OPTIONS, report=lines.append)
+        faults.failures = failures
+        pool, path = Pool(session), cameras(20)
+        for frustum in path:
+            pool.take(session.frame(frustum))
+            session.wait(0.02)
+        frame = complete(session, path[-1], pool)
+        kind, share = failures[0].failure, failures[0].share
+        assert all(line.startswith(address) for line in lines)
+        if kind == 404:
+            assert lines
+            assert all("404" in line for line in lines)
+        if share == 1:
+            assert frame.drawn == ()
+            assert any("broke off" in line for line in lines)
+        else:
+            assert frame.drawn
+        session.close()
+
+
+def test_a_dead_tile_leaves_its_parent_drawn(town: Path) -> None:
+    session = open_session(town, OPTIONS)
+    path = cameras(40)
+    cut = cut_tree(session.tree, path[-1], 4.0)
+    victim = next(
+        int(row)
+        for row in np.flatnonzero(cut.wanted)
+        if cut.seen[session.tree.parent[row]] and session.tree.level[row] > 1
+    )
+    uri = session.tree.tiles[victim].contents[0].uri
+    session.close()
+    file = town / uri
+    data = file.read_bytes()
+    file.unlink()
+    try:
+        session, last, lines = fly(town)
+        drawn = {entry.tile for entry in last.drawn}
+        assert int(session.tree.parent[victim]) in drawn
+        assert victim not in drawn
+        assert len(lines) == 1
+        assert uri in lines[0]
+        session.close()
+        file.write_bytes(data[: len(data) // 2])
+        session, last, lines = fly(town)
+        assert uri in lines[0]
+        session.close()
+    finally:
+        file.write_bytes(data)
+
+
+class _Redirect(BaseHTTPRequestHandler):
+    target = ""
+
+    def do_GET(self) -> None:
+        self.send_response(302)
+        self.send_header("Location", f"{type(self).target}{self.path.lstrip('/')}")
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def do_HEAD(self) -> None:
+        self.do_GET()
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+def test_redirects_to_another_origin_need_permission(town: Path) -> None:
+    with served(town) as address:
+        _Redirect.target = address
+        with ThreadingHTTPServer(("127.0.0.1", 0), _Redirect) as server:
+            thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+            thread.start()
+            source = f"http://127.0.0.1:{server.server_address[1]}/tileset.json"
+            try:
+                with pytest.raises(TilesetInvalid, match="redirects to") as error:
+                    open_session(source, OPTIONS)
+                assert "--allow-origin" in error.value.hint
+                allowed = replace(OPTIONS, allow_origins=(address,))
+                session, last, _ = fly(source, allowed, 5)
+                assert last.drawn
+                session.close()
+                _Redirect.target = source.removesuffix("tileset.json")
+                with pytest.raises(TilesetInvalid, match="more than 5 redirects"):
+                    open_session(source, OPTIONS)
+            finally:
+                server.shutdown()
+                thread.join()
+
+
+def test_what_was_fetched_is_on_disk_the_next_time(town: Path, tmp_path: Path) -> None:
+    options = replace(OPTIONS, cache_bytes=1 << 24, cache_folder=tmp_path)
+    log: list[str] = []
+    with serve_folder(town, log=log.append) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        try:
+            for _ in range(2):
+                session, last, _ = fly(f"{server.address}tileset.json", options)
+                session.close()
+                log.append("again")
+        finally:
+            server.shutdown()
+            thread.join()
+    first, second = log[: log.index("again")], log[log.index("again") + 1 : -1]
+    drawn = {session.tree.tiles[entry.tile].contents[0].uri for entry in last.drawn}
+    assert drawn <= {line.split()[-1].lstrip("/") for line in first}
+    # Prefetches depend on time, so that a few files may be new.
+    assert not {line for line in second if line.endswith(".glb")} & set(first)
+
+
+def test_a_log_replays_frame_by_frame(town: Path, tmp_path: Path) -> None:
+    log = tmp_path / "events.jsonl"
+    session, _, _ = fly(town, replace(OPTIONS, log=log))
+    session.close()
+    store = FolderStore(town)
+    reader = ContentReader(store, load_tileset(store, "tileset.json"), session.tree, None)
+    link = ReplayLink(lambda t: reader.decode(t, reader.fetch(t, lambda count: None)), 6)
+    again = TilesetSession(session.tree, link, link, OPTIONS, sh_degree=1)
+    count = 0
+    for events in read_events(log):
+        link.begin(events)
+        frame = again.frame(events.frustum)
+        assert tuple(arrival.tile for arrival in frame.arrivals) == events.arrived
+        assert frame.evicted == events.evicted
+        assert tuple((entry.tile, entry.fade) for entry in frame.drawn) == events.drawn
+        count += 1
+    assert count >= 40
