@@ -25,26 +25,4 @@ __all__ = [
     "export_post_process", "inputs", "installed_plugins", "math", "wrap",
 ]  # fmt: skip
 
-<<<<<<< HEAD
-_HOME = {
-    name: module
-    for module, names in {
-        "authoring.adapter": "wrap",
-        "authoring.cells": "Cells",
-        "authoring.generator": "GaussianGenerator Gaussians",
-        "authoring.inputs": "inputs",
-        "authoring.post_process": "PostProcess",
-        "errors": "ExportFailed ExportRejected GeneratorInvalid ParityFailed",
-        "exporting.exporter": "Exported export",
-        "exporting.post_process_exporter": "export_post_process",
-        "math": "math",
-        "plugins.plugin": "Demo Plugin Publication installed_plugins",
-    }.items()
-    for name in names.split()
-}
-
-
-__getattr__ = lazy_getattr(__name__, _HOME)
-=======
 __getattr__ = lazy_getattr(__name__)
->>>>>>> 2de02c0384d2a13dca311bc049847b44e879a98e

@@ -4,8 +4,9 @@ The writers of a family are in its folder; this package offers them all. They ne
 are imported on first use.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from gsgen.contract._lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.synthetic_anchors import (
@@ -33,26 +34,4 @@ __all__ = [
     "write_stylise",
 ]  # fmt: skip
 
-_MODULES = {
-    name: module
-    for module, names in {
-        "anchors.synthetic_anchors": "AnchorOptions write_duplex write_octree write_scaffold",
-        "bodies.synthetic_body": "PersonOptions write_body",
-        "bodies.synthetic_motion": "write_motion",
-        "deformation.synthetic_deformations": "HexPlaneOptions write_deformable write_hexplane",
-        "images.synthetic_difix": "write_difix",
-        "images.synthetic_images": "write_denoiser write_stylise",
-        "people.synthetic_people": "write_gauhuman write_lhm write_r3",
-        "synthetic.knot": "torus_knot",
-    }.items()
-    for name in names.split()
-}
-
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = import_module(f"gsgen.reference_plugins.{_MODULES[name]}")
-    value: object = getattr(module, name)
-    globals()[name] = value
-    return value
+__getattr__ = lazy_getattr(__name__)

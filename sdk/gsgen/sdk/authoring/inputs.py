@@ -4,32 +4,10 @@ The Visionary viewer binds the default names to the correct role.
 """
 
 __all__ = [
-<<<<<<< HEAD
-    "appearance_id", "camera_position", "conditioning", "control", "expression", "frame_index",
-    "image", "pose", "projection", "root_rotation", "root_translation", "shape", "time", "timestep",
-    "view", "viewport",
+    "appearance_id", "audio", "camera_position", "condition", "conditioning", "control",
+    "expression", "frame_index", "image", "pose", "projection", "root_rotation", "root_translation",
+    "shape", "time", "timestep", "view", "viewport",
 ]  # fmt: skip
-=======
-    "appearance_id",
-    "audio",
-    "camera_position",
-    "condition",
-    "conditioning",
-    "control",
-    "expression",
-    "frame_index",
-    "image",
-    "pose",
-    "projection",
-    "root_rotation",
-    "root_translation",
-    "shape",
-    "time",
-    "timestep",
-    "view",
-    "viewport",
-]
->>>>>>> 2de02c0384d2a13dca311bc049847b44e879a98e
 
 from collections.abc import Sequence
 from typing import Literal

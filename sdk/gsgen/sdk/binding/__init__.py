@@ -28,21 +28,4 @@ __all__ = [
     "Pinhole", "ProviderUnavailable", "RunFailed", "SessionClosed", "SizeUnknown", "Stop",
 ]  # fmt: skip
 
-<<<<<<< HEAD
-_HOME = {
-    name: module
-    for module, names in {
-        "camera_inputs": "CameraLike Pinhole",
-        "frame": "Frame",
-        "providers.cancellation": "Stop",
-        "providers.errors": "CaptureOff FrameGone InputInvalid NodesOnCpu ProviderUnavailable "
-        "RunFailed SessionClosed SizeUnknown",
-        "session": "FrameSession",
-    }.items()
-    for name in names.split()
-}
-
-__getattr__ = lazy_getattr(__name__, _HOME)
-=======
 __getattr__ = lazy_getattr(__name__)
->>>>>>> 2de02c0384d2a13dca311bc049847b44e879a98e

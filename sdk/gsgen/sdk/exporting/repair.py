@@ -14,12 +14,8 @@ from onnx_ir.passes.common import NameFixPass
 
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
-<<<<<<< HEAD
-from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
-from gsgen.contract.process.atomic_files import atomic_write
-=======
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_model
->>>>>>> 2de02c0384d2a13dca311bc049847b44e879a98e
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.validation.report import Report
