@@ -1,13 +1,15 @@
 """Public names for authors of rules: declare a rule, report violations, register a level.
 
 A check receives one of :class:`InspectedModel`, :class:`ProbeRuns`, :class:`ModelOutputs`,
-:class:`Rows`, :class:`Behaviour` or :class:`Review`, as its rule's scope requires.
+:class:`Rows`, :class:`DrawnSample`, :class:`Behaviour` or :class:`Review`, as its rule's scope
+requires.
 """
 
 __all__ = [
     "Behaviour",
     "Check",
     "Comparison",
+    "DrawnSample",
     "InspectedModel",
     "Level",
     "LevelBackend",
@@ -32,6 +34,7 @@ __all__ = [
 ]
 
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.probing.run_comparison import Behaviour, Comparison, ProbeRun, ProbeRuns
 from gsgen.contract.rules.catalogue import builtin_rules, installed_rules

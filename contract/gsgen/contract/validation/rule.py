@@ -21,10 +21,20 @@ from gsgen.contract.validation.gates import MODEL_RUNS
 from gsgen.contract.validation.level_backend import LevelBackend
 
 # The argument of a check: the model before it runs (InspectedModel), its runs (ProbeRuns), the
-# outputs of one probe (ModelOutputs), a chunk of their rows (Rows), comparisons of all runs
-# (Behaviour), the context of a level backend, or the findings of all other rules (Review).
+# outputs of one probe (ModelOutputs), a chunk of their rows (Rows), a sample of drawn rows of one
+# probe (DrawnSample), comparisons of all runs (Behaviour), the context of a level backend, or the
+# findings of all other rules (Review).
 Scope = Literal[
-    "model", "execution", "emission", "rows", "runs", "live", "render", "report", "tileset"
+    "model",
+    "execution",
+    "emission",
+    "rows",
+    "sample",
+    "runs",
+    "live",
+    "render",
+    "report",
+    "tileset",
 ]
 Check = Callable[[Any], Iterator[Violation]]
 
@@ -38,6 +48,7 @@ _LEVELS: dict[Scope, Level] = {
     "execution": Level.VALUES,
     "rows": Level.VALUES,
     "emission": Level.VALUES,
+    "sample": Level.VALUES,
     "runs": Level.BEHAVIOUR,
     "live": Level.LIVE,
     "render": Level.RENDER,

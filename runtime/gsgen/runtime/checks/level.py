@@ -103,7 +103,7 @@ class RenderEvidence:
 
 @contextmanager
 def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
-    """Draw the outputs of a model for some of its probes, as the context of the rules.
+    """Draw a model's outputs for some probes, which the rules of level ``render`` check.
 
     Raises:
         LevelUnavailable: A package, a graphics adapter or its memory is missing.

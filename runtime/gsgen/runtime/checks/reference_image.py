@@ -67,11 +67,7 @@ def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarra
 
 
 def reference_camera(reference: ReferenceImage, width: int, height: int) -> Camera:
-    """Return the camera of a reference image.
-
-    Raises:
-        SceneInvalid: The manifest describes an invalid camera.
-    """
+    """Return the camera of a reference image."""
     if len(reference.view) != 3:
         raise SceneInvalid(f"has {len(reference.view)} rows, expected 3", where="view")
     view = np.eye(4)

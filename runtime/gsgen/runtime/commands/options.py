@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 class ModeName(StrEnum):
-    """Values of ``--mode``; both spellings of colour are valid."""
+    """The values of option ``--mode``; both spellings of colour are valid."""
 
     COLOR = "color"
     COLOUR = "colour"

@@ -81,7 +81,7 @@ class LivePlayback(Playback):
         self._position = float(number % self.frames)
 
     def advance(self, seconds: float) -> None:
-        """Advance the current frame by some seconds, if time is playing."""
+        """Advance the playback by some seconds, unless it is paused."""
         if self.playing:
             self._position = (self._position + seconds * self.fps) % self.frames
 
@@ -128,11 +128,7 @@ class LivePlayback(Playback):
             self.version += before != self._data_versions()
 
     def settle(self, camera: Camera) -> None:
-        """Compute the current frame for a camera, and wait for it.
-
-        Raises:
-            GsgenError: See :meth:`take`.
-        """
+        """Compute the current frame for a camera, and wait for it."""
         self.take(wait=True)
         self.begin(camera)
         self.take(wait=True)
@@ -143,11 +139,7 @@ class LivePlayback(Playback):
         return self.make_player(renderer, background, output, post)
 
     def frame(self, player: Player, camera: Camera) -> Frame:
-        """Compute and draw the current frame, through the post-process models.
-
-        Raises:
-            GsgenError: A value does not fit, or a model fails.
-        """
+        """Compute and draw the current frame, through the post-process models."""
         self.abandon()
         moment, before = self._moment_key(camera), self._data_versions()
         frame = player.render(self.request(camera, self.number))

@@ -76,7 +76,7 @@ class Source(ABC):
 
     @abstractmethod
     def finish(self) -> None:
-        """Wait for the pending frame, and update the Gaussians.
+        """Wait for the pending frame, and update the Gaussians of the source.
 
         Raises:
             GsgenError: A value does not fit, or the model fails; the error names model, input, frame.
@@ -121,7 +121,7 @@ class Source(ABC):
         return next((spec for spec in self.inputs if spec.role == "time"), None)
 
     def named(self, word: str) -> list[Input]:
-        """Return the inputs with this tensor name, or else with this role."""
+        """Return the model inputs with this tensor name, or else with this role."""
         return named(self.inputs, word)
 
     @abstractmethod
@@ -154,7 +154,7 @@ class Source(ABC):
 
 
 def named(inputs: Sequence[Input], word: str) -> list[Input]:
-    """Return the inputs with this tensor name, or else with this role."""
+    """Return the model inputs with this tensor name, or else with this role."""
     exact = [spec for spec in inputs if spec.name == word]
     return exact or [spec for spec in inputs if spec.role == word]
 

@@ -66,7 +66,7 @@ class Statistics:
         title: str,
         is_moving: bool,
     ) -> None:
-        """Count a frame drawn at ``now`` seconds, and update the rows if they are due."""
+        """Count a drawn frame, and update the displayed statistics if they are due."""
         self._frame_times.append(now)
         while now - self._frame_times[0] > 1:
             self._frame_times.popleft()

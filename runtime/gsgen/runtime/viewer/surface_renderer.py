@@ -100,11 +100,7 @@ class SurfaceRenderer:
         return view
 
     def show(self, context: "WgpuContext", view: View | None, panels: Sequence[Panel]) -> None:
-        """Show a picture, or black, with panels over it on a surface.
-
-        Raises:
-            DeviceLost: The device was lost.
-        """
+        """Show a picture, or black, with panels over it on a surface."""
         device = self.renderer.device
         device.require()  # wgpu-native aborts if a surface uses a lost device
         with device.translate_errors():
@@ -153,20 +149,12 @@ class SurfaceRenderer:
         return Drawn(image, frame.rgba.shape[1], frame.visible, frame.pairs)
 
     def frame(self, playback: LivePlayback, request: ViewRequest) -> Frame:
-        """Draw a picture of a playback as arrays, through its post-process models.
-
-        Raises:
-            GsgenError: The scene cannot be drawn, or a model fails.
-        """
+        """Draw a picture of a playback as arrays, through its post-process models."""
         player = playback.player(self.renderer, request.background, MODES[request.mode])
         return playback.frame(player, request.camera)
 
     def recover(self) -> None:
-        """Open the GPU device again after a loss; the next picture uploads the scene to it.
-
-        Raises:
-            DeviceUnavailable: No device can be opened.
-        """
+        """Open the GPU device again after a loss; the next picture uploads the scene to it."""
         try:
             self._upload = None
             self._begin()

@@ -6,13 +6,12 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probes import NAMED
 from gsgen.contract.probing.run_comparison import Behaviour, Comparison
 from gsgen.contract.spec.manifest import Input
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.roles import CAMERA_ROLES, KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
-_OF_CAMERA = ("view", "projection", "camera_position", "viewport")
 
 
 def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
@@ -109,7 +108,7 @@ def _depends(behaviour: Behaviour, key: str) -> bool:
 
 
 def _is_of_camera(subject: InspectedModel, key: str) -> bool:
-    return any(entry.role in _OF_CAMERA for entry in _inputs_of(subject, key))
+    return any(entry.role in CAMERA_ROLES for entry in _inputs_of(subject, key))
 
 
 def _location(key: str) -> str:
