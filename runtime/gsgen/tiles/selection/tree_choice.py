@@ -214,11 +214,7 @@ def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
 
 
 def _running(values: Points, owner: Rows) -> Points:
-<<<<<<< HEAD
-    """Return cumulative sums that restart at each owner."""
-=======
     """Return the cumulative sums that restart with each owner."""
->>>>>>> e03b8eff2dba7837c645bb193d9a0a512a3ece51
     total = np.cumsum(values)
     first = np.searchsorted(owner, owner)
     return np.asarray(total - (total - values)[first])

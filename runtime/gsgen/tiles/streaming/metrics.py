@@ -96,11 +96,7 @@ class MetricsRecorder:
         self._wasted += received
 
     def frame(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
-<<<<<<< HEAD
         """Record a frame: the tiles that are seen, wanted and present."""
-=======
-        """Note the cut of a frame, and the tiles that are loaded."""
->>>>>>> e03b8eff2dba7837c645bb193d9a0a512a3ece51
         self._time = time
         self._start = time if self._start is None else self._start
         self._unseen &= ~(cut.seen & loaded)
