@@ -214,7 +214,7 @@ def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
 
 
 def _running(values: Points, owner: Rows) -> Points:
-    """Return the cumulative sums that restart with each owner."""
+    """Return cumulative sums that restart at each owner."""
     total = np.cumsum(values)
     first = np.searchsorted(owner, owner)
     return np.asarray(total - (total - values)[first])
