@@ -227,7 +227,7 @@ class Registry:
         return Registry(selected, self.backends)
 
     def with_needs(self, rule_ids: Iterable[str]) -> "Registry":
-        """Return only the given rules and all that must hold before they can be checked."""
+        """Return a registry with only the given rules and all rules that they depend on."""
         queue, selected = [id for id in rule_ids if id in self.rules], set[str]()
         if any(self.rules[id].level > Level.STATIC for id in queue):
             queue.append(MODEL_RUNS)
