@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from convention_pictures.sketch import beside, drawn
+from draw_conventions import COLORS
 from PIL import Image
 
 from gsgen.conformance.fixtures import find
@@ -23,7 +24,6 @@ from gsgen.runtime.scene.splat_data import SplatData
 
 ASSETS = Path(__file__).parents[1] / "docs" / "assets" / "rules"
 SIZE = 240
-COLORS = 96
 
 # Rule → the fixture that breaks it, the kind of the right scene, its rows and its SH degree.
 PICTURES: dict[str, tuple[str, Kind, int, int | None]] = {
