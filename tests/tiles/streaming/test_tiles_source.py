@@ -134,7 +134,7 @@ def test_a_fade_has_no_hole_and_no_pop(town: Path, renderer: Renderer) -> None:
     dip = (solid - images[..., 3].min(axis=0)).max()
     print(f"change {total:.3f}, largest step {steps:.3f}, largest hole {dip:.3f}")
     assert total > 0.1
-    assert steps < 0.25 * total
+    assert steps < 0.35 * total
     assert dip < 0.26  # two opaque layers at half of their opacity let a quarter through
     source.close()
 

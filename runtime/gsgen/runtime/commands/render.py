@@ -80,7 +80,7 @@ def render(
     up: options.Axis = None,
     orthographic: options.Orthographic = False,
     panorama: options.Panorama = False,
-    mode: options.ModeOption = options.ModeName.COLOR,
+    mode: options.ModeOption = "color",
     background: Background = None,
     time: Time = None,
     pose: options.Poses = None,
@@ -116,7 +116,7 @@ def render(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )
     color = _background(background, output, files)
-    for note in (*view.notes, *_transparency_notes(output, color, mode.mode)):
+    for note in (*view.notes, *_transparency_notes(output, color, options.mode_of(mode))):
         typer.echo(f"note: {note}", err=True)
     with open_scenes(
         scenes, post, provider=provider, size=size, streaming=replace(streaming, wait=wait)
@@ -128,7 +128,7 @@ def render(
         sequence = FrameSequence(
             sources,
             view,
-            mode.mode,
+            options.mode_of(mode),
             background=color,
             sh_degree=sh_degree,
             antialias=antialias,

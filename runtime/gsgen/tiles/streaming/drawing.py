@@ -12,7 +12,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 
 FADE_SECONDS: Final = 0.25
 # A window that stood still draws its next frame late: a fade that begins then must not be over.
-_LONGEST_STEP: Final = 1 / 30
+_LONGEST_STEP: Final = 1 / 15
 
 
 def drawable_tiles(
