@@ -107,7 +107,7 @@ FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
             COUNT,
             b"\x0d",
             HeaderMalformed,
-            "section 0, byte 4096: 13 of 12 splats\nexpected at most 12",
+            "section 0, byte 4096: 13 splats, capacity 12\nexpected at most 12",
         ),
         (MOST, b"\xff\xff\xff\x7f", FileTruncated, "section 0, byte 4096: 90194313218"),
         (PARTIAL, b"\xff\xff\xff\x7f", HeaderMalformed, "section 0, byte 4096: 3 buckets of"),

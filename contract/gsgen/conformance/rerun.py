@@ -12,6 +12,7 @@ import numpy as np
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import open_model
+from gsgen.contract.probing.drawn_sample import draw_sample
 from gsgen.contract.probing.outputs import ModelOutputs, chunks, read_outputs
 from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
@@ -25,7 +26,7 @@ from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 
 # Scopes of rules that can be checked with one probe alone.
-ONE_PROBE = ("rows", "emission", "execution")
+ONE_PROBE = ("rows", "sample", "emission", "execution")
 
 Arrays = dict[str, np.ndarray]
 
@@ -77,6 +78,8 @@ class Replay:
             emission = self.emission(probe)
             if rule.scope == "emission":
                 yield emission, 0
+            elif rule.scope == "sample" and (sample := draw_sample(emission)) is not None:
+                yield sample, 0
             elif rule.scope == "rows":
                 yield from ((chunk, chunk.start) for chunk in chunks(emission))
 

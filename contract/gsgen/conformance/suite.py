@@ -92,19 +92,19 @@ SUITES: tuple[Suite, ...] = (
         "camera",
         "Cameras have the declared form and the expected effect.",
         _takes("view", "projection", "camera_position", "viewport"),
-        _ids("GI001", "GI002", "GI007", "GI008", "GB007", "GB008"),
+        _ids("GI001", "GI002", "GI007", "GI008", "GB007", "GB008", "GB030", "GB031"),
     ),
     Suite(
         "time",
         "Time has the declared form, loops, and reaches every frame.",
         _takes("time", "frame_index"),
-        _ids("GI003", "GM010", "GB004", "GB005", "GB006", "TV108"),
+        _ids("GI003", "GM010", "GB004", "GB005", "GB006", "GB033", "GB034", "TV108"),
     ),
     Suite(
         "avatar",
         "Poses and body shapes, at rest and at their extremes.",
         _takes("pose", "shape", "expression", "root_translation", "root_rotation"),
-        _ids("GI009", "GI010", "GB013"),
+        _ids("GI009", "GI010", "GB013", "GB035", "GB036"),
     ),
     Suite(
         "appearance",
@@ -112,7 +112,7 @@ SUITES: tuple[Suite, ...] = (
         _kind(GENERATOR),
         _ids(
             *("GM007", "GM008", "GO005", "GO006", "GO007", "GO009", "GV012", "GV013"),
-            *("GV014", "GV022", "TV102", "TV104"),
+            *("GV014", "GV022", "GV044", "GV045", "GV046", "GV047", "GV048", "TV102", "TV104"),
         ),
     ),
     Suite("post-process", "Images in, images out.", _kind(POST_PROCESS), _of_tensors),

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.scene.mesh import Mesh, MeshData
     from gsgen.runtime.scene.scene import Box, Scene, SplatSet
     from gsgen.runtime.scene.splat_data import SplatData
+    from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
     from gsgen.runtime.sources.mesh_files import read_mesh
     from gsgen.runtime.sources.scene_file import open_scene
     from gsgen.runtime.viewer.window import view
@@ -43,10 +44,12 @@ __all__ = [
     "Mesh",
     "MeshData",
     "Player",
+    "PooledSet",
     "Renderer",
     "Scene",
     "SceneInvalid",
     "SplatData",
+    "SplatPool",
     "SplatSet",
     "bake",
     "open_cameras",

@@ -131,7 +131,9 @@ def _section(data: Data, index: int, start: int, level: int) -> _Section:
     if degree > _MOST_DEGREE:
         raise HeaderMalformed(f"SH degree {degree}", where=where, expected="0, 1 or 2")
     if count > most:
-        raise HeaderMalformed(f"{count} of {most} splats", where=where, expected=f"at most {most}")
+        raise HeaderMalformed(
+            f"{count} splats, capacity {most}", where=where, expected=f"at most {most}"
+        )
     if level and not count <= full * size + partial * size:
         raise HeaderMalformed(
             f"{count} splats in {full} full and {partial} other buckets of {size}",

@@ -39,7 +39,7 @@ _CHUNK = 8192
 # Largest share of a probe's rows that may match nearby inputs instead; one row always may.
 _JUMPING_SHARE = 1e-4
 # Nearby inputs are tried where this many more rows differ, so that an error names none that jumps.
-_MOST_TRIED = 64
+_EXTRA_ROWS_TRIED = 64
 # Below this size, numbers of a run are compared absolutely.
 _TYPICAL = 1e-2
 
@@ -240,7 +240,7 @@ def _compare_probe(
         # Step 2: a few others may be as they are nearby.
         distant = np.flatnonzero(beyond)
         allowed_jumps = max(1, _JUMPING_SHARE * n) - jumps
-        if nearby is not None and 0 < len(distant) <= _MOST_TRIED + allowed_jumps:
+        if nearby is not None and 0 < len(distant) <= _EXTRA_ROWS_TRIED + allowed_jumps:
             errors, excused = _excused(measured, reference, distant, nearby(reference))
             if excused <= allowed_jumps:
                 _collect(worst, errors, distant, np.ones(len(distant), bool), label)

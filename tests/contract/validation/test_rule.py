@@ -55,6 +55,7 @@ def test_a_rule_may_say_where_it_was_seen_to_break_something():
         ("execution", Level.VALUES),
         ("emission", Level.VALUES),
         ("rows", Level.VALUES),
+        ("sample", Level.VALUES),
         ("runs", Level.BEHAVIOUR),
         ("report", Level.STATIC),
     ],

@@ -164,5 +164,5 @@ def refuse_strangers(
     }
     for entry in unmatched_entries(expected, tested):
         raise pytest.UsageError(
-            f"gsgen: an expected failure matches no rule of any tested model: remove or correct it\n  {entry}"
+            f"gsgen: an expected failure matches no rule of any tested model: remove it\n  {entry}"
         )

@@ -1,6 +1,6 @@
 """Probes of behaviour rules: range ends, flipped axes, loops, frames, and the order of runs."""
 
-__all__ = ["PATH_OFFSET", "REPEATED", "trial_probes"]
+__all__ = ["AWAY", "PATH_OFFSET", "REPEATED", "TILTED", "trial_probes"]
 
 import math
 from collections.abc import Iterator
@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from gsgen.contract.probing.probes import Array, Probe, as_tensor
+from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest, TrajectoryManifest
 from gsgen.contract.spec.roles import ROLES
 
@@ -26,6 +27,15 @@ _BEYOND = 0.01
 _WINDOW = 8
 _INTO_FRAME = 0.3
 _STEPS = 60
+# Suffixes of the labels of a camera that is turned about its own centre.
+TILTED, AWAY = "tilted", "looking away"
+# A tilt by 0.7 about the viewing axis and 0.15 about the vertical, and half a turn.
+_TILT = rotation_matrix(np.array([[0.9365, 0.0, 0.07, 0.3429]]))[0]
+_HALF_TURN = np.diag([-1.0, 1.0, -1.0])
+# Instants between those of other probes, and the short step of a time from 0 to 1.
+_INSTANTS = (0.35, 0.75)
+_FINE = 0.01
+_UNIT_RANGE = 1.0
 _REFRESH = 60.0
 
 
@@ -41,6 +51,7 @@ def trial_probes(
     """
     if isinstance(manifest, GeneratorManifest):
         yield "moved", tuple(_moved(manifest, base))
+        yield "turned", tuple(_turned(manifest, base))
         yield "flipped", tuple(_flipped(manifest, base))
         yield "edges", tuple(_edges(manifest, base))
         yield "outside", tuple(_outside(manifest, base))
@@ -49,6 +60,7 @@ def trial_probes(
                 yield "loop", tuple(_loop(entry, base))
                 yield "paces", tuple(_paces(entry, base))
                 yield "frames", tuple(_frames(entry, base))
+                yield "swept", tuple(_swept(manifest, entry, base))
     if isinstance(manifest, TrajectoryManifest):
         yield "paths", tuple(_paths(manifest, base))
     if len(first) > 1:
@@ -94,6 +106,29 @@ def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
         yield _changed(base, "again", **{entry.name: view})
         yield _changed(base, "moved", **{entry.name: view + tensor})
         yield _changed(base, "moved, transposed", **{entry.name: view + tensor.T})
+
+
+def _turned(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+    """The camera turned about its own centre: tilted a little, looking away, and from far."""
+    order = manifest.space.matrix_order if manifest.space else "column"
+    for entry in _of_role(manifest, "view")[:1]:
+        view = as_tensor(base.inputs[entry.name], order).astype(np.float64)
+        for words, rotation in ((TILTED, _TILT), (AWAY, _HALF_TURN)):
+            turn = np.eye(4)
+            turn[:3, :3] = rotation
+            yield _changed(base, words, **{entry.name: as_tensor(turn @ view, order)})
+
+
+def _swept(manifest: GeneratorManifest, entry: Input, base: Probe) -> Iterator[Probe]:
+    """Instants within the range, and pairs a hundredth of a short range apart."""
+    assert entry.range is not None
+    low, high = entry.range
+    is_short = entry.frames is None and 0 < high - low <= _UNIT_RANGE
+    if is_short or len(manifest.inputs) > 1:  # otherwise the first probes hold such instants
+        yield from (_at(entry, base, along) for along in _INSTANTS)
+    if is_short:
+        along = (float(base.inputs[entry.name].reshape(-1)[0]) - low) / (high - low)
+        yield from (_at(entry, base, start + _FINE) for start in (along, *_INSTANTS))
 
 
 def _flipped(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:

@@ -30,7 +30,7 @@ _FETCHABLE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The ordered probes of one session, and the rules' purpose of each run.
+    """The ordered probes of one session, with the rules that use each run.
 
     Attributes:
         probes: One set of inputs per run.

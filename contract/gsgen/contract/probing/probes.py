@@ -5,7 +5,7 @@ other input is sampled within its range. The first probe is all zeros, which is 
 feed before the first real values.
 """
 
-__all__ = ["NAMED", "Array", "Probe", "as_tensor", "default_probes", "dependency_probes"]
+__all__ = ["INPUT_PREFIX", "Array", "Probe", "as_tensor", "default_probes", "dependency_probes"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from gsgen.contract.spec.roles import ROLES, STATE_SIZES
 Array = np.ndarray
 
 # Start of the key of one input, among those of roles.
-NAMED = "input "
+INPUT_PREFIX = "input "
 
 # Images wide, square and tall, and lenses from the narrower to the wider angle: a model that
 # depends on either must show it.
@@ -96,8 +96,8 @@ def dependency_probes(
     for entry in manifest.inputs:
         groups[entry.role].append(entry.name)
     if isinstance(manifest, GeneratorManifest):
-        named = [entry.name for entry in manifest.inputs if entry.name in manifest.depends_on]
-        groups |= {f"{NAMED}{name}": [name] for name in named}
+        inputs = [entry.name for entry in manifest.inputs if entry.name in manifest.depends_on]
+        groups |= {f"{INPUT_PREFIX}{name}": [name] for name in inputs}
     for name, changed in groups.items():
         variants = tuple(
             Probe(

@@ -131,6 +131,10 @@ class Behaviour:
         self.unfinished_probes.extend(self.trial.plan.probes[index].label for index in missed)
         return [self._visit(index) for index in probe_indices if self._ran(index)]
 
+    def runs(self, indices: Iterable[int]) -> list[ProbeRun]:
+        """Return the runs with these numbers in the plan that finished."""
+        return [self._visit(index) for index in indices if self._ran(index)]
+
     def _ran(self, index: int) -> bool:
         run = self.trial.execution.runs[index]
         return run.sample >= 0 or bool(run.error)

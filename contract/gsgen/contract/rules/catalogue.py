@@ -22,6 +22,16 @@ from gsgen.contract.rules.interface import (
     side_files,
 )
 from gsgen.contract.rules.outputs import capacity, companions, count, graph_outputs, outputs
+from gsgen.contract.rules.pictures import (
+    colors,
+    effects,
+    harmonics,
+    opacities,
+    orientation,
+    poses,
+    sizes,
+    turning,
+)
 from gsgen.contract.rules.targets import limits, visionary, visionary_drawing
 from gsgen.contract.rules.values import appearance, cells, covariance, execution, extent, rows
 from gsgen.contract.spec.roles import KINDS
@@ -52,11 +62,19 @@ FAMILIES = (
     extent,
     appearance,
     cells,
+    sizes,
+    orientation,
+    opacities,
+    colors,
+    harmonics,
     determinism,
     camera,
     motion,
     robustness,
     trajectory,
+    turning,
+    effects,
+    poses,
     limits,
     capacity,
     safety,

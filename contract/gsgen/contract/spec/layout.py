@@ -12,6 +12,7 @@ __all__ = [
     "POSITION",
     "ROW",
     "UPPER_TRIANGLE",
+    "VARIANCES",
     "VISIBILITY",
     "WORD_BYTES",
     "Cells",
@@ -36,6 +37,8 @@ ROW = len(FIELDS)
 POSITION = slice(0, 3)
 OPACITY = 3
 COVARIANCE = slice(4, 10)
+# The columns of xx, yy and zz.
+VARIANCES = [4, 7, 9]
 
 # The (row, column) of each covariance entry of a row: xx xy xz yy yz zz.
 UPPER_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))

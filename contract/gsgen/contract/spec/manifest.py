@@ -265,14 +265,14 @@ class WeightedSum:
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """What the model promises a runtime that records its kernels once."""
+    """The model's promises to a runtime that records its GPU kernels once (graph capture)."""
 
     static_shapes: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """How closely two executions of the model agree, each field in its natural unit."""
+    """The largest differences between two executions of the model, each field in its unit."""
 
     position: Annotated[Fraction, Hint(text="In standard deviations of the Gaussian.")] = 1e-3
     covariance: Annotated[Fraction, Hint(text="Relative to the covariance's trace.")] = 1e-3

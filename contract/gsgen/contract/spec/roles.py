@@ -1,6 +1,7 @@
 """Input roles: the meaning of a frame input, which fixes its shape and dtype."""
 
 __all__ = [
+    "CAMERA_ROLES",
     "CONVENTION_SHAPES",
     "ROLES",
     "STATE_SIZES",
@@ -22,6 +23,9 @@ GENERATOR = "gaussian-generator"
 POST_PROCESS = "post-process"
 TRAJECTORY = "trajectory-predictor"
 KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
+
+# Roles of the camera: they cull, fade and light, and from some places change nothing.
+CAMERA_ROLES = ("view", "projection", "camera_position", "viewport")
 
 STATE_SIZES = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
 """Numbers in a camera state by its representation: the centre, then the rotation."""

@@ -8,6 +8,7 @@ extension KHR_gaussian_splatting, which lists the same polynomials.
 __all__ = [
     "COEFFICIENTS",
     "MAX_DEGREE",
+    "SH_DC",
     "basis",
     "coefficients",
     "degree_of",
@@ -24,7 +25,8 @@ from gsgen.contract._array_types import Float
 MAX_DEGREE = 3
 COEFFICIENTS = tuple((degree + 1) ** 2 for degree in range(MAX_DEGREE + 1))
 
-_C0 = 0.5 * math.sqrt(1 / math.pi)
+# The constant basis function: colours are 0.5 + SH_DC · f_dc.
+SH_DC = 0.5 * math.sqrt(1 / math.pi)
 _C1 = math.sqrt(3 / (4 * math.pi))
 _C2 = (0.5 * math.sqrt(15 / math.pi), 0.25 * math.sqrt(5 / math.pi))
 _C3 = (
@@ -59,7 +61,7 @@ def basis(
     """Evaluate the (degree + 1)² SH basis functions at unit ``directions``, in float64."""
     x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
     xx, yy, zz = x * x, y * y, z * z
-    columns = [np.full_like(x, _C0)]
+    columns = [np.full_like(x, SH_DC)]
     if degree >= 1:
         columns += [-_C1 * y, _C1 * z, -_C1 * x]
     if degree >= 2:

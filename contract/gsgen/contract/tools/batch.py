@@ -1,4 +1,4 @@
-"""Validate many files, in several processes where asked."""
+"""Validates many files, in several processes if requested."""
 
 __all__ = ["registry_for", "validate_all"]
 
@@ -16,7 +16,7 @@ from gsgen.contract.validator import validate
 
 
 def registry_for(paths: Sequence[Path]) -> Registry:
-    """Return the installed rules; those of other files only where one of ``paths`` is no model."""
+    """Return the installed rules; rules of other file kinds only if ``paths`` has such a file."""
     models_only = all(path.suffix.lower() == MODEL_SUFFIX for path in paths)
     return model_rules() if models_only else installed_rules()
 
@@ -48,7 +48,7 @@ def validate_all(
 def _validate_entry(
     path: Path, settings: Settings, registry: Registry, progress: Progress
 ) -> Entry:
-    """Validate one file; the error of an unreadable one becomes its entry."""
+    """Validate one file; an unreadable file gives an entry with the error."""
     try:
         return validate(path, settings, registry=registry, progress=progress)
     except InputUnreadable as error:

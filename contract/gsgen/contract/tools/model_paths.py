@@ -1,4 +1,4 @@
-"""Files that a command line names: files, folders and globs."""
+"""Expands the file names of a command line: files, folders and globs."""
 
 __all__ = ["expand_paths"]
 
@@ -14,7 +14,7 @@ _WILDCARDS = frozenset("*?[")
 
 
 def expand_paths(names: Iterable[Path]) -> list[Path]:
-    """Return the files to validate, each once, in the order of ``names``.
+    """Return the model files that names, folders and globs denote, each once, in order.
 
     A folder gives the models in it and below, sorted by path, without hidden files and folders. A
     folder that an installed validator recognises, such as that of a tileset, stays one entry. A

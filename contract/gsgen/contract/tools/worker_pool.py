@@ -1,4 +1,4 @@
-"""Worker processes that validate files at once; imported only where several are asked for."""
+"""Worker processes that validate files in parallel, imported only on demand."""
 
 __all__ = ["WorkerDied", "validate_in_processes"]
 
@@ -21,7 +21,7 @@ from gsgen.contract.validation.settings import Settings
 
 
 class WorkerDied(GsgenError):
-    """A worker process ended without a report, as when the system runs out of memory."""
+    """Raised if a worker process ended without a report, for example out of memory."""
 
     exit_code: ClassVar[int] = ExitCode.INTERNAL
 
@@ -76,7 +76,7 @@ def _start_worker() -> None:
 
 
 def _reduce_rule(rule: Rule) -> tuple[Callable[[str], Rule], tuple[str]]:
-    """Send a rule as its id: the parent has the same rules installed."""
+    """Pickle a rule as its id, since the parent process has the same rules installed."""
     return _find_rule, (rule.id,)
 
 

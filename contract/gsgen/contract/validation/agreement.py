@@ -15,6 +15,7 @@ from gsgen.contract.spec.layout import (
     CULL_OPACITY,
     OPACITY,
     POSITION,
+    VARIANCES,
     VISIBILITY,
 )
 from gsgen.contract.spec.spherical_harmonics import basis, degree_of, largest_sum
@@ -24,7 +25,6 @@ from gsgen.contract.validation.report import Tolerance
 _ROUNDING = {"float16": 2.0**-10, "float32": 2.0**-20}
 # The smallest difference that float16 and float32 can store, once for each execution.
 _TINY = {"float16": 2.0**-23, "float32": 2.0**-148}
-_TRACE_COLUMNS = [4, 7, 9]
 _SMALLEST_TRACE = 1e-30
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
@@ -133,7 +133,7 @@ def _packed_measured(
     """Yield the errors of opacity, position and covariance of packed rows or cells."""
     rounding, tiny = _ROUNDING[dtype], _TINY[dtype]
     yield "opacity", (_distance(a, b, OPACITY), np.full(len(a), rounding))
-    trace = np.maximum(a[:, _TRACE_COLUMNS].sum(axis=1), _SMALLEST_TRACE)
+    trace = np.maximum(a[:, VARIANCES].sum(axis=1), _SMALLEST_TRACE)
     sigma = np.sqrt(trace / 3)
     extent = np.abs(a[:, POSITION]).max(axis=1)
     position_error = _ratio(_distance(a, b, POSITION), sigma)

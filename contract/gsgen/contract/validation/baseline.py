@@ -52,7 +52,7 @@ class Baseline:
         return replace(report, findings=findings, baseline=self.path, resolved=resolved)
 
     def known_findings(self, path: str) -> KnownFindings:
-        """Return the known findings of the model at ``path``.
+        """Return the findings that the baseline lists for the model at ``path``.
 
         A baseline of one model applies to every path. Among several models, the path decides, then
         the file name: other machines keep the same models in other folders.

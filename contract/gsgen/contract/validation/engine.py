@@ -12,6 +12,7 @@ from pathlib import Path
 
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
+from gsgen.contract.probing.drawn_sample import FEWEST_DRAWN, draw_sample
 from gsgen.contract.probing.outputs import ModelOutputs, chunks, read_outputs
 from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRuns, read_behaviour
@@ -208,6 +209,21 @@ class _Validation:
         if not rows:
             self.results.skip(by_rows, "no probe gave packed rows")
         self.results.settle(by_rows, items=rows)
+        self._check_sample(emissions)
+
+    def _check_sample(self, emissions: list[ModelOutputs]) -> None:
+        """Check statistical rules with the first probe that draws enough rows."""
+        rules = _needs_first(self._of_scope("sample", upto=Level.VALUES))
+        samples = (draw_sample(emission) for emission in emissions if rules)
+        sample = next((sample for sample in samples if sample is not None), None)
+        for rule in rules:
+            if not self.results.is_ready(rule):
+                continue
+            if sample is None:
+                self.results.exclude([rule], f"no probe draws {FEWEST_DRAWN} rows or more")
+                continue
+            self.results.check(rule, sample, sample.emission.probe)
+            self.results.settle([rule], items=sample.count)
 
     def _check_behaviour(self, probe_runs: ProbeRuns) -> None:
         self.progress("comparing runs")

@@ -13,6 +13,7 @@ __all__ = [
     "PACKED_ROWS",
     "REPRODUCIBLE",
     "RUNNABLE",
+    "VALID_ROWS",
     "WELL_FORMED",
 ]
 
@@ -43,6 +44,9 @@ PACKED_ROWS: Final = (MODEL_RUNS, "GO001", "GO002", "GO008")
 
 # Packed rows whose columns hold the fields in the order of the layout.
 ORDERED_ROWS: Final = (*PACKED_ROWS, "GO016")
+
+# Ordered rows whose opacities and covariances are valid, so that statistics of them mean something.
+VALID_ROWS: Final = (*ORDERED_ROWS, "GV003", "GV005", "GV006")
 
 # Packed rows, and a count that lies between 0 and the capacity.
 COUNTED_ROWS: Final = (*PACKED_ROWS, "GO010", "GO011", "GV016")

@@ -132,6 +132,12 @@ class ResultCollector:
         for rule in rules:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="crashed", reason=last))
 
+    def exclude(self, rules: Iterable[Rule], reason: str) -> None:
+        """Settle rules as not applicable, with the reason."""
+        for rule in rules:
+            outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
+            self.outcomes.setdefault(rule.id, outcome)
+
     def skip(self, rules: Iterable[Rule], reason: str) -> None:
         """Record rules as skipped, with the reason."""
         for rule in rules:
@@ -167,4 +173,6 @@ class ResultCollector:
             source=source,
             waived=rule.id in self.settings.ignore,
             truncated=counter.truncated,
+            statistic=counter.statistic,
+            distribution=counter.distribution(),
         )

@@ -21,10 +21,20 @@ from gsgen.contract.validation.gates import MODEL_RUNS
 from gsgen.contract.validation.level_backend import LevelBackend
 
 # The argument of a check: the model before it runs (InspectedModel), its runs (ProbeRuns), the
-# outputs of one probe (ModelOutputs), a chunk of their rows (Rows), comparisons of all runs
-# (Behaviour), the context of a level backend, or the findings of all other rules (Review).
+# outputs of one probe (ModelOutputs), a chunk of their rows (Rows), a sample of drawn rows of one
+# probe (DrawnSample), comparisons of all runs (Behaviour), the context of a level backend, or the
+# findings of all other rules (Review).
 Scope = Literal[
-    "model", "execution", "emission", "rows", "runs", "live", "render", "report", "tileset"
+    "model",
+    "execution",
+    "emission",
+    "rows",
+    "sample",
+    "runs",
+    "live",
+    "render",
+    "report",
+    "tileset",
 ]
 Check = Callable[[Any], Iterator[Violation]]
 
@@ -38,6 +48,7 @@ _LEVELS: dict[Scope, Level] = {
     "execution": Level.VALUES,
     "rows": Level.VALUES,
     "emission": Level.VALUES,
+    "sample": Level.VALUES,
     "runs": Level.BEHAVIOUR,
     "live": Level.LIVE,
     "render": Level.RENDER,
@@ -216,7 +227,7 @@ class Registry:
         return Registry(selected, self.backends)
 
     def with_needs(self, rule_ids: Iterable[str]) -> "Registry":
-        """Return only the given rules and all that must hold before they can be checked."""
+        """Return a registry with only the given rules and all rules that they depend on."""
         queue, selected = [id for id in rule_ids if id in self.rules], set[str]()
         if any(self.rules[id].level > Level.STATIC for id in queue):
             queue.append(MODEL_RUNS)

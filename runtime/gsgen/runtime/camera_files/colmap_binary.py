@@ -24,11 +24,7 @@ _DAMAGED: Final = "The file is damaged, or was not written by COLMAP."
 
 
 def lenses(path: Path) -> dict[int, ColmapLens]:
-    """Read the lenses of COLMAP's cameras.bin, by their numbers.
-
-    Raises:
-        ConfigInvalid: The file ends too early, or has an unknown camera model.
-    """
+    """Read the lenses of COLMAP's cameras.bin, by their numbers."""
     with _opened(path) as data:
         by_number: dict[int, ColmapLens] = {}
         for index in range(data.count(_LENS.size)):
@@ -45,11 +41,7 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
 
 
 def images(path: Path) -> list[ColmapImage]:
-    """Read the images of COLMAP's images.bin, without their 2D points.
-
-    Raises:
-        ConfigInvalid: The file ends too early, or a name is not valid UTF-8.
-    """
+    """Read the images of COLMAP's images.bin, without their 2D points."""
     with _opened(path) as data:
         records = []
         for _ in range(data.count(_IMAGE.size + 1 + _COUNT.size)):
@@ -68,7 +60,7 @@ class _Reader:
         self._data, self._path, self._at = data, path, 0
 
     def count(self, least: int) -> int:
-        """Read a number of records of at least ``least`` bytes each."""
+        """Read the number of the records that follow, of at least ``least`` bytes each."""
         (count,) = self.take(_COUNT)
         if count > (len(self._data) - self._at) // least:
             raise ConfigInvalid(

@@ -14,11 +14,7 @@ _LONGEST: Final = 1 << 26  # characters of a line: an image may have a million p
 
 
 def lenses(path: Path) -> dict[int, ColmapLens]:
-    """Read the lenses of COLMAP's cameras.txt, by their numbers.
-
-    Raises:
-        ConfigInvalid: A line is not number, model, width, height, parameters.
-    """
+    """Read the lenses of COLMAP's cameras.txt, by their numbers."""
     by_number = {}
     for number, line in _lines(path):
         if not line or line.startswith("#"):
@@ -34,11 +30,7 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
 
 
 def images(path: Path) -> list[ColmapImage]:
-    """Read the images of COLMAP's images.txt: a line of pose, camera, name, and one of points.
-
-    Raises:
-        ConfigInvalid: A line is of another form.
-    """
+    """Read the images of COLMAP's images.txt: a line of pose, camera, name, and one of points."""
     records = []
     points = False  # whether the next line holds the points of an image
     for number, line in _lines(path):

@@ -15,11 +15,7 @@ from gsgen.runtime.scene.camera import Camera
 
 
 def number(document: Mapping[str, Any], name: str, where: str) -> float:
-    """Read a JSON field that must be a finite number.
-
-    Raises:
-        ConfigInvalid: The field is missing or not a finite number.
-    """
+    """Read a JSON field that must be a finite number."""
     value = document.get(name)
     # An integer may be too large for a float.
     good = isinstance(value, int | float) and not isinstance(value, bool)
@@ -29,11 +25,7 @@ def number(document: Mapping[str, Any], name: str, where: str) -> float:
 
 
 def side(document: Mapping[str, Any], name: str, where: str) -> int:
-    """Read a JSON field that must be whole pixels; some writers store 1920.0.
-
-    Raises:
-        ConfigInvalid: The field is missing or not a whole number.
-    """
+    """Read a JSON field that must be whole pixels; some writers store 1920.0."""
     value = number(document, name, where)
     if value != math.floor(value):
         raise ConfigInvalid(f"{name} is {value}, expected whole pixels", where=where)
@@ -49,11 +41,7 @@ def text(document: Mapping[str, Any], name: str, fallback: str) -> str:
 def matrix(
     document: Mapping[str, Any], name: str, shape: tuple[int, ...], where: str
 ) -> Float[np.ndarray, "..."]:
-    """Read a JSON field that must be an array of finite numbers of the given shape.
-
-    Raises:
-        ConfigInvalid: The field is missing or has another shape.
-    """
+    """Read a JSON field that must be an array of finite numbers of the given shape."""
     expected = "×".join(map(str, shape)) + " finite numbers"
     try:
         array = np.array(document[name], np.float64)
@@ -65,11 +53,7 @@ def matrix(
 
 
 def camera_at(where: str, **values: Any) -> Camera:
-    """Build a camera from attributes; its errors begin with the location ``where``.
-
-    Raises:
-        SceneInvalid: An attribute is invalid.
-    """
+    """Build a camera from attributes; its errors begin with the location ``where``."""
     try:
         return Camera(**values)
     except SceneInvalid as error:

@@ -16,12 +16,7 @@ def is_own(document: object) -> bool:
 
 
 def read_own(document: object, path: str) -> CameraFile:
-    """Read the cameras of a JSON document: one gsgen camera, or a list of cameras.
-
-    Raises:
-        SceneInvalid: An object is not a valid camera.
-        ConfigInvalid: The list is empty.
-    """
+    """Read the cameras of a JSON document: one gsgen camera, or a list of cameras."""
     entries = document if isinstance(document, list) else [document]
     if not entries:
         raise ConfigInvalid("has no cameras, expected at least one", where=path)

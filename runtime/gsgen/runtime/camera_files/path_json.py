@@ -25,13 +25,7 @@ def is_path(document: object) -> bool:
 
 
 def read_path(document: Mapping[str, Any], path: str) -> CameraFile:
-    """Read the camera of each frame of a nerfstudio camera path.
-
-    Raises:
-        ConfigInvalid: A field is missing or of another shape, or the camera is neither a pinhole
-            nor a panorama.
-        SceneInvalid: A camera's numbers are invalid.
-    """
+    """Read the camera of each frame of a nerfstudio camera path."""
     kind = text(document, "camera_type", _STRAIGHT).lower()
     if kind not in (_STRAIGHT, _PANORAMA):
         raise ConfigInvalid(

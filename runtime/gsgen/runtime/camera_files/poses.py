@@ -27,5 +27,5 @@ def view_from_opencv(
 
 
 def view_from_opengl(to_world: Float[np.ndarray, "_ 4"]) -> Float[np.ndarray, "4 4"]:
-    """Invert the camera-to-world matrix, 3 or 4 rows, of an OpenGL camera (+y up, +z back)."""
+    """Convert an OpenGL camera-to-world matrix, 3 or 4 rows, to an OpenCV world-to-camera one."""
     return np.asarray(_FROM_OPENGL @ view_from_opencv(to_world[:3, :3], to_world[:3, 3]))

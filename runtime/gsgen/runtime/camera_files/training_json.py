@@ -22,12 +22,7 @@ def is_training(document: object) -> bool:
 
 
 def read_training(document: list[Any], path: str) -> CameraFile:
-    """Read the cameras of a cameras.json of 3D Gaussian Splatting.
-
-    Raises:
-        ConfigInvalid: A field is missing or of another shape.
-        SceneInvalid: A camera's numbers are invalid.
-    """
+    """Read the cameras of a cameras.json of 3D Gaussian Splatting."""
     cameras = tuple(_camera(entry, number, path) for number, entry in enumerate(document))
     return CameraFile(path, "cameras.json of 3D Gaussian Splatting", cameras)
 

@@ -30,12 +30,7 @@ def is_transforms(document: object) -> bool:
 
 
 def read_transforms(document: Mapping[str, Any], path: str) -> CameraFile:
-    """Read the camera of each frame of a transforms.json.
-
-    Raises:
-        ConfigInvalid: A field is missing or of another shape, or a camera model is not supported.
-        SceneInvalid: A camera's numbers are invalid.
-    """
+    """Read the camera of each frame of a transforms.json."""
     frames = document["frames"]
     if not frames:
         raise ConfigInvalid("has no frames, expected at least one", where=path)

@@ -1,6 +1,15 @@
 """Keeps the Gaussians of every set in GPU buffers, in pages no larger than a binding."""
 
-__all__ = ["PAGE_ROWS", "Page", "Residency", "bytes_of", "stride"]
+__all__ = [
+    "PAGE_ROWS",
+    "PAGE_SLOTS",
+    "SLOT_BYTES",
+    "Page",
+    "PageSlots",
+    "Residency",
+    "bytes_of",
+    "stride",
+]
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -18,9 +27,16 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.spatial_order import ARRANGED_FROM, SpatialOrder
 from gsgen.runtime.gpu.upload import Target, upload
 from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.scene.splat_pool import SplatPool
 
 PAGE_ROWS: Final = 1 << 18
 """Gaussians of a page: float32 SH of degree 3 take 48 of the 128 MiB that every device binds."""
+
+SLOT_BYTES: Final = 96
+"""Bytes of a row of the slot table, ``struct Slot`` in slots.wgsl."""
+
+PAGE_SLOTS: Final = 64
+"""Most slots of a pool's page: their table is a uniform, of which every device binds 64 KiB."""
 
 _WORD: Final = 16
 
@@ -53,6 +69,28 @@ def _bytes_of_appearance(stride: int) -> int:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PageSlots:
+    """The slots of a pool's page, and what the frame plan writes about them.
+
+    Attributes:
+        pool: The pool.
+        first: Index of the page's first slot in the pool.
+        count: Number of slots.
+        table: Buffer of the slot table.
+        seen: Buffer of the slots that may be seen.
+        dispatch: Buffer of the indirect dispatch that projects them.
+    """
+
+    pool: SplatPool
+    first: int
+    count: int
+    table: Buffer
+    seen: Buffer
+    dispatch: Buffer
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Page:
     """Consecutive Gaussians of one set in GPU buffers.
 
@@ -66,6 +104,7 @@ class Page:
         packed: Whether rows are packed into 32 bytes (compact_rows.py).
         cells: Buffer of all cells of the set, or None without cells.
         rows_of: Index in the set of each row of the page; None if rows keep their own order.
+        slots: Slots of the page, if it belongs to a pool.
     """
 
     first: int
@@ -77,6 +116,7 @@ class Page:
     packed: bool = False
     cells: Buffer | None = None
     rows_of: UInt32[np.ndarray, " n"] | None = None
+    slots: PageSlots | None = None
 
 
 def _rows_of(page: Page, first: int, rows: Float[np.ndarray, "n 10"]) -> Target:
@@ -178,6 +218,7 @@ class Residency:
         self._page_rows = page_rows
         self._held: WeakKeyDictionary[SplatData, _Resident]
         self._held = WeakKeyDictionary()
+        self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
         """Begin a frame that draws a set; from its second frame on, rows are in spatial order.
@@ -259,6 +300,53 @@ class Residency:
             self._upload(resident, live, data.appearance, _appearance_of)
         self._write_cells(data, resident)
         return resident.pages
+
+    def pool_pages(self, pool: SplatPool) -> list[Page]:
+        """Return the GPU pages of a pool, after uploading the rows of the tiles that arrived.
+
+        Writes of the queue come before the next frame and after all earlier ones, so that no frame
+        in flight reads a slot that is written.
+        """
+        if pool not in self._pools:
+            self._pools[pool] = list(self._allocate_pool(pool))
+        pages = self._pools[pool]
+        rows_per_page = pages[0].capacity
+        for write in pool.take_writes():
+            page = pages[write.first // rows_per_page]
+            first = write.first - page.first
+            size = _bytes_of_row(packed=False)
+            self._device.write(page.rows, write.rows.astype(np.float32), first * size)
+            to = _appearance_of(page, first, write.appearance)
+            appearance = write.appearance if to.make is None else to.make(write.appearance)
+            self._device.write(page.appearance, appearance, first * to.size)
+        return pages
+
+    def _allocate_pool(self, pool: SplatPool) -> Iterator[Page]:
+        words = stride(pool.channels, half=self._compact)
+        slots_per_page = min(PAGE_SLOTS, max(1, self._page_rows // pool.slot_rows))
+        for first in range(0, pool.slots, slots_per_page):
+            count = min(slots_per_page, pool.slots - first)
+            capacity = count * pool.slot_rows
+            dispatch = self._device.storage("dispatch of a pool", 12, extra="INDIRECT")
+            self._device.write(dispatch, np.array([0, 1, 1], np.uint32))
+            yield Page(
+                first=first * pool.slot_rows,
+                capacity=capacity,
+                rows=self._device.storage("rows of a pool", _bytes_of_row(packed=False) * capacity),
+                appearance=self._device.storage(
+                    "appearance of a pool", _bytes_of_appearance(words) * capacity
+                ),
+                half=self._compact,
+                stride=words,
+                slots=PageSlots(
+                    pool=pool,
+                    first=first,
+                    count=count,
+                    table=self._device.uniform("slot table", SLOT_BYTES * PAGE_SLOTS),
+                    seen=self._device.storage("slots in view", 4 * count),
+                    dispatch=dispatch,
+                ),
+            )
 
     def _upload(
         self,

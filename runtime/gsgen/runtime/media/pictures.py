@@ -126,11 +126,7 @@ def save_picture(
 
 
 def png_of(picture: UInt8[np.ndarray, "h w *c"]) -> bytes:
-    """Encode a picture as a PNG file.
-
-    Raises:
-        SceneInvalid: Pillow is missing.
-    """
+    """Encode a picture as a PNG file."""
     file = io.BytesIO()
     _image().fromarray(picture).save(file, "png")
     return file.getvalue()

@@ -36,10 +36,6 @@ class LivePlayback(Playback):
     Attributes:
         playing: Whether time advances.
         version: A counter that grows when the Gaussians change.
-
-    Raises:
-        ConfigInvalid: See :class:`gsgen.runtime.playback.frame_sequence.FrameSequence`.
-        UnknownName: No model has the input of a track.
     """
 
     def __init__(
@@ -81,7 +77,7 @@ class LivePlayback(Playback):
         self._position = float(number % self.frames)
 
     def advance(self, seconds: float) -> None:
-        """Advance the current frame by some seconds, if time is playing."""
+        """Advance the playback by some seconds, unless it is paused."""
         if self.playing:
             self._position = (self._position + seconds * self.fps) % self.frames
 
@@ -107,11 +103,7 @@ class LivePlayback(Playback):
             self._pending = moment
 
     def take(self, *, wait: bool = False) -> None:
-        """Take the pending frame if it is computed, or ``wait`` for it.
-
-        Raises:
-            GsgenError: A value does not fit, or a model fails. The frame is not tried again.
-        """
+        """Take the pending frame if it is computed, or ``wait`` for it."""
         is_ready = wait or all(source.ready for source in self.sources)
         if self._pending is None or not is_ready:
             return
@@ -128,11 +120,7 @@ class LivePlayback(Playback):
             self.version += before != self._data_versions()
 
     def settle(self, camera: Camera) -> None:
-        """Compute the current frame for a camera, and wait for it.
-
-        Raises:
-            GsgenError: See :meth:`take`.
-        """
+        """Compute the current frame for a camera, and wait for it."""
         self.take(wait=True)
         self.begin(camera)
         self.take(wait=True)
@@ -143,11 +131,7 @@ class LivePlayback(Playback):
         return self.make_player(renderer, background, output, post)
 
     def frame(self, player: Player, camera: Camera) -> Frame:
-        """Compute and draw the current frame, through the post-process models.
-
-        Raises:
-            GsgenError: A value does not fit, or a model fails.
-        """
+        """Compute and draw the current frame, through the post-process models."""
         self.abandon()
         moment, before = self._moment_key(camera), self._data_versions()
         frame = player.render(self.request(camera, self.number))

@@ -71,15 +71,15 @@ class PostProcessor:
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        """The inputs of the model other than the image."""
+        """The inputs of the post-process model other than the image."""
         return tuple(spec for spec in self.manifest.inputs if spec.name != self._image)
 
     def named(self, word: str) -> list[Input]:
-        """Return the inputs with this tensor name, or else with this role."""
+        """Return the model inputs with this tensor name, or else with this role."""
         return named(self.inputs, word)
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of a model input other than the image.
+        """Return the shape of an input of the post-process model other than the image.
 
         Raises:
             SizeUnknown: The shape depends on the size of the image.

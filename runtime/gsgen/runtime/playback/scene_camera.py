@@ -33,10 +33,6 @@ def scene_viewpoint(
     """Return the viewpoint that the camera options, or else the scene files, describe.
 
     Options are those of :func:`gsgen.runtime.playback.camera_options.viewpoint`.
-
-    Raises:
-        ConfigInvalid: The camera is invalid.
-        SceneInvalid: The file of cameras is invalid.
     """
     has_kind = orthographic or panorama or camera is not None
     kind = None if has_kind else first_setting([file.kind for file in files])

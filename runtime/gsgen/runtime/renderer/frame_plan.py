@@ -15,6 +15,7 @@ from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.readback import Staging
 from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.kernels.project.cull_slots import CullSlots
 from gsgen.runtime.kernels.project.normals import NormalsKernel
 from gsgen.runtime.kernels.project.project import (
     FRAME,
@@ -23,6 +24,7 @@ from gsgen.runtime.kernels.project.project import (
     frame_uniform,
     page_uniforms,
 )
+from gsgen.runtime.kernels.project.slots import slot_table
 from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes, MeshesStep
 from gsgen.runtime.kernels.raster.draw_quads import DrawQuads, QuadsStep
 from gsgen.runtime.kernels.raster.mesh_place import (
@@ -66,11 +68,16 @@ class Kernels:
             )
         )
         self.project = cache(
-            lambda half, words, panorama, packed: ProjectKernel(
-                device, words, half=half, panorama=panorama, packed=packed
+            lambda half, words, panorama, packed, slot_rows: ProjectKernel(
+                device, words, half=half, panorama=panorama, packed=packed, slot_rows=slot_rows
             )
         )
-        self.normals = cache(lambda packed: NormalsKernel(device, packed=packed))
+        self.cull_slots = cache(
+            lambda slot_rows, panorama: CullSlots(device, slot_rows, panorama=panorama)
+        )
+        self.normals = cache(
+            lambda packed, slot_rows: NormalsKernel(device, packed=packed, slot_rows=slot_rows)
+        )
         self.order = DepthOrder(device, self.cut, self.sort)
         self.weighted = cache(
             lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.order, self.ranges)
@@ -256,13 +263,21 @@ class Plan:
         recorded = []
         outputs = (self._frame, keys, *self._splats, colors, lows)
         for slot, (_, page) in enumerate(placed):
-            kernel = self._kernels.project(page.half, page.stride, self._panorama, page.packed)
+            slot_rows = _slot_rows(page)
+            if slot_rows:
+                cull = self._kernels.cull_slots(slot_rows, self._panorama)
+                recorded.append(cull.step(self._frame, keys, lows, self._slots, slot, page))
+            kernel = self._kernels.project(
+                page.half, page.stride, self._panorama, page.packed, slot_rows
+            )
             recorded.append(kernel.step(outputs, self._slots, slot, page))
         return recorded
 
     def _normals(self, placed: Sequence[Placed], keys: Buffer, normals: Buffer) -> list[Step]:
         return [
-            self._kernels.normals(page.packed).step(keys, normals, self._slots, slot, page)
+            self._kernels.normals(page.packed, _slot_rows(page)).step(
+                keys, normals, self._slots, slot, page
+            )
             for slot, (_, page) in enumerate(placed)
         ]
 
@@ -347,6 +362,12 @@ class Plan:
         pages, base = list[tuple[SplatSet, int, int, int]](), 0
         for splat_set, page in placed:
             live = min(max(splat_set.data.count - page.first, 0), page.capacity)
+            if page.slots is not None:
+                slots, live = page.slots, page.capacity
+                table = slot_table(
+                    slots.pool, slots.first, slots.count, splat_set.transform, camera
+                )
+                device.write(slots.table, table)
             pages.append((splat_set, base, page.capacity, live))
             base += page.capacity
         device.write(self._slots, page_uniforms(pages, camera))
@@ -359,6 +380,9 @@ class Plan:
             clock.begin()
         encoder.clear_buffer(self._ranges)
         encoder.clear_buffer(self._counts, 4 * Counts.TIED, 8)  # and UNSORTED
+        for _, page in placed:
+            if page.slots is not None:
+                encoder.clear_buffer(page.slots.dispatch, 0, 4)
         if self._weighted is not None:
             self._weighted.clear(encoder)
         if self._meshes is not None:
@@ -423,6 +447,11 @@ def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
         parts.append((row_indices if page.rows_of is None else page.rows_of) + (base - page.first))
         base += page.capacity
     return np.concatenate(parts).astype(np.uint32)
+
+
+def _slot_rows(page: Page) -> int:
+    """Return the rows of a slot of a pool's page; 0 for other pages."""
+    return 0 if page.slots is None else page.slots.pool.slot_rows
 
 
 def _weighted(placed: Sequence[Placed]) -> list[Placed]:

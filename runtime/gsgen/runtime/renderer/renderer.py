@@ -10,6 +10,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float32, Int64, UInt32
 
+from gsgen.contract.spec import layout
 from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, MemoryFull, SceneInvalid
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.handles import Buffer
@@ -24,7 +25,9 @@ from gsgen.runtime.renderer.frame_plan import Kernels, Placed, Plan
 from gsgen.runtime.renderer.rasteriser_choice import Rasteriser, RasteriserOption, choose
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, NOTHING, Frame, Output
-from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.scene.splat_pool import PooledSet
 
 _FIRST_PAIRS: Final = 1 << 16
 _ROOM: Final = 1.25  # times the pairs that a frame needed, so that the next rarely needs to grow
@@ -221,6 +224,10 @@ class Renderer:
             (splat_set, page)
             for splat_set in scene.sets
             for page in self._residency.pages(splat_set.data)
+        ] + [
+            (_bare_set(pooled), page)
+            for pooled in scene.pools
+            for page in self._residency.pool_pages(pooled.pool)
         ]
 
     def placed_meshes(self, scene: Scene) -> list[PlacedMesh]:
@@ -278,6 +285,20 @@ class Renderer:
                 hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
         self._pairs = min(int(pairs * _ROOM), most)
+
+
+def _bare_set(pooled: PooledSet) -> SplatSet:
+    """Return a set with the settings of a pool, and no Gaussians of its own."""
+    pool = pooled.pool
+    rows = np.zeros((0, layout.ROW), np.float32)
+    data = SplatData(rows, np.zeros((0, pool.channels), np.float32), "sh")
+    return SplatSet(
+        data,
+        pooled.transform,
+        opacity_scale=pooled.opacity_scale,
+        degree=pooled.degree,
+        antialias=pooled.antialias,
+    )
 
 
 def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
@@ -369,10 +390,12 @@ def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h 
 def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
     """Convert the plan's ids, which count only sorted sets, to indices in the scene."""
     ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
-    summed = np.array([splat_set.weighted is not None for splat_set in scene.sets], bool)
+    weighted = [splat_set.weighted is not None for splat_set in scene.sets]
+    summed = np.array([*weighted, *(False for _ in scene.pools)], bool)
     if not summed.any() or summed.all():
         return np.asarray(ids)
-    sizes = np.array([len(splat_set.data) for splat_set in scene.sets])
+    own_sizes = [len(splat_set.data) for splat_set in scene.sets]
+    sizes = np.array([*own_sizes, *(len(pooled.pool) for pooled in scene.pools)])
     first, set_sizes = (np.cumsum(sizes) - sizes)[~summed], sizes[~summed]
     start = np.cumsum(set_sizes) - set_sizes
     set_index = np.searchsorted(start, ids, side="right") - 1

@@ -14,6 +14,7 @@ from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.mesh import Mesh, MeshData
 from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
 from gsgen.runtime.scene.transforms import identity, require_affine
 
 
@@ -112,17 +113,20 @@ class Scene:
         color_space: Colour space of all sets, in which they are blended.
         meshes: Opaque surfaces, whose colours are converted to this space; of two at the same
             depth, the earlier is in front.
+        pools: Pools, whose tiles may change between frames; they count as sets after ``sets``.
     """
 
     sets: tuple[SplatSet, ...]
     color_space: Literal["srgb", "linear"] = "srgb"
     meshes: tuple[Mesh, ...] = ()
+    pools: tuple[PooledSet, ...] = ()
 
     def __init__(
         self,
         sets: Iterable[SplatSet | SplatData],
         color_space: Literal["srgb", "linear"] = "srgb",
         meshes: Iterable[Mesh | MeshData] = (),
+        pools: Iterable[PooledSet | SplatPool] = (),
     ) -> None:
         splat_sets = tuple(
             splat_set if isinstance(splat_set, SplatSet) else SplatSet(splat_set)
@@ -132,6 +136,10 @@ class Scene:
         object.__setattr__(self, "color_space", color_space)
         stood = tuple(mesh if isinstance(mesh, Mesh) else Mesh(mesh) for mesh in meshes)
         object.__setattr__(self, "meshes", stood)
+        pooled_sets = tuple(
+            pooled if isinstance(pooled, PooledSet) else PooledSet(pooled) for pooled in pools
+        )
+        object.__setattr__(self, "pools", pooled_sets)
 
     def locate(self, index: int) -> tuple[int, int]:
         """Return the index of the set, and the row in it, of a Gaussian id of ``Frame.ids``.
@@ -144,7 +152,12 @@ class Scene:
             if 0 <= remaining < len(splat_set.data):
                 return number, remaining
             remaining -= len(splat_set.data)
+        for number, pooled in enumerate(self.pools, start=len(self.sets)):
+            if 0 <= remaining < len(pooled.pool):
+                return number, remaining
+            remaining -= len(pooled.pool)
         raise IndexError(f"Gaussian {index} is not in the scene: expected 0 to {len(self) - 1}")
 
     def __len__(self) -> int:
-        return sum(len(splat_set.data) for splat_set in self.sets)
+        own = sum(len(splat_set.data) for splat_set in self.sets)
+        return own + sum(len(pooled.pool) for pooled in self.pools)

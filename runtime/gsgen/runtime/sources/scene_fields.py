@@ -17,11 +17,7 @@ Alternative = TypeVar("Alternative", list[object], dict[str, object])
 
 
 def refuse(message: str, where: str, hint: str = "") -> NoReturn:
-    """Raise SceneInvalid with a location and a hint.
-
-    Raises:
-        SceneInvalid: Always.
-    """
+    """Raise SceneInvalid with a location and a hint."""
     raise SceneInvalid(message, where=where, hint=hint)
 
 
@@ -32,13 +28,7 @@ def fields_of(document: Mapping[str, object], where: str) -> "Fields":
 
 @final
 class Fields:
-    """Reads the fields of one JSON object of a scene file.
-
-    Args:
-        document: The object.
-        where: Location of the object in error messages.
-        separator: Text between the location and the name of a field.
-    """
+    """Reads the fields of one JSON object of a scene file."""
 
     def __init__(self, document: Mapping[str, object], where: str, separator: str = ".") -> None:
         self._document, self.where, self._separator = document, where, separator
@@ -49,11 +39,7 @@ class Fields:
         return f"{self.where}{self._separator}{name}"
 
     def refuse(self, name: str, message: str) -> NoReturn:
-        """Raise SceneInvalid with the location of a field.
-
-        Raises:
-            SceneInvalid: Always.
-        """
+        """Raise SceneInvalid with the location of a field."""
         refuse(message, self.location(name))
 
     def has(self, name: str) -> bool:
@@ -113,11 +99,7 @@ class Fields:
         return self.whole(name, low=1, high=16_384)
 
     def choice(self, name: str, known: tuple[Word, ...]) -> Word | None:
-        """Read a field that must be one of the known words.
-
-        Raises:
-            UnknownName: The value is not one of them; the hint suggests the nearest.
-        """
+        """Read a field that must be one of the known words."""
         value = self.peek(name)
         if value is not None and value not in known:
             if not isinstance(value, str):
@@ -182,11 +164,7 @@ class Fields:
             yield Fields(document, where)
 
     def close(self) -> None:
-        """Raise if a field of the JSON object is unknown, that is, was never read.
-
-        Raises:
-            UnknownName: A field is unknown; the hint suggests the nearest name.
-        """
+        """Raise if a field of the JSON object is unknown, that is, was never read."""
         for name in self._document:
             if name not in self._known:
                 raise UnknownName.among("field", name, set(self._known), self.where)

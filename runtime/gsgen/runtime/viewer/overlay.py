@@ -42,11 +42,7 @@ _CHARACTER: Final = 8.5  # pixels of a character, on average
 
 @final
 class Statistics:
-    """The viewer's statistics of the last frames, updated slowly enough to be read.
-
-    Attributes:
-        rows: Name and value of each line.
-    """
+    """The viewer's statistics of the last frames, updated slowly enough to be read."""
 
     def __init__(self) -> None:
         self.rows: tuple[tuple[str, str], ...] = ()
@@ -66,7 +62,7 @@ class Statistics:
         title: str,
         is_moving: bool,
     ) -> None:
-        """Count a frame drawn at ``now`` seconds, and update the rows if they are due."""
+        """Count a drawn frame, and update the displayed statistics if they are due."""
         self._frame_times.append(now)
         while now - self._frame_times[0] > 1:
             self._frame_times.popleft()

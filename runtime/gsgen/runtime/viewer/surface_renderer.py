@@ -45,21 +45,7 @@ class ViewRequest:
 
 @final
 class SurfaceRenderer:
-    """Draws playbacks on the surface of a window, and recovers from a lost device.
-
-    Args:
-        open_device: Opens a device, at first and after a loss.
-        rasteriser: See :class:`Renderer`.
-        compact: See :class:`Renderer`.
-
-    Attributes:
-        renderer: Draws the images.
-        seconds: Seconds that the last picture took to draw.
-        drawn: The last picture on the device.
-
-    Raises:
-        DeviceUnavailable: No graphics device can be opened.
-    """
+    """Draws playbacks on the surface of a window, and recovers from a lost device."""
 
     def __init__(
         self,
@@ -83,13 +69,7 @@ class SurfaceRenderer:
         self.drawn: Drawn | None = None
 
     def view(self, playback: LivePlayback, request: ViewRequest) -> View:
-        """Draw a picture of a playback, or return the last one if nothing has changed.
-
-        Raises:
-            CapacityExceeded: The scene or the picture exceeds the device's memory or limits.
-            DeviceLost: The device was lost.
-            GsgenError: The scene cannot be drawn, or a post-process model fails.
-        """
+        """Draw a picture of a playback, or return the last one if nothing has changed."""
         if self._last_view is not None and self._last_view[0] == request.key(playback):
             return self._last_view[1]
         started = time.perf_counter()
@@ -100,11 +80,7 @@ class SurfaceRenderer:
         return view
 
     def show(self, context: "WgpuContext", view: View | None, panels: Sequence[Panel]) -> None:
-        """Show a picture, or black, with panels over it on a surface.
-
-        Raises:
-            DeviceLost: The device was lost.
-        """
+        """Show a picture, or black, with panels over it on a surface."""
         device = self.renderer.device
         device.require()  # wgpu-native aborts if a surface uses a lost device
         with device.translate_errors():
@@ -153,20 +129,12 @@ class SurfaceRenderer:
         return Drawn(image, frame.rgba.shape[1], frame.visible, frame.pairs)
 
     def frame(self, playback: LivePlayback, request: ViewRequest) -> Frame:
-        """Draw a picture of a playback as arrays, through its post-process models.
-
-        Raises:
-            GsgenError: The scene cannot be drawn, or a model fails.
-        """
+        """Draw a picture of a playback as arrays, through its post-process models."""
         player = playback.player(self.renderer, request.background, MODES[request.mode])
         return playback.frame(player, request.camera)
 
     def recover(self) -> None:
-        """Open the GPU device again after a loss; the next picture uploads the scene to it.
-
-        Raises:
-            DeviceUnavailable: No device can be opened.
-        """
+        """Open the GPU device again after a loss; the next picture uploads the scene to it."""
         try:
             self._upload = None
             self._begin()

@@ -1,1 +1,1 @@
-"""Selection: which tiles does a camera need, and which of them are worth their bytes and splats?"""
+"""Which tiles does a camera need, and which of them are worth their bytes and splats?"""

@@ -1,4 +1,4 @@
-"""The live choice: one option a tile within a budget of bytes, by hulls and a prefix sum."""
+"""Chooses one option per tile within a byte budget, by concave hulls and a prefix sum."""
 
 __all__ = ["Choice", "choose_options"]
 
@@ -16,7 +16,7 @@ _STEPS_BEYOND: Final = 64  # steps after the budget's end: each costs a microsec
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """One option a tile, and how far it can be from the best.
+    """One chosen option per tile, and the distance of the choice from the optimum.
 
     Attributes:
         option: Of each tile; −1 for none.
@@ -32,7 +32,7 @@ class Choice:
 
     @property
     def certificate(self) -> float:
-        """Largest share of the best utility that the choice can lack."""
+        """The largest share of the best utility that the choice of tile options can lack."""
         return (self.bound - self.utility) / self.bound if self.bound > 0 else 0.0
 
 

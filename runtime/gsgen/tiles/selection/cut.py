@@ -1,4 +1,4 @@
-"""The cut of a tree by screen-space error: which tiles a camera sees, and which it wants drawn."""
+"""The cut of a tile tree by screen-space error: the tiles that a camera sees and needs."""
 
 __all__ = ["Cut", "cut_tree", "cut_tree_often", "request_order"]
 
@@ -16,7 +16,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Cut:
-    """What a camera needs of a tree.
+    """The tiles that a camera sees, and those that it needs drawn.
 
     Attributes:
         seen: Tiles that meet the frustum and whose parents are all refined; from the root down.
@@ -30,7 +30,7 @@ class Cut:
 
 
 def cut_tree(tree: TileTree, frustum: Frustum, max_error: float) -> Cut:
-    """Return the tiles that ``frustum`` sees, refined where the error is above ``max_error``.
+    """Return the tiles that ``frustum`` sees, refined where the error exceeds ``max_error``.
 
     Args:
         tree: The tiles.
@@ -48,7 +48,7 @@ def cut_tree(tree: TileTree, frustum: Frustum, max_error: float) -> Cut:
 
 
 def request_order(tree: TileTree, cut: Cut) -> Int64[np.ndarray, " m"]:
-    """Return the seen tiles in the order of requests: (level, −screen-space error, index)."""
+    """Return the seen tiles in order of request: (level, −screen-space error, index)."""
     rows = np.flatnonzero(cut.seen)
     return np.asarray(rows[np.lexsort((rows, -cut.error[rows], tree.level[rows]))])
 

@@ -1,4 +1,4 @@
-"""The exact choice: Pareto fronts of cuts, and a table over time for tiles with deadlines."""
+"""Exact choices of tiles: Pareto fronts of tree cuts, and dynamic programming for deadlines."""
 
 __all__ = ["DeadlineTile", "choose_cut_exactly", "choose_until_deadlines"]
 
@@ -17,7 +17,7 @@ _TOLERANCE = 1e-9  # of the utility: sums in another order differ by less
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Front:
-    """The points of a node that may be part of the best cut: costs and utilities ascend.
+    """The Pareto points of a tree node that may be part of the best cut, costs ascending.
 
     Attributes:
         cost: Of each point.
@@ -36,7 +36,7 @@ class _Front:
 
 @final
 class _FrontMerger:
-    """Merges fronts bottom up, and drops points that cannot be part of the best cut.
+    """Merges Pareto fronts of tree nodes bottom up, and drops points that no best cut uses.
 
     With a price on cost, a point whose priced utility lacks more than ``slack`` of the best
     point of its node cannot be part of a cut above the known one: the relaxation already says
@@ -61,7 +61,7 @@ class _FrontMerger:
 
 
 def choose_cut_exactly(options: CutOptions, budget: float) -> Choice | None:
-    """Return the cut with the most utility within ``budget``; None where every cut costs more.
+    """Return the tree cut of greatest utility within ``budget``; None if every cut costs more.
 
     Args:
         options: Of the nodes; fronts grow with their number, though relaxation and price keep
@@ -106,7 +106,7 @@ def _children(parent: Int64[np.ndarray, " n"]) -> list[list[int]]:
 def _front(
     options: CutOptions, node: int, below: list[_Front | None], merger: _FrontMerger
 ) -> _Front:
-    """Return the front of a node from its own options and the fronts of its children."""
+    """Return the Pareto front of a tree node from its options and its children's fronts."""
     own = np.flatnonzero(np.isfinite(options.cost[node]))
     cost, utility = options.cost[node, own], options.utility[node, own]
     option, source = own, np.full(len(own), -1)
@@ -136,7 +136,7 @@ def _front(
 def _trace(
     options: CutOptions, fronts: list[_Front | None], children: list[list[int]]
 ) -> Int64[np.ndarray, " n"]:
-    """Return the options of the last point of the root's front, which has the most utility."""
+    """Return the tile options of the last point of the root's front, which has the most utility."""
     root = int(np.flatnonzero(options.parent < 0)[0])
     chosen = np.full(len(fronts), -1, np.int64)
     last = fronts[root]
@@ -176,7 +176,7 @@ class DeadlineTile:
 
 
 def choose_until_deadlines(tiles: list[DeadlineTile]) -> Choice:
-    """Choose at most one option a tile, sent in this order over one link, by dynamic programming.
+    """Choose at most one option per tile with deadlines on one link, by dynamic programming.
 
     U(i,t) = max(U(i−1,t), U(i,t−1), max_j U(i−1,t−d_ij) + u_ij for t ≤ deadline_i), where
     U(i,t) is the best of the first i tiles when the link is free again at slot t.

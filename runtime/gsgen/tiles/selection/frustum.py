@@ -1,4 +1,4 @@
-"""View frustums, and the boxes that meet them: p-vertex culling in one matrix product."""
+"""View frustums and the boxes that intersect them: p-vertex culling in one matrix product."""
 
 __all__ = ["Frustum"]
 
@@ -48,7 +48,7 @@ class Frustum:
         height: int,
         fov_y: float,
     ) -> "Frustum":
-        """Return the frustum of a pinhole camera with its centre in the middle of the image.
+        """Return the frustum of a pinhole camera whose principal point is the image centre.
 
         Args:
             position: Camera centre in the root frame.
@@ -79,7 +79,7 @@ class Frustum:
     def from_camera(
         cls, camera: "Camera", placement: Float64[np.ndarray, "4 4"] | None = None
     ) -> "Frustum":
-        """Return the frustum of a camera of a scene.
+        """Return the frustum of a scene's camera.
 
         Args:
             camera: Of any kind.
@@ -126,7 +126,7 @@ class Frustum:
     def meets(
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Return which boxes reach the inner side of every plane.
+        """Return the mask of the boxes that reach the inner side of every frustum plane.
 
         The corner farthest along a plane's normal (the p-vertex) decides, so that no box that
         meets the frustum is left out; near an edge, a few that do not meet it stay in.
@@ -145,7 +145,7 @@ class Frustum:
     def distances(
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return the distances from the camera to boxes with right angles; 0 within."""
+        """Return the distances from the camera to rectangular boxes; 0 if the camera is within."""
         lengths = np.sqrt(np.square(half_axes).sum(axis=2))
         units = half_axes / np.where(lengths > 0, lengths, 1)[:, :, None]
         offset = self.eye - center
@@ -174,7 +174,7 @@ def _planes(
     turn: Float64[np.ndarray, "3 3"],
     shift: Float64[np.ndarray, " 3"],
 ) -> Planes:
-    """Return planes of the camera's frame (normals, distances) in the root frame."""
+    """Convert planes of the camera's frame (normals, distances) to the root frame."""
     lengths = np.linalg.norm(sides, axis=1)
     sides, distances = sides / lengths[:, None], distances / lengths
     return np.column_stack([sides @ turn, sides @ shift + distances])

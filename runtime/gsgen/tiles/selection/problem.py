@@ -1,4 +1,4 @@
-"""Problems of choice as JSON: a cut within a budget of bytes, or tiles with deadlines."""
+"""Reads tile choice problems from JSON: a cut within a byte budget, or tiles with deadlines."""
 
 __all__ = ["Plan", "solve_problem"]
 
@@ -24,7 +24,7 @@ MOST_CELLS: Final = 1 << 27
 @final
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The best choice of a problem.
+    """The best choice of tiles for a problem.
 
     Attributes:
         utility: Of all chosen options together.
@@ -39,14 +39,14 @@ class Plan:
 
     @classmethod
     def of_choice(cls, choice: Choice) -> "Plan":
-        """Return the plan of a choice."""
+        """Return the plan that a choice of tile options describes."""
         picked = np.flatnonzero(choice.option >= 0).tolist()
         chosen = tuple((index, int(choice.option[index])) for index in picked)
         return cls(choice.utility, chosen, choice.bound)
 
 
 def solve_problem(path: Path) -> Plan:
-    """Read a problem from a JSON file and solve it exactly.
+    """Read a tile choice problem from a JSON file and solve it exactly.
 
     Raises:
         TilesetInvalid: The file does not hold a problem, or no choice fits its budget.
@@ -99,7 +99,7 @@ def _solve_cut(problem: JsonObject) -> Choice:
 
 
 def _read_nodes(problem: JsonObject) -> CutOptions:
-    """Read the nodes of a cut; exactly one has no parent, and leaves have an option."""
+    """Read the nodes of a cut problem; exactly one has no parent, and leaves have an option."""
     nodes = list(problem.objects("nodes"))
     if not nodes:
         problem.refuse("nodes", "one node at least")
@@ -125,7 +125,7 @@ def _read_nodes(problem: JsonObject) -> CutOptions:
 
 
 def _reaches_root(parent: np.ndarray) -> bool:
-    """Return whether every node has the root above it."""
+    """Return whether the root is an ancestor of every node of a cut problem."""
     above, steps = parent.copy(), 1
     while (above >= 0).any() and steps <= len(parent):
         above = np.where(above >= 0, above[above], -1)
@@ -149,7 +149,7 @@ def _read_options(
 
 
 def _read_loaded(problem: JsonObject) -> Iterator[tuple[int, int]]:
-    """Yield the nodes and qualities that are loaded already."""
+    """Yield the nodes and qualities that a cut problem declares as loaded."""
     loaded = problem.values.get("loaded", [])
     if not isinstance(loaded, list):
         problem.refuse("loaded", "an array of [node, quality]")

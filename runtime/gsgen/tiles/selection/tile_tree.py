@@ -1,4 +1,4 @@
-"""The tiles of a tileset as arrays, so that all of them are culled and compared at once."""
+"""The tiles of a tileset as arrays, so that all are culled and compared at once."""
 
 __all__ = ["TileTree", "measure_tile"]
 
@@ -20,7 +20,7 @@ _GRID = 5
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TileTree:
-    """Tiles in depth-first order, each before those below it; boxes in the root frame, float64.
+    """The tiles of a tileset as arrays, parents first; boxes in the root frame, float64.
 
     Attributes:
         tiles: The tiles.
@@ -53,7 +53,7 @@ class TileTree:
 
     @classmethod
     def of_tileset(cls, tileset: Tileset, store: Store | None = None) -> "TileTree":
-        """Flatten the tree of a tileset.
+        """Flatten the tile tree of a tileset into arrays.
 
         Args:
             tileset: The tree.
@@ -92,7 +92,7 @@ class TileTree:
         )
 
     def ancestors(self, tile: int) -> list[int]:
-        """Return the tiles above ``tile``, the root last."""
+        """Return the ancestors of ``tile``, the root last."""
         above = []
         while (tile := int(self.parent[tile])) >= 0:
             above.append(tile)
@@ -103,7 +103,7 @@ _BYTES_PER_SPLAT = 14  # of SPZ at degree 0: an estimate where the metadata do n
 
 
 def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int, int]:
-    """Return the bytes and the splats of a tile's contents."""
+    """Return the number of bytes and of splats in a tile's contents."""
     if not tile.contents:
         return 0, 0
     quality, sizes = tileset.metadata.get("quality", 0), tile.metadata.get("bytes")
@@ -118,7 +118,7 @@ def measure_tile(tile: Tile, tileset: Tileset, store: Store | None) -> tuple[int
 
 
 def _root_box(tile: Tile, tileset: Tileset) -> Box:
-    """Return a box of the root frame that holds the volume of a tile."""
+    """Return a box in the root frame that contains a tile's bounding volume."""
     volume: Volume = tile.volume
     if isinstance(volume, Region):
         return _region_box(volume).transformed(np.linalg.inv(tileset.transform))
@@ -130,7 +130,7 @@ def _root_box(tile: Tile, tileset: Tileset) -> Box:
 
 
 def _region_box(region: Region) -> Box:
-    """Return a box, along the axes of the region's middle, that holds a region of the globe."""
+    """Return a box, aligned to a globe region's middle, that contains the region."""
     height = region.north - region.south
     if max(region.width, height) > _LARGE_ANGLE:
         return Box(np.zeros(3), np.eye(3) * (_GLOBE + max(region.maximum, 0.0)))
@@ -154,7 +154,7 @@ def _region_box(region: Region) -> Box:
 
 
 def _patch(region: Region, x: int, y: int) -> Region:
-    """Return one of _GRID × _GRID parts of a region."""
+    """Return one of _GRID × _GRID parts of a globe region."""
     width, height = region.width / _GRID, (region.north - region.south) / _GRID
     west, south = region.west + width * x, region.south + height * y
     return Region(

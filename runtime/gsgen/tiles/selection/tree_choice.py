@@ -1,4 +1,4 @@
-"""The live choice of a cut: one option on every path from root to leaf, by concave frontiers.
+"""Chooses a cut of a tile tree: one option per path from root to leaf, by concave frontiers.
 
 A node's frontier is the upper hull of its own options and of what its children give together:
 their first points added, then their steps by falling gain for cost. The root's frontier is the
@@ -23,7 +23,7 @@ Rows = Int64[np.ndarray, " m"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class CutOptions:
-    """The options of the nodes of a tree.
+    """The options of the nodes of a tile tree: costs, utilities and parents.
 
     Attributes:
         parent: Index of the node above; −1 for the root, which is alone.
@@ -36,7 +36,7 @@ class CutOptions:
     utility: Float64[np.ndarray, "n q"]
 
     def depths(self) -> Int64[np.ndarray, " n"]:
-        """Return how many nodes are above each node."""
+        """Return the number of ancestors of each node of the tile tree."""
         depth = np.zeros(len(self.parent), np.int64)
         above = self.parent.copy()
         while (above >= 0).any():
@@ -56,7 +56,7 @@ def _no_values() -> Points:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Level:
-    """The frontiers of the nodes at one depth, one after another.
+    """The concave frontiers of all tree nodes at one depth, one after another.
 
     Attributes:
         nodes: The nodes, ascending.
@@ -79,14 +79,14 @@ class _Level:
     step_child: Rows = field(default_factory=_no_rows)
 
     def starts(self) -> Rows:
-        """Return the index of each node's first point."""
+        """Return the index of the first frontier point of each node."""
         return np.searchsorted(self.owner, np.arange(len(self.nodes)))
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeFrontier:
-    """The frontiers of all nodes; the root's comes first.
+    """The concave frontiers (cost, utility) of all nodes of a tile tree, the root's first.
 
     Attributes:
         levels: By depth.
@@ -98,7 +98,7 @@ class TreeFrontier:
 
     @classmethod
     def of_options(cls, options: CutOptions) -> "TreeFrontier":
-        """Build the frontiers, a level at a time from the leaves up."""
+        """Build the frontiers of a tile tree level by level, from the leaves up."""
         depth = options.depths()
         order, on_hull = upper_hulls(options.cost, options.utility)
         levels: list[_Level] = []
@@ -113,15 +113,15 @@ class TreeFrontier:
 
     @property
     def costs(self) -> Points:
-        """Costs of the points of the root's frontier, ascending."""
+        """The costs of the points of the root's frontier, ascending."""
         return self.levels[0].cost
 
     def bound(self, budget: float) -> float:
-        """Return the utility of the linear relaxation within ``budget``."""
+        """Return the utility of the linear relaxation within ``budget``, an upper bound."""
         return float(np.interp(budget, self.costs, self.levels[0].value))
 
     def options_at(self, point: int) -> Int64[np.ndarray, " n"]:
-        """Return the option of every node at a point of the root's frontier; −1 for none."""
+        """Return the option of every tree node at a point of the root's frontier; −1 for none."""
         chosen = np.full(len(self.options.parent), -1, np.int64)
         points = np.array([point])
         for level, below in zip(self.levels, [*self.levels[1:], None], strict=True):
@@ -139,7 +139,7 @@ class TreeFrontier:
 
 
 def choose_cut(frontier: TreeFrontier, budget: float) -> Choice | None:
-    """Return the cut of the last point of the root's frontier within ``budget``.
+    """Return the tree cut of the last point of the root's frontier within ``budget``.
 
     Returns:
         The choice; None where every cut costs more than ``budget``.
@@ -154,12 +154,12 @@ def choose_cut(frontier: TreeFrontier, budget: float) -> Choice | None:
 
 
 def _owners(options: CutOptions, level: _Level, below: _Level) -> Rows:
-    """Return the position of each node's parent in the level above."""
+    """Return the position of each node's parent in the tree level above."""
     return np.asarray(np.searchsorted(level.nodes, options.parent[below.nodes]))
 
 
 def _points_below(level: _Level, below: _Level, prefix: Rows) -> Rows:
-    """Return the point of each child's frontier when ``prefix`` steps of each parent are taken."""
+    """Return the point of each child's frontier after ``prefix`` steps of its parent."""
     first = np.searchsorted(level.step_owner, np.arange(len(level.nodes)))
     rank = np.arange(len(level.step_owner)) - first[level.step_owner]
     taken = rank < prefix[level.step_owner]
@@ -173,7 +173,7 @@ def _build_level(
     position: Rows,
     hulls: tuple[Int64[np.ndarray, "n q"], Bool[np.ndarray, "n q"]],
 ) -> _Level:
-    """Return the frontiers of ``nodes`` from their options and the frontiers below."""
+    """Return the frontiers of ``nodes`` from their options and their children's frontiers."""
     level = _Level(nodes=nodes)
     if below is not None:
         _merge_children(level, below, position[options.parent[below.nodes]])
@@ -190,7 +190,7 @@ def _build_level(
 
 
 def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
-    """Set the points of ``level`` to what the children give together."""
+    """Set the frontier points of a tree level to the merged points of the children."""
     is_first = np.r_[True, below.owner[1:] != below.owner[:-1]]
     steps = np.flatnonzero(~is_first)
     cost = below.cost[steps] - below.cost[steps - 1]
@@ -214,14 +214,14 @@ def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
 
 
 def _running(values: Points, owner: Rows) -> Points:
-    """Return the cumulative sums that restart with each owner."""
+    """Return cumulative sums that restart at each owner."""
     total = np.cumsum(values)
     first = np.searchsorted(owner, owner)
     return np.asarray(total - (total - values)[first])
 
 
 def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Rows) -> None:
-    """Add one point to the frontiers of the nodes ``owner``, and drop what it covers.
+    """Add one point to the frontiers of the nodes ``owner``, and drop dominated points.
 
     Frontiers stay strictly concave and ascending: the tangents from the new point on both
     sides end at the first points that remain.
@@ -265,7 +265,7 @@ def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Row
 def _reduce(
     operation: np.ufunc, values: Points, starts: Rows, filled: Bool[np.ndarray, " m"], empty: float
 ) -> Points:
-    """Reduce the values of each node; ``empty`` for nodes without points."""
+    """Reduce the values of each node to one; ``empty`` for nodes without points."""
     result = np.full(len(starts), empty)
     if filled.any():
         result[filled] = operation.reduceat(values, starts[filled])

@@ -1,1 +1,1 @@
-"""Streaming: which tile is asked for next, where does it stay, and what is drawn meanwhile?"""
+"""Which tile is requested next, where is it stored, and what is drawn meanwhile?"""

@@ -1,4 +1,4 @@
-"""Metrics of streaming: hits, delays, waste and holes, of a session or of a simulation."""
+"""Metrics of tile streaming: hits, delays, waste and holes, of a session or a simulation."""
 
 __all__ = ["MetricsRecorder", "StreamingMetrics"]
 
@@ -18,7 +18,9 @@ GOOD_SHARE: Final = 0.9
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamingMetrics:
-    """How well a tileset was streamed. An entry is a tile wanted now and not one frame before.
+    """Measures of how well a tileset was streamed to a camera.
+
+    An entry is a tile that is wanted in a frame and was not wanted in the frame before.
 
     Attributes:
         hit_rate: Share of the entries whose tile was there.
@@ -49,7 +51,7 @@ class StreamingMetrics:
 
 @final
 class MetricsRecorder:
-    """Collects the metrics of one tileset, frame by frame.
+    """Collects the streaming metrics of one tileset, frame by frame.
 
     Args:
         parent: Index of the tile above each tile; −1 for the root.
@@ -73,15 +75,15 @@ class MetricsRecorder:
 
     @property
     def unseen_bytes(self) -> int:
-        """Bytes that arrived and were not seen since, with those of cancelled requests."""
+        """The bytes of tiles that arrived but were not seen, and of cancelled requests."""
         return int(self._size[self._unseen].sum()) + self._wasted
 
     def request(self) -> None:
-        """Count a request."""
+        """Count one request of a tile."""
         self.requests += 1
 
     def arrive(self, tile: int, time: float) -> None:
-        """Note that a tile was received whole at ``time``."""
+        """Record that a tile was received completely at ``time``."""
         self.bytes += int(self._size[tile])
         if self._unseen[tile]:
             self._wasted += int(self._size[tile])  # dropped unseen, and asked for again
@@ -89,12 +91,12 @@ class MetricsRecorder:
         self._delays += [time - entry for entry in self._waiting.pop(tile, [])]
 
     def cancel(self, received: int) -> None:
-        """Note that a request was stopped after ``received`` bytes."""
+        """Record that a tile request was cancelled after ``received`` bytes."""
         self.bytes += received
         self._wasted += received
 
     def frame(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
-        """Note the cut of a frame, and the tiles that are loaded."""
+        """Record the cut of a frame, and the tiles that are loaded."""
         self._time = time
         self._start = time if self._start is None else self._start
         self._unseen &= ~(cut.seen & loaded)
@@ -124,7 +126,7 @@ class MetricsRecorder:
         return False
 
     def summary(self) -> StreamingMetrics:
-        """Return the metrics so far; tiles that are still missing were waited for until now."""
+        """Return the streaming metrics so far; missing tiles count as waiting until now."""
         waits = [self._time - entry for entries in self._waiting.values() for entry in entries]
         delays = np.array([*self._delays, *waits])
         count = len(delays)

@@ -1,4 +1,4 @@
-"""What a streaming session gives a renderer each frame: arrivals, evictions, and what to draw.
+"""The result of a streaming session in one frame: arrivals, evictions, and tiles to draw.
 
 The session decides, the renderer obeys. Each frame, in this order:
 
@@ -45,14 +45,14 @@ class TileArrival:
 
     @property
     def upload_bytes(self) -> int:
-        """Bytes of the arrays."""
+        """The bytes of the arrays that are uploaded for an arrived tile."""
         return self.rows.nbytes + self.appearance.nbytes
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class DrawnTile:
-    """A resident tile that is drawn in this frame.
+    """A resident tile that is drawn in a frame.
 
     Attributes:
         tile: Key of the tile.
@@ -66,7 +66,7 @@ class DrawnTile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionFrame:
-    """The changes of a frame, and what to draw.
+    """The changes of a streaming session in one frame, and the tiles to draw.
 
     Attributes:
         evicted: Keys of tiles whose slots are free now; in none of the frames to come are they
@@ -102,7 +102,7 @@ class StreamingSession(Protocol):
     upload_budget: int
 
     def frame(self, frustum: Frustum) -> SessionFrame:
-        """Return what to upload and to draw now; never waits for the network.
+        """Return the tiles to upload and to draw now, without waiting for the network.
 
         Args:
             frustum: Of the camera, in the root tile's frame: ``Frustum.from_camera``.
@@ -110,14 +110,14 @@ class StreamingSession(Protocol):
         ...
 
     def wait(self, seconds: float) -> None:
-        """Sleep until something arrives or fails, at most ``seconds``."""
+        """Sleep until a tile arrives or fails, at most ``seconds``."""
         ...
 
     @property
     def metrics(self) -> StreamingMetrics:
-        """What the session measured so far."""
+        """The metrics that the streaming session has measured so far."""
         ...
 
     def close(self) -> None:
-        """Stop all requests and decoding, and close the store."""
+        """Stop all requests and decoding, and close the tileset's store."""
         ...

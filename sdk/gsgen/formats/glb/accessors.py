@@ -39,9 +39,9 @@ def read_accessor(
         or width not in _WIDTHS
     ):
         raise HeaderMalformed(
-            f"{shown(str(width))} of type {shown(str(kind))}",
+            f"type {shown(str(width))} of component type {shown(str(kind))}",
             where=where,
-            expected=f"{', '.join(_WIDTHS)} of a type from 5120 to 5126",
+            expected=f"{', '.join(_WIDTHS)} of a component type from 5120 to 5126",
         )
     if _WIDTHS[width] not in widths:
         names = [name for name, size in _WIDTHS.items() if size in widths]

@@ -49,7 +49,7 @@ def decode_image(content: bytes, needed: int, where: str, width: int | None = No
 
 
 def encode_image(pixels: Image, width: int | None = None) -> bytes:
-    """Return ``pixels``, row by row, as lossless WebP; the last row is filled with zeros.
+    """Encode ``pixels``, row by row, as lossless WebP; zeros fill the last row.
 
     Args:
         pixels: Red, green, blue and alpha.

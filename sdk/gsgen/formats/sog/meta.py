@@ -66,7 +66,7 @@ class Meta:
 
     @property
     def antialiased(self) -> bool:
-        """Whether the splats are antialiased, by either of the two keys that writers use."""
+        """Whether a SOG declares antialiased splats, by either of the keys that writers use."""
         return self.data.get("model") == ANTIALIASED or self.data.get("antialias") is True
 
     def files(self, group: str, number: int) -> list[str]:
@@ -77,7 +77,7 @@ class Meta:
         return names
 
     def all_files(self) -> list[str]:
-        """Return the names of all images."""
+        """Return the names of all images that a SOG's meta.json lists."""
         numbers = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
         groups = [group for group in numbers if self.data.get(group) is not None]
         return [name for group in groups for name in self.files(group, numbers[group])]

@@ -67,7 +67,7 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
 
 
 def written_bytes(path: FilePath) -> int:
-    """Return the size of a file; that of a meta.json includes the images that it names."""
+    """Return the size of a SOG in bytes; a meta.json counts the images that it names."""
     size = Path(path).stat().st_size
     if Path(path).name.lower() != META:
         return size

@@ -68,13 +68,13 @@ def write_sog(path: FilePath, splats: Splats) -> None:
 
 
 def sog_order(splats: Splats) -> Int64[np.ndarray, " n"]:
-    """Return the order in which ``write_sog`` writes: Morton's, of the stored positions."""
+    """Return the row order in which ``write_sog`` writes splats: Morton order of positions."""
     return grid_order(_stored_positions(splats)[0])
 
 
 @final
 class _Images:
-    """The images of a SOG, whose pixels follow the splats in Morton order.
+    """The images of a SOG file, whose pixels follow the splats in Morton order.
 
     Attributes:
         files: The content of each image, by name.
@@ -86,7 +86,7 @@ class _Images:
         self.order = order
 
     def add(self, name: str, pixels: Callable[[Rows], UInt8[np.ndarray, "m c"]]) -> str:
-        """Encode the pixels of all splats; channels that ``pixels`` leaves out are 255."""
+        """Encode an image with one pixel per splat; channels that ``pixels`` lacks are 255."""
         table = np.full((len(self.order), 4), 255, np.uint8)
         for start in range(0, len(table), _ROWS):
             part = pixels(self.order[start : start + _ROWS])
@@ -96,7 +96,7 @@ class _Images:
 
 
 def _files(splats: Splats) -> dict[str, bytes]:
-    """Return the content of each file, meta.json last."""
+    """Return the content of each file of a SOG, meta.json last."""
     steps, low, high = _stored_positions(splats)
     images = _Images(grid_order(steps))
     meta: dict[str, Any] = {"version": 2, "count": len(splats)}
@@ -127,7 +127,7 @@ def _files(splats: Splats) -> dict[str, bytes]:
 def _stored_positions(
     splats: Splats,
 ) -> tuple[Int64[np.ndarray, "n 3"], Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """Return positions as steps of their range after sgn(x) ln(1 + |x|), and the range."""
+    """Return positions as steps within their range after sgn(x) ln(1 + |x|), and the range."""
     ends = np.stack([splats.position.min(axis=0), splats.position.max(axis=0)]).astype(np.float64)
     low, high = np.sign(ends) * np.log1p(np.abs(ends))
     size = np.where(high > low, high - low, 1.0)
@@ -140,7 +140,7 @@ def _stored_positions(
 
 
 def _finite_scales(log_scale: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-    """Replace -inf, which JSON lacks, by a scale that is as good as flat."""
+    """Replace log scales of -inf, which JSON lacks, by a scale that is practically flat."""
     is_flat = np.isneginf(log_scale)
     if not is_flat.any():
         return log_scale
@@ -159,7 +159,7 @@ def _turns(rotation: Float32[np.ndarray, "m 4"]) -> UInt8[np.ndarray, "m 4"]:
 
 
 def _add_palette(splats: Splats, images: _Images) -> dict[str, Any]:
-    """Add the images of the palette and of its labels; return their description.
+    """Add the SOG images of the SH palette and of its labels; return their JSON description.
 
     The palette is rounded to its codebook before each splat takes the nearest entry.
     """
@@ -188,12 +188,12 @@ def _add_palette(splats: Splats, images: _Images) -> dict[str, Any]:
 
 
 def _palette_size(count: int) -> int:
-    """Return an entry a splat in small scenes, and else a power of two, as splat-transform takes."""
+    """Return the palette size: one entry per splat in small scenes, otherwise a power of two."""
     if count <= _SMALL:
         return count
     return min(MOST_PALETTE, 1 << (count.bit_length() - 1))
 
 
 def _numbers(book: Float32[np.ndarray, "256"]) -> list[float]:
-    """Return the shortest decimals that read back as these float32."""
+    """Return the shortest decimals that parse to these float32 numbers."""
     return [float(str(number)) for number in book]

@@ -3,16 +3,15 @@
 from collections.abc import Iterator
 
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.probing.probes import NAMED
+from gsgen.contract.probing.probes import INPUT_PREFIX
 from gsgen.contract.probing.run_comparison import Behaviour, Comparison
 from gsgen.contract.spec.manifest import Input
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.roles import CAMERA_ROLES, KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
-_OF_CAMERA = ("view", "projection", "camera_position", "viewport")
 
 
 def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
@@ -98,7 +97,7 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
 def _inputs_of(subject: InspectedModel, key: str) -> list[Input]:
     """Return the inputs of a key of ``Behaviour.varied``: a role, or one input."""
     inputs = subject.manifest.inputs if subject.manifest else ()
-    return [entry for entry in inputs if key in (entry.role, f"{NAMED}{entry.name}")]
+    return [entry for entry in inputs if key in (entry.role, f"{INPUT_PREFIX}{entry.name}")]
 
 
 def _depends(behaviour: Behaviour, key: str) -> bool:
@@ -109,11 +108,11 @@ def _depends(behaviour: Behaviour, key: str) -> bool:
 
 
 def _is_of_camera(subject: InspectedModel, key: str) -> bool:
-    return any(entry.role in _OF_CAMERA for entry in _inputs_of(subject, key))
+    return any(entry.role in CAMERA_ROLES for entry in _inputs_of(subject, key))
 
 
 def _location(key: str) -> str:
-    return key if key.startswith(NAMED) else f"role {key}"
+    return key if key.startswith(INPUT_PREFIX) else f"role {key}"
 
 
 def _zero_changes(behaviour: Behaviour, role: str) -> bool:

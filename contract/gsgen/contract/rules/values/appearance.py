@@ -75,7 +75,7 @@ def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
         are read as view-dependent detail: colours change wildly with every step of the camera.
 
     Hint:
-        Transpose [N, 3, K] to [N, K, 3] before flattening. If the order is right and the scene is
+        Transpose [N, 3, K] to [N, K, 3] before flattening, with f_dc first. If the order is right and the scene is
         unusual, ignore this rule.
     """
     declared, sample = emission.declared, emission.shown_colors
@@ -104,6 +104,7 @@ def _orders(size: int) -> dict[str, np.ndarray]:
         "coefficient-major": flat.reshape(k, 3),
         "channel-major": flat.reshape(3, k).T,
         "interleaved twice": twice.reshape(k, 3),
+        "with f_rest before f_dc": np.roll(flat, 3).reshape(k, 3),
     }
 
 

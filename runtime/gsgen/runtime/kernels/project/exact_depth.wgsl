@@ -48,14 +48,14 @@ fn exact_total(large: vec3f, small: f32) -> vec2f {
 }
 
 struct Offset {
-    high: vec3f,  // of a position from page.eye
+    high: vec3f,  // of a position from eye.at
     low: vec3f,
 }
 
 fn exact_offset(position: vec3f) -> Offset {
-    let high = hidden_each(position - page.eye);
+    let high = hidden_each(position - eye.at);
     let part = hidden_each(high - position);
-    return Offset(high, (position - hidden_each(high - part)) - (page.eye + part));
+    return Offset(high, (position - hidden_each(high - part)) - (eye.at + part));
 }
 
 // Return one coordinate in camera space as two floats.
@@ -90,10 +90,10 @@ fn exact_depth(position: vec3f, rounded: f32) -> vec2f {
     let from_eye = exact_offset(position);
     let rows = transpose(page.linear);
     let rests = transpose(page.linear_rest);
-    var depth = exact_coordinate(rows[2], rests[2], from_eye, vec2f(page.eye_at.z, page.eye_at_rest.z));
+    var depth = exact_coordinate(rows[2], rests[2], from_eye, vec2f(eye.camera.z, eye.camera_rest.z));
     if (PANORAMA) {
-        let x = exact_coordinate(rows[0], rests[0], from_eye, vec2f(page.eye_at.x, page.eye_at_rest.x));
-        let y = exact_coordinate(rows[1], rests[1], from_eye, vec2f(page.eye_at.y, page.eye_at_rest.y));
+        let x = exact_coordinate(rows[0], rests[0], from_eye, vec2f(eye.camera.x, eye.camera_rest.x));
+        let y = exact_coordinate(rows[1], rests[1], from_eye, vec2f(eye.camera.y, eye.camera_rest.y));
         depth = exact_length(x, y, depth);
     }
     return select(vec2f(rounded, 0.0), depth, abs(depth.y) <= 1e-6 * abs(depth.x));

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
@@ -21,19 +21,28 @@ class NormalsKernel:
     Args:
         device: Device of the kernel.
         packed: Whether rows are packed by compact_rows.py.
+        slot_rows: Rows of a slot, for pages of a pool; 0 for others.
     """
 
-    def __init__(self, device: Device, *, packed: bool = False) -> None:
+    def __init__(self, device: Device, *, packed: bool = False, slot_rows: int = 0) -> None:
         self.kernel = Kernel(
-            device, "normals", "find_normals", ("rw", "ur"), THREADS=THREADS, PACKED=packed
+            device,
+            "normals_pooled" if slot_rows else "normals",
+            "find_normals",
+            ("rw", "urru" if slot_rows else "ur"),
+            THREADS=THREADS,
+            PACKED=packed,
+            SLOT_ROWS=slot_rows,
+            PAGE_SLOTS=PAGE_SLOTS,
         )
 
     def step(self, keys: Buffer, normals: Buffer, uniform: Buffer, slot: int, page: Page) -> Step:
         """Return the dispatch that computes the normals of a page's Gaussians."""
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
+        further = () if page.slots is None else (page.appearance, page.slots.table)
         binds = (
             self.kernel.bind(keys, normals),
-            self.kernel.bind(page_uniform, page.rows, group=1),
+            self.kernel.bind(page_uniform, page.rows, *further, group=1),
         )
         return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
 

@@ -23,7 +23,7 @@ from gsgen.contract.spec.geometry import symmetric
 from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
-from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import (
     DILATION,
@@ -183,7 +183,7 @@ def _degree(splat_set: SplatSet) -> int:
 
 @final
 class ProjectKernel:
-    """The kernel ``project.wgsl``, or ``project_weighted.wgsl`` for weighted sums.
+    """The kernel ``project.wgsl``, ``project_pooled.wgsl`` or ``project_weighted.wgsl``.
 
     Args:
         device: Device of the kernel.
@@ -192,6 +192,7 @@ class ProjectKernel:
         panorama: Whether the image is a panorama.
         weighted: Whether Gaussians are blended by weighted sums.
         packed: Whether rows are packed by compact_rows.py.
+        slot_rows: Rows of a slot, for pages of a pool; 0 for others.
     """
 
     def __init__(
@@ -203,13 +204,17 @@ class ProjectKernel:
         panorama: bool = False,
         weighted: bool = False,
         packed: bool = False,
+        slot_rows: int = 0,
     ) -> None:
+        name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
         self.kernel = Kernel(
             device,
-            "project_weighted" if weighted else "project",
-            "project",
-            ("uwwww", "urrr") if weighted else ("uwwwww", "urr"),
+            name,
+            "project_pooled" if slot_rows else "project",
+            ("uwwww", "urrr") if weighted else ("uwwwww", "urrur" if slot_rows else "urr"),
             THREADS=THREADS,
+            SLOT_ROWS=slot_rows,
+            PAGE_SLOTS=PAGE_SLOTS,
             HALF_APPEARANCE=half,
             STRIDE=stride,
             NO_HARMONICS=NO_HARMONICS,
@@ -231,10 +236,14 @@ class ProjectKernel:
             cells: Buffer of the set's cells, for weighted sums only.
         """
         page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
+        slots = page.slots
+        further = cells if slots is None else (slots.table, slots.seen)
         binds = (
             self.kernel.bind(*outputs),
-            self.kernel.bind(page_binding, page.rows, page.appearance, *cells, group=1),
+            self.kernel.bind(page_binding, page.rows, page.appearance, *further, group=1),
         )
+        if slots is not None:
+            return Step(self.kernel, binds, (slots.dispatch, 0))
         return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
 
 

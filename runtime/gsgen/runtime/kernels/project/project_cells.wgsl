@@ -27,7 +27,7 @@ fn count_drawn(first: u32) {
 
 fn cell_key(own: u32, index: u32) -> u32 {
     let center = read_center(own);
-    var at = page.linear * ((center.position - page.eye) - page.eye_rest);
+    var at = page.linear * ((center.position - eye.at) - eye.rest);
     let distance = depth_of(at);
     let exact = exact_depth(center.position, distance);
     let depth = exact.x;
@@ -65,6 +65,7 @@ fn project_cells(@builtin(global_invocation_id) invocation: vec3u) {
     }
     let index = page.base + own;
     var key = ABSENT;
+    eye = page_eye();
     if (own < page.count) {
         key = cell_key(own, index);
     }

@@ -13,7 +13,7 @@
 
 // Return the offset of a position from the camera centre, in local space.
 fn offset_from_eye(position: vec3f) -> vec3f {
-    return (position - page.eye) - page.eye_rest;
+    return (position - eye.at) - eye.rest;
 }
 
 fn is_in_view(position: vec3f, depth: f32) -> bool {

@@ -15,6 +15,7 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
     }
     let index = page.base + own;
     var key = ABSENT;
+    eye = page_eye();
     if (own < page.count) {
         let center = read_center(own);
         let at = page.linear * offset_from_eye(center.position);

@@ -33,6 +33,21 @@ struct Page {
 @group(1) @binding(0) var<uniform> page: Page;
 @group(1) @binding(1) var<storage, read> rows: array<vec2u>;
 
+// The camera centre in the space of a row: every row of a page has the page's, except in a pool.
+struct Eye {
+    at: vec3f,           // rounded …
+    rest: vec3f,         // … and the rounding error
+    camera: vec3f,       // the rounded centre in camera space …
+    camera_rest: vec3f,  // … and its rounding error
+}
+
+// Set at the start of every invocation, before a function reads it.
+var<private> eye: Eye;
+
+fn page_eye() -> Eye {
+    return Eye(page.eye, page.eye_rest, page.eye_at, page.eye_at_rest);
+}
+
 struct Center {
     position: vec3f,
     opacity: f32,

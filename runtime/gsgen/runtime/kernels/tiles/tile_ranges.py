@@ -40,7 +40,7 @@ class TileRanges:
 
 
 def ranges_reference(tiles: UInt32[np.ndarray, " n"], count: int) -> UInt32[np.ndarray, "t 2"]:
-    """Return the pair ranges of ``count`` tiles: the reference of ``tile_ranges.wgsl``."""
+    """Return the range of pairs of each tile: the reference of ``tile_ranges.wgsl``."""
     tile_ids = np.arange(count)
     ends = [np.searchsorted(tiles, tile_ids, side) for side in ("left", "right")]
     bounds = np.stack(ends, axis=1)

@@ -1,0 +1,185 @@
+"""The subject of statistical rules: a sample of drawn rows, with their nearest neighbours.
+
+A statistic of neighbours needs every row around a row, so a large scene is sampled in patches:
+a few rows spread over the scene, each with the rows nearest to it. The inner rows of a patch find
+their neighbours within it.
+"""
+
+__all__ = ["FEWEST_DRAWN", "LINEAR", "PLANAR", "DrawnSample", "draw_sample"]
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from gsgen.contract.probing.outputs import ModelOutputs
+from gsgen.contract.spec.geometry import symmetric
+from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
+
+# Below this number of drawn rows, a statistic says nothing.
+FEWEST_DRAWN = 32
+
+# Neighbours lie in a plane (on a line) if the smallest (largest) eigenvalue of their scatter, whose
+# trace is 1, is below (above) this on average. Points of a volume have 0.12 (0.57).
+PLANAR, LINEAR = 0.08, 0.7
+
+# Up to this number of rows, all are compared with each other.
+_WHOLE = 1024
+# A larger scene is sampled in this many patches of this many rows; the inner ones are measured.
+_PATCHES, _PATCH, _INNER = 8, 256, 64
+# Rows that are taken evenly from the whole scene for statistics without neighbours.
+_EVEN = 1 << 13
+_NEIGHBOURS = 6
+_SPACING = 3
+_SMALLEST = 1e-30
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnSample:
+    """Drawn rows of one probe, in float64.
+
+    Attributes:
+        emission: The outputs that the rows come from.
+        even: Packed rows taken evenly from all drawn rows, [e, 10].
+        even_color: Their appearance, [e, c]; None if it cannot be read.
+        indices: The numbers of the rows of all patches in the output, [n].
+        rows: Packed rows of all patches, [n, 10].
+        color: Their appearance, [n, c]; None if it cannot be read.
+        inner: Indices into ``rows`` of the rows that are measured, [m].
+        neighbours: For each of them the nearest other rows, nearest first, [m, k].
+        count: Number of drawn rows of the probe.
+    """
+
+    emission: ModelOutputs
+    even: Float[np.ndarray, "e 10"]
+    even_color: Float[np.ndarray, "e c"] | None
+    indices: Int[np.ndarray, " n"]
+    rows: Float[np.ndarray, "n 10"]
+    color: Float[np.ndarray, "n c"] | None
+    inner: Int[np.ndarray, " m"]
+    neighbours: Int[np.ndarray, "m k"]
+    count: int
+
+    @cached_property
+    def offsets(self) -> Float[np.ndarray, "m k 3"]:
+        """Vectors from each measured row to its neighbours."""
+        position = self.rows[:, POSITION]
+        return np.asarray(position[self.neighbours] - position[self.inner][:, None])
+
+    @cached_property
+    def spacing(self) -> Float[np.ndarray, " m"]:
+        """Mean distance of each measured row to its three nearest neighbours."""
+        distance = np.linalg.norm(self.offsets[:, :_SPACING], axis=2).mean(axis=1)
+        return np.asarray(np.maximum(distance, _SMALLEST))
+
+    @cached_property
+    def _spectrum(self) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 3"]]:
+        variances, axes = np.linalg.eigh(symmetric(self.rows[self.inner][:, COVARIANCE]))
+        return np.maximum(variances, 0.0), axes
+
+    @property
+    def sigma(self) -> Float[np.ndarray, "m 3"]:
+        """Standard deviations of each measured row, the smallest first."""
+        return np.asarray(np.sqrt(self._spectrum[0]))
+
+    @property
+    def axes(self) -> Float[np.ndarray, "m 3 3"]:
+        """The principal axes of each measured row as columns, the thinnest first."""
+        return self._spectrum[1]
+
+    @cached_property
+    def scatter(self) -> Float[np.ndarray, "m 3 3"]:
+        """Mean of d dᵀ over the unit vectors d to the neighbours; its trace is 1."""
+        length = np.maximum(np.linalg.norm(self.offsets, axis=2, keepdims=True), _SMALLEST)
+        unit = self.offsets / length
+        return np.asarray(unit.transpose(0, 2, 1) @ unit / unit.shape[1])
+
+    @cached_property
+    def scatter_eigenvalues(self) -> Float[np.ndarray, "m 3"]:
+        """Eigenvalues of :attr:`scatter`, the smallest first."""
+        return np.linalg.eigvalsh(self.scatter)
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether neighbours lie in planes, as on a surface."""
+        return bool(self.scatter_eigenvalues[:, 0].mean() < PLANAR)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether neighbours lie on lines, as along a strand."""
+        return bool(self.scatter_eigenvalues[:, 2].mean() > LINEAR)
+
+    def share_along(self, axis: int) -> Float[np.ndarray, " m"]:
+        """Return the mean of (d · a)² over the unit vectors d to neighbours, for one axis a."""
+        along = self.axes[:, :, axis]
+        return np.asarray(np.einsum("mi,mij,mj->m", along, self.scatter, along))
+
+
+def draw_sample(emission: ModelOutputs) -> DrawnSample | None:
+    """Return a sample of the drawn rows; None if too few rows are drawn."""
+    packed = emission.gaussians
+    if packed is None or emission.zeros:
+        return None
+    drawn = np.flatnonzero(_drawn(emission))
+    if len(drawn) < FEWEST_DRAWN:
+        return None
+    evenly = drawn[:: -(-len(drawn) // _EVEN)]
+    patches = _patches(packed[:, POSITION][drawn].astype(np.float32))
+    members, inner, neighbours, start = [], [], [], 0
+    for patch, measured in patches:
+        position = packed[:, POSITION][drawn[patch]].astype(np.float64)
+        members.append(drawn[patch])
+        inner.append(start + np.arange(measured))
+        neighbours.append(start + _nearest(position, measured))
+        start += len(patch)
+    indices = np.concatenate(members)
+    return DrawnSample(
+        emission=emission,
+        even=packed[evenly].astype(np.float64),
+        even_color=_colors(emission, evenly),
+        indices=indices,
+        rows=packed[indices].astype(np.float64),
+        color=_colors(emission, indices),
+        inner=np.concatenate(inner),
+        neighbours=np.concatenate(neighbours),
+        count=len(drawn),
+    )
+
+
+def _drawn(emission: ModelOutputs) -> Bool[np.ndarray, " n"]:
+    """Return which rows before the count are finite and opaque enough to change a pixel."""
+    assert emission.gaussians is not None
+    live = emission.gaussians[: emission.count]
+    is_drawn = (live[:, OPACITY] >= CULL_OPACITY) & np.isfinite(live).all(axis=1)
+    if emission.appearance is not None:
+        is_drawn &= np.isfinite(emission.appearance[: emission.count]).all(axis=1)
+    return np.asarray(is_drawn)
+
+
+def _colors(emission: ModelOutputs, rows: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n c"] | None:
+    color = emission.appearance
+    return None if color is None else color[rows].astype(np.float64)
+
+
+def _patches(position: Float[np.ndarray, "n 3"]) -> list[tuple[Int[np.ndarray, " p"], int]]:
+    """Return the rows of each patch, the nearest to its middle first, and how many to measure."""
+    total = len(position)
+    if total <= _WHOLE:
+        return [(np.arange(total), total)]
+    patches = []
+    for middle in np.arange(_PATCHES) * (total // _PATCHES):
+        square = np.square(position - position[middle]).sum(axis=1)
+        nearest = np.argpartition(square, _PATCH)[:_PATCH]
+        patches.append((nearest[np.argsort(square[nearest], kind="stable")], _INNER))
+    return patches
+
+
+def _nearest(position: Float[np.ndarray, "p 3"], measured: int) -> Int[np.ndarray, "m k"]:
+    """Return the nearest other rows of the first ``measured`` rows, nearest first."""
+    square = np.square(position[:measured, None] - position[None]).sum(axis=2)
+    square[np.arange(measured), np.arange(measured)] = np.inf
+    count = min(_NEIGHBOURS, len(position) - 1)
+    nearest = np.argpartition(square, count - 1, axis=1)[:, :count]
+    order = np.argsort(np.take_along_axis(square, nearest, 1), axis=1, kind="stable")
+    return np.asarray(np.take_along_axis(nearest, order, 1))

@@ -1,0 +1,166 @@
+"""GV rules of colour: constant terms of SH that were converted wrongly, and colours not loaded."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.probing.drawn_sample import DrawnSample
+from gsgen.contract.rules.pictures.displayed_colors import SH_OFFSET, displayed_colors
+from gsgen.contract.spec.layout import OPACITY
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.spherical_harmonics import SH_DC
+from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
+from gsgen.contract.validation.rule import rule
+
+_ROUNDING = 1e-3
+# RGB taken for a constant term: from near 0 to near 1, never below 0 or above 1.
+_NEAR_ZERO, _FEWEST_NEAR_ZERO, _SPREAD = 0.25, 0.02, 0.4
+# A constant term multiplied by its basis function, as viewers do once more, stays below 0.5.
+_GREY, _EITHER_SIDE = 0.5, 0.1
+# The fraction of channels that are brighter than white after the offset is added twice.
+_FEWEST_BRIGHT = 0.3
+# The fraction of channels that viewers clip after a second division by the basis function.
+_CLIP_MARGIN, _FEWEST_CLIPPED = 0.1, 0.3
+_BYTES = 20.0
+
+
+@rule(
+    "GV045",
+    "sh-constant-converted",
+    Severity.WARNING,
+    over="sample",
+    fixture="rgb_as_constant_term",
+    needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"),
+)
+def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
+    """The constant terms of SH do not look like RGB that was converted wrongly.
+
+    Why:
+        Viewers show 0.5 + 0.2821 · f_dc. RGB stored as f_dc shows no colour darker than grey; the
+        offset added twice shows white; a factor too much shows grey, and one too few clips.
+
+    Hint:
+        Store f_dc = (rgb - 0.5) / 0.28209479 of colours from 0 to 1. If the scene has such colours,
+        ignore this rule.
+    """
+    if not sample.emission.is_sh or sample.even_color is None:
+        return
+    constant = sample.even_color[:, :3]
+    mistake = _mistake(constant)
+    if mistake:
+        low, high = SH_OFFSET + SH_DC * float(constant.min()), SH_OFFSET + SH_DC * constant.max()
+        actual = (
+            f"DC from {constant.min():.3g} to {constant.max():.3g}, which shows as {low:.3g} "
+            f"to {high:.3g}, as if {mistake}"
+        )
+        location = Location(sample.emission.color_place, "degree 0")
+        expected = "colours that reach both halves of 0 to 1, and are rarely clipped"
+        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+
+
+def _mistake(constant: Float[np.ndarray, "e 3"]) -> str:
+    """Return the wrong conversion that the constant terms look like; empty if none."""
+    low, high = float(constant.min()), float(constant.max())
+    shown = SH_OFFSET + SH_DC * constant
+    bright = float((shown > 1).mean())
+    clipped = float(((shown < -_CLIP_MARGIN) | (shown > 1 + _CLIP_MARGIN)).mean())
+    dark = float((constant < _NEAR_ZERO).mean())
+    if high > _BYTES and low >= 0:
+        return "bytes 0 to 255 were stored as DC"
+    if low >= -_ROUNDING and high <= 1 + _ROUNDING:
+        if dark >= _FEWEST_NEAR_ZERO and high - low >= _SPREAD:
+            return "RGB were stored as DC"
+    elif low >= -_ROUNDING and high <= 1 / SH_DC + _ROUNDING and bright >= _FEWEST_BRIGHT:
+        return "0.5 had not been subtracted from RGB before the division"
+    elif -_GREY <= low < -_EITHER_SIDE and _EITHER_SIDE < high <= _GREY:
+        return "DC had been multiplied by 0.2821 already"
+    elif clipped >= _FEWEST_CLIPPED:
+        return "DC had been divided by 0.2821 once too often"
+    return ""
+
+
+@rule(
+    "GV046",
+    "colors-loaded",
+    Severity.WARNING,
+    over="sample",
+    fixture="colors_not_loaded",
+    needs=(*VALID_ROWS, *COLORED_ROWS),
+)
+def colors_loaded(sample: DrawnSample) -> Iterator[Violation]:
+    """Not every number of the appearance is zero.
+
+    Why:
+        All-zero SH show every Gaussian in the same grey, and all-zero RGB in black: the colours
+        were not loaded.
+
+    Hint:
+        Load the colours before the export. A scene of one colour needs numbers other than zero.
+    """
+    color = displayed_colors(sample)
+    if color is not None and sample.even_color is not None and not sample.even_color.any():
+        shade = "grey" if sample.emission.is_sh else "black"
+        actual = f"all numbers of {len(color)} rows are zero, so everything is the same {shade}"
+        location = Location(sample.emission.color_place)
+        yield Violation(where=location, expected="colours", actual=actual, certainty="possible")
+
+
+# Colours of a photograph differ less between neighbours than between any two rows: the ratio of
+# the mean squared differences is 0 for smooth and 1 for unrelated colours. Smooth: below the first.
+# Unrelated: above the second.
+_SMOOTH, _UNRELATED = 0.5, 0.75
+# The columns whose order, ascending or descending, exporters sort rows by.
+_KEYS = {"opacity": OPACITY, "x": 0, "y": 1, "z": 2}
+
+
+@rule(
+    "GV047",
+    "colors-follow-rows",
+    Severity.WARNING,
+    over="sample",
+    fixture="colors_sorted_alone",
+    needs=(*VALID_ROWS, *COLORED_ROWS),
+)
+def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
+    """Colours stand in the order of the rows they belong to.
+
+    Why:
+        Rows and colours are matched by position. If one of them was sorted or filtered alone, every
+        Gaussian has the colour of another one: the picture is coloured noise.
+
+    Hint:
+        Apply one permutation to positions, covariances, opacities and colours.
+    """
+    whole = len(sample.rows) == len(sample.inner) == sample.count
+    if sample.color is None or not whole:
+        return  # the order of a part says nothing of the whole
+    color = sample.color[:, :3]
+    stored = _roughness(sample, color)
+    if stored <= _UNRELATED:
+        return
+    for name, column in _KEYS.items():
+        for sign, direction in ((1, "ascending"), (-1, "descending")):
+            order = np.argsort(sign * sample.rows[:, column], kind="stable")
+            restored = np.empty_like(color)
+            restored[order] = color
+            roughness = _roughness(sample, restored)
+            if roughness < _SMOOTH:
+                actual = (
+                    f"colours of neighbours differ by {stored:.2f} of what any two rows do, and by "
+                    f"{roughness:.2f} if colours are taken in the order of {direction} {name}"
+                )
+                expected = "colours in the order of the rows"
+                location = Location(sample.emission.color_place)
+                yield Violation(
+                    where=location, expected=expected, actual=actual, certainty="possible"
+                )
+                return
+
+
+def _roughness(sample: DrawnSample, color: Float[np.ndarray, "n 3"]) -> float:
+    """Return the mean squared difference of neighbours over that of any two rows."""
+    variance = color.var(axis=0).sum()
+    nearest = color[sample.neighbours[:, 0]] - color[sample.inner]
+    return float(np.square(nearest).sum(axis=1).mean() / (2 * variance)) if variance > 0 else 0.0

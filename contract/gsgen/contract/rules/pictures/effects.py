@@ -1,0 +1,187 @@
+"""GB rules of effects: inputs whose effect cannot be seen, comes at the end alone, or is erratic."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
+from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.roles import CAMERA_ROLES
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.agreement import field_errors
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import REPRODUCIBLE
+from gsgen.contract.validation.report import Tolerance
+from gsgen.contract.validation.rule import rule
+from gsgen.contract.validation.tolerances import effective_tolerances
+
+_SERIES = ("time", "frame_index")
+# Instants within the range that must differ from each other, of at least this many.
+_FEWEST_INSTANTS = 3
+# The statistic is the largest of three motions within a hundredth of the range, over the largest
+# motion in it: 0.03 of one swing in the range, 0.2 of seven, and up to 1 of fifty. A single motion
+# may be a cut from one scene to the next, so another one must reach a part of it.
+_ERRATIC, _ANOTHER = 0.45, 0.15
+# Fewer drawn rows say nothing of the motion of a scene.
+_FEWEST_MOVED = 16
+_NEAR = (0.005, 0.02)
+
+
+@rule(
+    "GB032",
+    "effect-is-visible",
+    Severity.WARNING,
+    over="runs",
+    fixture="time_moves_too_little",
+    needs=(*REPRODUCIBLE, "GB003", "GI006", "GO001", "GO002"),
+)
+def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
+    """Each input that changes an output changes it enough to be seen, in rows that are drawn.
+
+    Why:
+        An effect below the tolerances is rounding: the network behind it was not trained, its
+        weights were not loaded, or the input is in another unit than it expects. Rows without
+        opacity may move as they like.
+
+    Hint:
+        Compare the range and the unit of the input with those of training. If the effect is meant
+        to be that small, set "depends_on": {role: false}.
+    """
+    subject, tolerances = behaviour.subject, effective_tolerances(behaviour.subject)
+    for role in behaviour.varied:
+        indices = behaviour.trial.plan.variants.get(role, (0, ()))[1]
+        changed = any(comparison.changed for comparison in behaviour.varied[role])
+        entries = [entry for entry, _ in subject.inputs_of(role)]  # none of a single input's key
+        depends = subject.generator is not None and any(map(subject.generator.depends, entries))
+        if role in CAMERA_ROLES or not changed or not depends:
+            continue
+        base = _outputs(behaviour, behaviour.base)
+        variants = [_outputs(behaviour, run) for run in behaviour.runs(indices)]
+        if not any(_differs(base, variant, tolerances) for variant in variants):
+            actual = f"its {len(variants)} variations change nothing beyond the tolerances"
+            expected = "a visible effect, or depends_on false"
+            yield Violation.at(f"role {role}", actual, expected, certainty="possible")
+
+
+@rule(
+    "GB033",
+    "effect-throughout-range",
+    Severity.WARNING,
+    over="runs",
+    fixture="frames_fed_as_fractions",
+    needs=(*REPRODUCIBLE, "GB003", "GI006", "GM010", "GB032"),
+)
+def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
+    """Time changes the picture within its range, not only at the ends.
+
+    Why:
+        A model that takes whole frames shows its first frame for all of the range 0 to 1: only the
+        end differs.
+
+    Hint:
+        Declare the range that the model takes, or multiply time by the number of frames inside it.
+        If nothing happens before the end, ignore this rule.
+    """
+    tolerances = effective_tolerances(behaviour.subject)
+    for entry, series in _all_series(behaviour):
+        assert entry.range is not None
+        low, high = entry.range
+        inner = [outputs for value, outputs in series if low < value < high]
+        ends = [outputs for value, outputs in series if value in (low, high)]
+        if len(inner) < _FEWEST_INSTANTS or not ends:
+            continue
+        still = not any(_differs(inner[0], outputs, tolerances) for outputs in inner[1:])
+        if still and any(_differs(inner[0], outputs, tolerances) for outputs in ends):
+            actual = f"{len(inner)} instants within {low:g} to {high:g} are the same; only an end differs"
+            expected = "change throughout the range"
+            yield Violation.at(f"input {entry.name}", actual, expected, certainty="possible")
+
+
+@rule(
+    "GB034",
+    "motion-is-smooth",
+    Severity.WARNING,
+    over="runs",
+    fixture="time_in_degrees",
+    needs=(*REPRODUCIBLE, "GB003", "GI006", "GM010"),
+)
+def motion_is_smooth(behaviour: Behaviour) -> Iterator[Violation]:
+    """A hundredth of a time from 0 to 1 moves Gaussians less far than the whole of it.
+
+    Why:
+        Where it moves them as far, the scene swings back and forth tens of times, and no frame
+        continues the one before: degrees were taken for radians, or seconds for a fraction.
+
+    Hint:
+        Check the unit of time, declare the range in seconds, or declare frames and fps. If the
+        scene trembles by design, ignore this rule.
+    """
+    for entry, series in _all_series(behaviour):
+        assert entry.range is not None
+        span = entry.range[1] - entry.range[0]
+        if entry.role != "time" or entry.frames or span > 1:
+            continue
+        pairs = [(b - a, _motion(x, y)) for (a, x), (b, y) in pairwise(series)]
+        steps = [motion for gap, motion in pairs if _NEAR[0] * span < gap < _NEAR[1] * span]
+        from_start = (_motion(series[0][1], outputs) for _, outputs in series[1:])
+        largest = max([*(motion for _, motion in pairs), *from_start], default=0.0)
+        second, first = sorted([0.0, 0.0, *steps])[-2:]
+        if first > _ERRATIC * largest and second > _ANOTHER * largest:
+            share = first / largest
+            actual = (
+                f"a hundredth of the range moves Gaussians by {share:.0%} of the largest motion"
+            )
+            expected = f"{_ERRATIC:.0%} at most, as smooth motion has"
+            yield Violation.at(f"input {entry.name}", actual, expected, certainty="possible")
+
+
+Series = list[tuple[float, ModelOutputs]]
+
+
+def _all_series(behaviour: Behaviour) -> Iterator[tuple[Input, Series]]:
+    """Yield each time or frame input with the outputs of all runs that differ in it alone."""
+    generator = behaviour.subject.generator
+    behaviour.visits("swept")  # a rule whose probes did not run is skipped
+    for entry in generator.inputs if generator else ():
+        if entry.role in _SERIES and entry.range is not None:
+            yield entry, _series(behaviour, entry)
+
+
+def _series(behaviour: Behaviour, entry: Input) -> Series:
+    assert entry.range is not None
+    low, high = entry.range
+    base = behaviour.base.probe.inputs
+    others = [name for name in base if name != entry.name]
+    by_value: dict[float, ModelOutputs] = {}
+    for run in behaviour.runs(range(len(behaviour.trial.execution.runs))):
+        inputs = run.probe.inputs
+        value = float(inputs[entry.name].reshape(-1)[0])
+        same = all(np.array_equal(inputs[name], base[name]) for name in others)
+        same &= low <= value <= high
+        if same and run.digest and run.probe.optimise and value not in by_value:
+            by_value[value] = _outputs(behaviour, run)
+    return sorted(by_value.items(), key=lambda item: item[0])
+
+
+def _outputs(behaviour: Behaviour, run: ProbeRun) -> ModelOutputs:
+    return read_outputs(behaviour.subject, run.probe.label, run.outputs)
+
+
+def _differs(a: ModelOutputs, b: ModelOutputs, tolerances: tuple[Tolerance, ...]) -> bool:
+    """Return whether two runs differ in rows that are drawn, beyond the tolerances."""
+    same_count = a.count == b.count
+    return not same_count or next(field_errors(a, b, tolerances), None) is not None
+
+
+def _motion(a: ModelOutputs, b: ModelOutputs) -> float:
+    """Return the root mean square motion of drawn rows between two runs; 0 of a few rows."""
+    x, y = a.gaussians, b.gaussians
+    if x is None or y is None or x.shape != y.shape:
+        return 0.0
+    drawn = np.minimum(x[:, OPACITY], y[:, OPACITY]) >= CULL_OPACITY
+    offset = x[drawn, POSITION].astype(np.float64) - y[drawn, POSITION]
+    enough = len(offset) >= _FEWEST_MOVED
+    return float(np.sqrt(np.square(offset).sum(axis=1).mean())) if enough else 0.0

@@ -1,0 +1,63 @@
+"""GV rule of view-dependent SH: f_rest of a PLY that was not transposed."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.probing.drawn_sample import DrawnSample
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
+from gsgen.contract.validation.rule import rule
+
+# The statistic is the mean correlation of red, green and blue of the same coefficient: highlights
+# are nearly grey, so right scenes have 0.8 to 0.95, and 0.0 in the other order. Both are near 0
+# where colours were drawn at random, and the other one is exactly 1 where coefficients are copies.
+_CORRELATED, _COPIES = 0.5, 0.9995
+_CLEARER = 0.35
+_SH1 = 12
+
+
+@rule(
+    "GV048",
+    "sh-rest-order",
+    Severity.WARNING,
+    over="sample",
+    fixture="sh_as_in_ply",
+    needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"),
+)
+def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
+    """Red, green and blue of a view-dependent SH coefficient stand side by side.
+
+    Why:
+        A 3DGS PLY has f_dc first and then f_rest channel by channel: all red coefficients, all
+        green, all blue. Copied as they are, highlights become rainbows that change with the camera.
+
+    Hint:
+        Reshape f_rest to [N, 3, K - 1], transpose it to [N, K - 1, 3], and put f_dc in front. If
+        the order is right and the scene is unusual, ignore this rule.
+    """
+    color = sample.even_color
+    if color is None or not sample.emission.is_sh or color.shape[1] < _SH1:
+        return
+    detail = color[:, 3:]
+    stored = _correlation(detail.reshape(len(detail), -1, 3))
+    planar = _correlation(detail.reshape(len(detail), 3, -1).transpose(0, 2, 1))
+    if _CORRELATED < planar < _COPIES and stored < _CLEARER * planar:
+        actual = (
+            f"red, green and blue of a coefficient correlate by {stored:.2f} as stored, and by "
+            f"{planar:.2f} if f_rest is read channel-major, as in a 3DGS PLY"
+        )
+        expected = "a larger correlation as stored, coefficient by coefficient"
+        location = Location(sample.emission.color_place, "degree 1 and above")
+        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+
+
+def _correlation(detail: Float[np.ndarray, "e k 3"]) -> float:
+    """Return the mean correlation between two channels, over coefficients and pairs; 0 if constant."""
+    centred = detail - detail.mean(axis=0)
+    deviation = np.sqrt(np.square(centred).mean(axis=0))
+    unit = centred / np.where(deviation > 0, deviation, 1)
+    pairs = ((0, 1), (0, 2), (1, 2))
+    return float(np.mean([(unit[:, :, i] * unit[:, :, j]).mean(axis=0) for i, j in pairs]))

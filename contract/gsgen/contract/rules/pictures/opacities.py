@@ -1,0 +1,94 @@
+"""GV rules of opacity: an activation that is applied twice, and colours multiplied by opacity."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gsgen.contract.probing.drawn_sample import DrawnSample
+from gsgen.contract.rules.pictures.displayed_colors import displayed_colors
+from gsgen.contract.spec.layout import OPACITY
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
+from gsgen.contract.validation.rule import rule
+
+# sigmoid(0) and sigmoid(1): what a sigmoid makes of opacities.
+_SIGMOID_TWICE = (0.5, 0.7311)
+_ROUNDING = 1e-3
+# Equal opacities say nothing of their activation.
+_SPREAD = 0.08
+
+# Colours multiplied by opacity are never brighter than it. The rule applies if enough rows are
+# transparent; the logarithms of both then correlate. Right scenes have up to 0.25, and a factor
+# of opacity gives 0.9 to 1.
+_TRANSPARENT, _FEWEST_TRANSPARENT = 0.4, 0.08
+_DARKER = 0.995
+_CORRELATED = 0.7
+_BLACK = 1e-3
+
+
+@rule(
+    "GV043",
+    "opacity-activated-once",
+    Severity.WARNING,
+    over="sample",
+    fixture="opacity_of_two_sigmoids",
+    needs=VALID_ROWS,
+)
+def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
+    """Opacities are not all between 0.5 and 0.7311, where a second sigmoid leaves them.
+
+    Why:
+        A sigmoid of an opacity lies between sigmoid(0) = 0.5 and sigmoid(1) = 0.7311: nothing is
+        opaque any more, nothing is nearly transparent, and the scene looks like fog.
+
+    Hint:
+        Apply the sigmoid once: opacities from a renderer or a file of activated values have it
+        already.
+    """
+    opacity = sample.even[:, OPACITY]
+    low, high = float(opacity.min()), float(opacity.max())
+    is_within = _SIGMOID_TWICE[0] - _ROUNDING <= low and high <= _SIGMOID_TWICE[1] + _ROUNDING
+    if is_within and high - low > _SPREAD:
+        actual = f"opacities from {low:.4g} to {high:.4g}, as if the sigmoid were applied twice"
+        expected = "opacities also below 0.5 or above 0.7311"
+        location = Location(sample.emission.rows_place, "opacity")
+        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+
+
+@rule(
+    "GV044",
+    "colors-without-opacity",
+    Severity.WARNING,
+    over="sample",
+    fixture="premultiplied_colors",
+    needs=(*VALID_ROWS, *COLORED_ROWS, "GV012"),
+)
+def colors_without_opacity(sample: DrawnSample) -> Iterator[Violation]:
+    """Colours are not multiplied by opacity.
+
+    Why:
+        Renderers multiply by opacity when they blend. A premultiplied colour is multiplied twice,
+        and transparent parts become dark.
+
+    Hint:
+        Divide the colours by opacity, or leave the multiplication out.
+    """
+    color = displayed_colors(sample)
+    if color is None:
+        return
+    opacity, brightest = sample.even[:, OPACITY], color.max(axis=1)
+    transparent = float((opacity < _TRANSPARENT).mean())
+    darker = float((brightest <= opacity * (1 + _ROUNDING)).mean())
+    if transparent < _FEWEST_TRANSPARENT or darker < _DARKER or np.ptp(brightest) == 0:
+        return
+    logarithms = np.log(np.maximum([brightest, opacity], _BLACK))
+    correlation = float(np.corrcoef(logarithms)[0, 1])
+    if correlation > _CORRELATED:
+        actual = (
+            f"no colour is brighter than its opacity in {darker:.1%} of {len(color)} rows, and "
+            f"both correlate by {correlation:.2f}, as if colours were multiplied by opacity"
+        )
+        expected = f"transparent rows of any brightness, or a correlation below {_CORRELATED}"
+        location = Location(sample.emission.color_place)
+        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")

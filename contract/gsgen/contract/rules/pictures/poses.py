@@ -1,0 +1,220 @@
+"""GB rules of poses: covariances turn with positions, and positions turn as the pose says."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.probing.drawn_sample import DrawnSample, draw_sample
+from gsgen.contract.probing.local_rotations import LocalRotations, fit_local_rotations
+from gsgen.contract.probing.outputs import read_outputs
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
+from gsgen.contract.spec.geometry import rotation_matrix, symmetric
+from gsgen.contract.spec.layout import COVARIANCE
+from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.roles import CAMERA_ROLES
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import REPRODUCIBLE, VALID_ROWS
+from gsgen.contract.validation.rule import rule
+
+_FEWEST_ROWS = 12
+# Rows count whose neighbourhood turns rigidly by at least this angle, and whose covariance should
+# change by at least this fraction of its size.
+_TURNED, _CHANGED = 0.2, 0.1
+# The statistic is the median error of a covariance over the change that it should have made:
+# 1e-5 where it turns along, 1 where it stays, up to 2 where it turns backwards.
+_FOLLOWS = 0.3
+
+# A neighbourhood fits a joint if it turns as the joint does, within this angle in radians.
+_FITTING = 0.1
+# A reading of the pose explains the motion if at least the first fraction of rows fits a joint, and
+# fails to if at most the second does.
+_EXPLAINED, _UNEXPLAINED = 0.25, 0.02
+# Joints that turn by less say nothing of the reading.
+_LEAST_ANGLE = 0.3
+# Radians taken for degrees turn the body by 1/57 of the angle.
+_DEGREES = (0.5 * np.pi / 180, 2 * np.pi / 180)
+_LEAST_MOTION = 1e-4
+
+
+@rule(
+    "GB035",
+    "covariances-follow-motion",
+    Severity.WARNING,
+    over="runs",
+    fixture="covariances_stay_at_rest",
+    needs=(*REPRODUCIBLE, *VALID_ROWS),
+)
+def covariances_follow_motion(behaviour: Behaviour) -> Iterator[Violation]:
+    """Where neighbours turn rigidly between two runs, covariances turn with them.
+
+    Why:
+        A limb that turns takes its Gaussians along. Covariances that stay in the rest pose, or turn
+        by the inverse rotation, stand across the skin: it tears open as soon as the body moves.
+
+    Hint:
+        Turn each covariance by the rotation of its positions, R Σ Rᵀ, with R the linear part of the
+        skinning transform; Rᵀ Σ R turns it backwards.
+    """
+    for role in behaviour.varied:
+        if role in CAMERA_ROLES or not any(behaviour.subject.inputs_of(role)):
+            continue  # the key of a single input repeats that of its role
+        for sample, later, motion, run in _motions(behaviour, role):
+            violation = _deviation(sample, later, motion, role, run)
+            if violation is not None:
+                yield violation
+                break
+
+
+def _deviation(
+    sample: DrawnSample,
+    later: Float[np.ndarray, "n 10"],
+    motion: LocalRotations,
+    role: str,
+    run: ProbeRun,
+) -> Violation | None:
+    before = symmetric(sample.rows[sample.inner][:, COVARIANCE])
+    after = symmetric(later[sample.inner][:, COVARIANCE])
+    turned = motion.rotation @ before @ motion.rotation.transpose(0, 2, 1)
+    size = np.maximum(np.linalg.norm(before, axis=(1, 2)), np.finfo(float).tiny)
+    change = np.linalg.norm(turned - before, axis=(1, 2)) / size
+    counts = motion.is_rigid & (motion.angle > _TURNED) & (change > _CHANGED)
+    if np.count_nonzero(counts) < _FEWEST_ROWS:
+        return None
+    error = np.linalg.norm(after - turned, axis=(1, 2)) / size
+    stays = np.linalg.norm(after - before, axis=(1, 2)) / size
+    statistic = float(np.median((error / change)[counts]))
+    if statistic <= _FOLLOWS:
+        return None
+    manner = "stay as they were" if np.median((stays / change)[counts]) < _FOLLOWS else "turn otherwise"
+    actual = (
+        f"covariances {manner} where {np.count_nonzero(counts)} neighbourhoods turn by "
+        f"{np.degrees(np.median(motion.angle[counts])):.0f}° with the {role}: error {statistic:.2f} "
+        f"of the rotation at {run.probe.label!r}"
+    )
+    expected = f"covariances that turn with their neighbours: an error below {_FOLLOWS}"
+    return Violation.at(f"role {role}", actual, expected, certainty="possible")
+
+
+def _motions(
+    behaviour: Behaviour, role: str
+) -> Iterator[tuple[DrawnSample, Float[np.ndarray, "n 10"], LocalRotations, ProbeRun]]:
+    """Yield drawn rows of the base, the same rows of a run that differs in ``role``, the motion."""
+    subject = behaviour.subject
+    declared = subject.declared_gaussians
+    base, indices = behaviour.trial.plan.variants.get(role, (0, ()))
+    first = behaviour.runs((base,))
+    if declared is None or not first or first[0].sample is None:
+        return
+    outputs = first[0].sample.outputs
+    sample = draw_sample(read_outputs(subject, first[0].probe.label, outputs))
+    if sample is None:
+        return
+    for run in behaviour.runs(indices):
+        if run.sample is None or run.sample.outputs[declared.name].shape != outputs[declared.name].shape:
+            continue
+        later = run.sample.outputs[declared.name][sample.indices].astype(np.float64)
+        if np.isfinite(later).all():
+            yield sample, later, fit_local_rotations(sample, later), run
+
+
+@rule(
+    "GB036",
+    "pose-read-as-declared",
+    Severity.WARNING,
+    over="runs",
+    fixture="pose_in_degrees",
+    needs=(*REPRODUCIBLE, *VALID_ROWS, "GI016"),
+)
+def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
+    """Limbs turn by the angles and about the axes that the pose declares.
+
+    Why:
+        The same numbers are another rotation in degrees, in another order of the quaternion, or
+        inverted. Read so, joints hardly move, or bend the wrong way.
+
+    Hint:
+        Feed radians; check the order of quaternions (w x y z), the sign of rotations, and the
+        declared convention.
+    """
+    for role in ("pose", "root_rotation"):
+        entries = [entry for entry, _ in behaviour.subject.inputs_of(role)]
+        if role not in behaviour.varied or len(entries) != 1:
+            continue
+        for _, _, motion, run in _motions(behaviour, role):
+            base = behaviour.base.probe.inputs[entries[0].name]
+            reading = _reading(entries[0], base, run.probe.inputs[entries[0].name], motion)
+            if reading:
+                actual = f"neighbourhoods turn {reading} at {run.probe.label!r}"
+                expected = "rotations as the convention declares them"
+                yield Violation.at(f"input {entries[0].name}", actual, expected, certainty="possible")
+                break
+
+
+def _reading(entry: Input, base: np.ndarray, value: np.ndarray, motion: LocalRotations) -> str:
+    """Return the other reading of a pose that explains the motion; empty if none is needed."""
+    rigid = motion.is_rigid
+    if np.count_nonzero(rigid) < _FEWEST_ROWS or base.shape == (3, 3):
+        return ""
+    before, after = base.reshape(-1, base.shape[-1]), value.reshape(-1, base.shape[-1])
+    width = before.shape[1]
+    if width not in (3, 4):
+        return ""
+    declared = _between(before, after, _MATRICES[width])
+    largest = float(_angles(declared).max())
+    if largest < _LEAST_ANGLE:
+        return ""
+    seen = float(np.quantile(motion.angle[rigid], 0.95))
+    if width == 3 and seen > _LEAST_MOTION and _DEGREES[0] < seen / largest < _DEGREES[1]:
+        return (
+            f"by {np.degrees(seen):.1f}° where joints turn by {np.degrees(largest):.0f}°, "
+            "as if radians were taken for degrees"
+        )
+    if _explained(motion, declared) > _UNEXPLAINED:
+        return ""
+    for name, matrices in _OTHER_READINGS[width].items():
+        share = _explained(motion, _between(before, after, matrices))
+        if share >= _EXPLAINED:
+            return f"as no joint does, and in {share:.0%} of rows as if {name}"
+    return ""
+
+
+Matrices = Callable[[np.ndarray], Float[np.ndarray, "j 3 3"]]
+
+
+def _from_axis_angle(vectors: np.ndarray) -> Float[np.ndarray, "j 3 3"]:
+    half = np.linalg.norm(vectors, axis=1, keepdims=True).astype(float) / 2
+    scale = np.sinc(half / np.pi) / 2
+    return rotation_matrix(np.concatenate([np.cos(half), scale * vectors], axis=1))
+
+
+def _inverse(matrices: Matrices) -> Matrices:
+    return lambda values: matrices(values).transpose(0, 2, 1)
+
+
+_MATRICES: dict[int, Matrices] = {3: _from_axis_angle, 4: rotation_matrix}
+_OTHER_READINGS: dict[int, dict[str, Matrices]] = {
+    3: {"rotations were inverted": _inverse(_from_axis_angle)},
+    4: {
+        "quaternions w x y z were read as x y z w": lambda q: rotation_matrix(np.roll(q, 1, axis=1)),
+        "rotations were inverted": _inverse(rotation_matrix),
+    },
+}
+
+
+def _between(before: np.ndarray, after: np.ndarray, matrices: Matrices) -> Float[np.ndarray, "j 3 3"]:
+    """Return the rotation of each joint from one pose to another."""
+    return np.asarray(matrices(after) @ matrices(before).transpose(0, 2, 1))
+
+
+def _angles(matrices: Float[np.ndarray, "... 3 3"]) -> Float[np.ndarray, "..."]:
+    cosine = (np.trace(matrices, axis1=-2, axis2=-1) - 1) / 2
+    return np.asarray(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def _explained(motion: LocalRotations, joints: Float[np.ndarray, "j 3 3"]) -> float:
+    """Return the fraction of rigid neighbourhoods that turn as some joint does."""
+    rotation = motion.rotation[motion.is_rigid]
+    difference = _angles(rotation[:, None] @ joints.transpose(0, 2, 1)[None])
+    return float((difference.min(axis=1) < _FITTING).mean())

@@ -1,0 +1,104 @@
+"""GV rules of size: standard deviations against the distance to the nearest neighbours."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.probing.drawn_sample import DrawnSample
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import VALID_ROWS
+from gsgen.contract.validation.rule import rule
+
+# The statistic is the median of the longest standard deviation over the spacing, which is the mean
+# distance to the three nearest neighbours. Right scenes lie between 0.1 (points far apart) and 2.2
+# (anchors with ten Gaussians each); an initialisation by the spacing gives 1, dust 0.005 to 0.02.
+_SMALLEST, _LARGEST = 0.002, 6.0
+# Within these limits, a scene is suspected only if one known mistake explains it: undone, the
+# statistic lies in the narrower range that scenes without holes and without blur have. Of 1,000
+# random right scenes, 11 are suspected, all of them of standard deviations as variances.
+_SMALL, _LARGE, _HUGE = 0.12, 0.8, 2.5
+_USUAL = (0.25, 0.6)
+# A square root makes discs and needles, whose shortest axis is below a tenth of the longest, about
+# this thick. Other shapes are suspected only where their axes were written without a rotation.
+_THICK = (0.17, 0.45)
+_ROUND = 0.83
+# exp(exp(x)) is never below 1, and hardly above where scales are small.
+_EXP_TWICE = (0.999, 1.05)
+
+Sigma = Float[np.ndarray, "m 3"]
+
+
+def _times(factor: float) -> Callable[[Sigma], Sigma]:
+    return lambda sigma: sigma * factor
+
+
+# The mistake, the interval of the statistic it is suspected in, and the function that undoes it.
+_NOT_SQUARED = "standard deviations stand where variances belong"
+_MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[Sigma], Sigma]], ...] = (
+    ("log scales were squared, and exp is missing", (_HUGE, np.inf), lambda sigma: np.exp(-sigma)),
+    (_NOT_SQUARED, (_LARGE, np.inf), np.square),
+    ("variances were squared once more", (0.0, _SMALL), np.sqrt),
+    *(
+        (f"positions were multiplied by {factor} and scales were not", (0.0, _SMALL), undo)
+        for factor, undo in ((1000, _times(1000)), (100, _times(100)))
+    ),
+    ("positions and variances were both multiplied by 100", (0.0, _SMALL), _times(10)),
+)
+
+
+@rule(
+    "GV040",
+    "size-fits-spacing",
+    Severity.WARNING,
+    over="sample",
+    fixture="scales_are_logarithms",
+    needs=VALID_ROWS,
+)
+def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
+    """Gaussians are neither far larger nor far smaller than the distance to their neighbours.
+
+    Why:
+        Gaussians far smaller than the distance to their neighbours leave holes, and far larger
+        ones blur everything: the scale was not activated, was activated or squared twice, or
+        positions and scales were converted into different units.
+
+    Hint:
+        Apply exp to log scales once, square standard deviations once, and multiply covariances by
+        s² where positions are multiplied by s. If the scene is meant to be dust or fog, ignore this
+        rule.
+    """
+    sigma, spacing = sample.sigma, sample.spacing
+    ratio = float(np.median(sigma[:, 2] / spacing))
+    actual = f"median standard deviation {ratio:.3g} of the distance to the neighbours"
+    mistake = _mistake(sample, ratio)
+    if mistake:
+        actual += f", as if {mistake}"
+    elif _SMALLEST <= ratio <= _LARGEST:
+        return
+    expected = f"a size of {_SMALLEST} to {_LARGEST:g} times the distance to the neighbours"
+    location = Location(sample.emission.rows_place, "covariance")
+    yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+
+
+def _mistake(sample: DrawnSample, ratio: float) -> str:
+    """Return the mistake that explains the sizes; empty if none does."""
+    sigma, spacing = sample.sigma, sample.spacing
+    if _EXP_TWICE[0] <= sigma.min() <= _EXP_TWICE[1] and ratio > _USUAL[1]:
+        return "exp was applied twice: no standard deviation is below 1"
+    for mistake, (low, high), undo in _MISTAKES:
+        undone = float(np.median(undo(sigma).max(axis=1) / spacing))
+        if mistake == _NOT_SQUARED and not _may_be_roots(sample):
+            continue
+        if low < ratio < high and _USUAL[0] <= undone <= _USUAL[1]:
+            return mistake
+    return ""
+
+
+def _may_be_roots(sample: DrawnSample) -> bool:
+    """Return whether the shapes are those of discs or needles after a square root."""
+    thickness = float(np.median(sample.sigma[:, 0] / sample.sigma[:, 2]))
+    is_thick = _THICK[0] <= thickness <= _THICK[1] and (sample.is_planar or sample.is_linear)
+    is_aligned = not sample.rows[:, [5, 6, 8]].any()
+    return is_thick or (is_aligned and thickness < _ROUND)

@@ -1,0 +1,147 @@
+"""GB rules of a camera that turns about its own centre, where nothing but culling may change."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.behaviour_probes import AWAY, TILTED
+from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
+from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, VARIANCES
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import REPRODUCIBLE
+from gsgen.contract.validation.rule import rule
+
+# Rows that are drawn at the same place before and after the turn; fewer say nothing.
+_FEWEST_ROWS = 8
+# The statistic is the median change of rows: of a colour in 0 to 1, and of a covariance relative
+# to its trace. Right models have 1e-6, from rounding of the matrix; wrong ones 0.05 to 0.6.
+_CHANGED = 0.01
+
+
+@rule(
+    "GB030",
+    "turning-in-place-changes-nothing",
+    Severity.WARNING,
+    over="runs",
+    fixture="camera_taken_for_its_inverse",
+    needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002"),
+)
+def turning_in_place_changes_nothing(behaviour: Behaviour) -> Iterator[Violation]:
+    """A camera that turns about its own centre changes no colour and no covariance of drawn rows.
+
+    Why:
+        The direction from the camera to a Gaussian does not depend on where the camera looks. A
+        change means that the camera's centre was computed wrongly: the view matrix was taken for
+        camera-to-world, its rotation was left out, transposed or mirrored. Covariances that turn
+        with the camera are in camera space.
+
+    Hint:
+        The view matrix is world-to-camera: its camera's centre is −Rᵀ t. Take directions from
+        there to each row, and emit covariances in local space, as positions are.
+    """
+    runs = [run for run in behaviour.visits("turned") if run.probe.label.endswith(TILTED)]
+    base = _outputs(behaviour.subject, behaviour.base)
+    for run in runs:
+        turned = _outputs(behaviour.subject, run)
+        if base is None or turned is None:
+            return
+        rows = _drawn_twice(base, turned)
+        if np.count_nonzero(rows) < _FEWEST_ROWS:
+            return
+        yield from _changes(base, turned, rows)
+
+
+def _changes(
+    base: ModelOutputs, turned: ModelOutputs, rows: Bool[np.ndarray, " n"]
+) -> Iterator[Violation]:
+    assert base.gaussians is not None
+    assert turned.gaussians is not None
+    color, other_color = base.appearance, turned.appearance
+    if color is not None and other_color is not None and color.shape == other_color.shape:
+        change = np.abs(color[rows].astype(float) - other_color[rows]).max(axis=1)
+        if np.median(change) > _CHANGED:
+            actual = (
+                f"colours change by {np.median(change):.3g} while the camera turns about its own "
+                "centre, as if its centre were computed without the inverse rotation"
+            )
+            yield _possible(base.color_place, "", actual, "the same colours from the same centre")
+    a, b = (o.gaussians[rows].astype(float) for o in (base, turned) if o.gaussians is not None)
+    trace = np.maximum(a[:, VARIANCES].sum(axis=1), np.finfo(np.float32).tiny)
+    change = np.abs(a[:, COVARIANCE] - b[:, COVARIANCE]).max(axis=1) / trace
+    if np.median(change) > _CHANGED:
+        actual = (
+            f"covariances change by {np.median(change):.3g} of their trace while the camera turns "
+            "about its own centre, as if they were in camera space"
+        )
+        yield _possible(base.rows_place, "covariance", actual, "covariances in local space")
+
+
+def _possible(subject: str, field: str, actual: str, expected: str) -> Violation:
+    location = Location(subject, field)
+    return Violation(where=location, actual=actual, expected=expected, certainty="possible")
+
+
+def _outputs(subject: InspectedModel, run: ProbeRun) -> ModelOutputs | None:
+    """Return the outputs of a run; None if it failed or has no packed rows."""
+    outputs = read_outputs(subject, run.probe.label, run.outputs)
+    return outputs if outputs.gaussians is not None else None
+
+
+def _drawn(outputs: ModelOutputs) -> Bool[np.ndarray, " n"]:
+    assert outputs.gaussians is not None
+    rows = outputs.gaussians
+    is_live = np.arange(len(rows)) < outputs.count
+    return np.asarray(is_live & (rows[:, OPACITY] >= CULL_OPACITY) & np.isfinite(rows).all(axis=1))
+
+
+def _drawn_twice(first: ModelOutputs, second: ModelOutputs) -> Bool[np.ndarray, " n"]:
+    """Return which rows are drawn at the same place in both runs."""
+    a, b = first.gaussians, second.gaussians
+    assert a is not None
+    assert b is not None
+    if a.shape != b.shape:
+        return np.zeros(len(a), bool)
+    same = _same_place(a[:, POSITION].astype(float), b[:, POSITION].astype(float))
+    return np.asarray(_drawn(first) & _drawn(second) & same)
+
+
+def _same_place(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    rounding = 1e-6 * np.maximum(np.abs(a).max(axis=1, initial=0), np.abs(b).max(axis=1, initial=0))
+    return np.asarray(np.abs(a - b).max(axis=1, initial=0) <= rounding)
+
+
+@rule(
+    "GB031",
+    "forward-axis",
+    Severity.WARNING,
+    over="runs",
+    fixture="culls_what_lies_ahead",
+    needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002"),
+)
+def forward_axis(behaviour: Behaviour) -> Iterator[Violation]:
+    """A camera that looks at the scene draws more rows than one that looks away from it.
+
+    Why:
+        A camera of the contract looks along +z, one of OpenGL along −z. Culled with the wrong sign,
+        all that lies ahead is hidden, and all that lies behind is drawn.
+
+    Hint:
+        Keep rows whose depth along +z is positive.
+    """
+    runs = [run for run in behaviour.visits("turned") if run.probe.label.endswith(AWAY)]
+    base = _outputs(behaviour.subject, behaviour.base)
+    for run in runs:
+        away = _outputs(behaviour.subject, run)
+        if base is None or away is None:
+            return
+        ahead, behind = int(_drawn(base).sum()), int(_drawn(away).sum())
+        if behind >= _FEWEST_ROWS and ahead < behind / 2:
+            actual = (
+                f"{ahead} rows are drawn by a camera that looks at the scene, and {behind} by one "
+                "that looks away, as if culling took −z for forward"
+            )
+            yield _possible(base.rows_place, "opacity", actual, "rows ahead, along +z")

@@ -1,0 +1,20 @@
+// Project, for a pool: convert the Gaussians of the slots that may be seen to splats with sort keys.
+//
+// One invocation per Gaussian; SLOT_ROWS / THREADS workgroups per slot of the list that
+// `cull_slots` writes, which has the keys of all other slots made ABSENT.
+
+//!include project_row
+//!include slots
+
+@group(1) @binding(4) var<storage, read> seen: array<u32>;  // slots that may be seen, in any order
+
+@compute @workgroup_size(THREADS)
+fn project_pooled(
+    @builtin(workgroup_id) workgroup: vec3u, @builtin(local_invocation_index) thread: u32
+) {
+    let slot = seen[workgroup.x / (SLOT_ROWS / THREADS)];
+    let row = workgroup.x % (SLOT_ROWS / THREADS) * THREADS + thread;
+    eye = slot_eye(slot);
+    let opacity_scale = page.opacity_scale * slots[slot].fade;
+    project_row(slot * SLOT_ROWS + row, row < slots[slot].live, opacity_scale);
+}

@@ -1,0 +1,27 @@
+// Project one Gaussian of a page, and write its splat, its sort key and its depth remainder.
+
+//!include project_splat
+//!include exact_depth
+
+@group(0) @binding(5) var<storage, read_write> lows: array<u32>;  // depth remainders, as bits that sort alike
+
+// Write row `own`, whose `eye` is set; a row that is not live gets the key ABSENT and no splat.
+fn project_row(own: u32, is_live: bool, opacity_scale: f32) {
+    let index = page.base + own;
+    var key = ABSENT;
+    var low = 0u;
+    if (is_live) {
+        let center = read_center(own);
+        var at = page.linear * offset_from_eye(center.position);
+        let distance = depth_of(at);
+        let depth = exact_depth(center.position, distance);
+        low = order_of(depth.y);
+        at.z = select(depth.x, at.z, PANORAMA);
+        if (is_in_view(center.position, depth.x)) {
+            let opacity = center.opacity * opacity_scale;
+            key = write_splat(own, index, center.position, at, distance, depth.x, opacity);
+        }
+    }
+    keys[index] = key;
+    lows[index] = select(low, ABSENT, key == ABSENT);
+}

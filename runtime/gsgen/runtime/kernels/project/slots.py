@@ -1,0 +1,45 @@
+"""The slot table of a pool's page: for each slot its camera centre, its fade and its box."""
+
+__all__ = ["SLOT", "slot_table"]
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from gsgen.runtime.gpu.splat_residency import SLOT_BYTES
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.splat_pool import SplatPool
+
+SLOT: Final = np.dtype(
+    {
+        "names": ["eye", "fade", "eye_rest", "live", "eye_at", "eye_at_rest", "low", "high"],
+        "formats": ["3f4", "f4", "3f4", "u4", "3f4", "3f4", "3f4", "3f4"],
+        "offsets": [0, 12, 16, 28, 32, 48, 64, 80],
+        "itemsize": SLOT_BYTES,
+    }
+)
+"""The bytes of ``struct Slot`` in slots.wgsl."""
+
+
+def slot_table(
+    pool: SplatPool, first: int, count: int, transform: Float[np.ndarray, "4 4"], camera: Camera
+) -> Shaped[np.ndarray, " s"]:
+    """Return the slot table of ``count`` slots of a pool, computed in float64.
+
+    The camera centre is relative to the origin of each slot, so that positions far from the origin
+    of the scene lose nothing.
+    """
+    table = np.zeros(count, SLOT)
+    slots = slice(first, first + count)
+    linear, offset = transform[:3, :3], transform[:3, 3]
+    eye = np.linalg.solve(linear, camera.eye - offset) - pool.origin[slots]
+    table["eye"] = eye
+    rest = eye - table["eye"].astype(np.float64)
+    table["eye_rest"] = rest
+    eye_at = -rest @ (camera.view[:3, :3] @ linear).T
+    table["eye_at"] = eye_at
+    table["eye_at_rest"] = eye_at - table["eye_at"].astype(np.float64)
+    table["fade"], table["live"] = pool.fade[slots], pool.live[slots]
+    table["low"], table["high"] = pool.low[slots], pool.high[slots]
+    return table

@@ -1,0 +1,208 @@
+"""A pool of Gaussians of fixed size: tiles enter and leave its slots between frames.
+
+A pool has as many rows from its first frame to its last, so that arrivals and evictions change
+neither buffers nor the frame plan. A tile takes slots anywhere; what is drawn of a slot stands in
+the slot table, which is written every frame.
+"""
+
+__all__ = ["SLOT_ROWS", "PooledSet", "SlotWrite", "SplatPool"]
+
+import heapq
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Final, Literal, final
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, UInt32
+
+from gsgen.contract.spec import layout
+from gsgen.contract.spec.spherical_harmonics import degree_of
+from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
+from gsgen.runtime.scene.transforms import identity, require_affine
+
+SLOT_ROWS: Final = 4096
+"""Rows of a slot: few enough that half a slot is a small waste, and slots can be culled."""
+
+# A splat is drawn up to this many standard deviations from its centre: √(2 ln 255) = 3.33.
+_REACH = 3.5
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SlotWrite:
+    """Rows of a tile that wait to be copied into GPU memory, from ``first`` on."""
+
+    first: int  # row of the pool
+    rows: Float32[np.ndarray, "n 10"]
+    appearance: Float32[np.ndarray, "n c"]
+
+
+@final
+class SplatPool:
+    """Slots for tiles of Gaussians, and which of them the next frame draws.
+
+    Args:
+        rows: Number of rows, rounded up to whole slots.
+        channels: SH coefficients of a Gaussian, times three.
+        slot_rows: Rows of a slot, a multiple of 64.
+
+    Attributes:
+        live: Number of rows in each slot that hold Gaussians.
+        fade: Factor on the opacity of each slot in the next frame; 0 for those that are not drawn.
+        origin: What the positions in each slot are relative to.
+        low: Least corner of the box around the splats of each slot, relative to ``origin``.
+        high: Greatest corner of that box.
+
+    Raises:
+        SceneInvalid: No rows, no such number of channels, or slots of another size.
+    """
+
+    def __init__(self, rows: int, channels: int, *, slot_rows: int = SLOT_ROWS) -> None:
+        if rows < 1 or slot_rows < 64 or slot_rows % 64:
+            message = f"has {rows} rows in slots of {slot_rows}"
+            raise SceneInvalid(f"{message}, expected a multiple of 64 rows a slot", where="pool")
+        if channels not in layout.APPEARANCE_CHANNELS["sh"]:
+            allowed = ", ".join(map(str, layout.APPEARANCE_CHANNELS["sh"]))
+            raise SceneInvalid(f"has {channels} channels, expected one of {allowed}", where="pool")
+        self.slot_rows, self.channels = slot_rows, channels
+        self.slots = -(-rows // slot_rows)
+        self.live: UInt32[np.ndarray, " s"] = np.zeros(self.slots, np.uint32)
+        self.fade: Float32[np.ndarray, " s"] = np.zeros(self.slots, np.float32)
+        self.origin: Float64[np.ndarray, "s 3"] = np.zeros((self.slots, 3))
+        self.low: Float32[np.ndarray, "s 3"] = np.zeros((self.slots, 3), np.float32)
+        self.high: Float32[np.ndarray, "s 3"] = np.zeros((self.slots, 3), np.float32)
+        self._free = list(range(self.slots))  # a heap: the lowest slot is taken first
+        self._slots_of: dict[int, list[int]] = {}
+        self._writes: list[SlotWrite] = []
+
+    @property
+    def degree(self) -> int:
+        """The SH degree of the appearance."""
+        return degree_of(self.channels // 3)
+
+    @property
+    def free_slots(self) -> int:
+        """The number of slots that no tile holds."""
+        return len(self._free)
+
+    @property
+    def tiles(self) -> tuple[int, ...]:
+        """The keys of all tiles in the pool, in ascending order."""
+        return tuple(sorted(self._slots_of))
+
+    def __len__(self) -> int:
+        return self.slots * self.slot_rows
+
+    def insert(
+        self,
+        tile: int,
+        rows: Float32[np.ndarray, "n 10"],
+        appearance: Float32[np.ndarray, "n c"],
+        origin: Float[np.ndarray, "3"],
+    ) -> None:
+        """Give slots to a tile, whose rows are copied into GPU memory before the next frame.
+
+        Args:
+            tile: Key of the tile, which is not in the pool.
+            rows: ``x y z opacity xx xy xz yy yz zz``, with positions relative to ``origin``.
+            appearance: SH coefficients, as many as the pool has channels.
+            origin: In the space of the pool, float64.
+
+        Raises:
+            CapacityExceeded: The free slots do not suffice.
+            SceneInvalid: The tile is there already, or the arrays have other shapes.
+        """
+        if tile in self._slots_of:
+            raise SceneInvalid("is in the pool already", where=f"tile {tile}")
+        if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):
+            raise SceneInvalid(
+                f"rows {list(rows.shape)} and appearance {list(appearance.shape)}, expected "
+                f"[N, {layout.ROW}] and [N, {self.channels}]",
+                where=f"tile {tile}",
+            )
+        needed = -(-len(rows) // self.slot_rows)
+        if needed > len(self._free):
+            raise CapacityExceeded(
+                f"needs {needed} slots, but only {len(self._free)} of {self.slots} are free",
+                where=f"tile {tile}",
+                hint="Evict tiles first, or make the pool larger.",
+            )
+        slots = [heapq.heappop(self._free) for _ in range(needed)]
+        self._slots_of[tile] = slots
+        reach = _REACH * np.sqrt(np.maximum(rows[:, [4, 7, 9]], 0))
+        lows, highs = rows[:, :3] - reach, rows[:, :3] + reach
+        for index, slot in enumerate(slots):
+            part = slice(index * self.slot_rows, (index + 1) * self.slot_rows)
+            self.live[slot] = len(rows[part])
+            self.origin[slot] = origin
+            self.low[slot], self.high[slot] = lows[part].min(axis=0), highs[part].max(axis=0)
+            first = slot * self.slot_rows
+            self._writes.append(SlotWrite(first, rows[part], appearance[part]))
+
+    def evict(self, tile: int) -> None:
+        """Free the slots of a tile.
+
+        Raises:
+            SceneInvalid: The tile is not in the pool.
+        """
+        if tile not in self._slots_of:
+            raise SceneInvalid("is not in the pool", where=f"tile {tile}")
+        for slot in self._slots_of.pop(tile):
+            self.live[slot] = self.fade[slot] = 0
+            heapq.heappush(self._free, slot)
+            first = slot * self.slot_rows
+            self._writes = [write for write in self._writes if write.first != first]
+
+    def draw(self, fades: Mapping[int, float]) -> None:
+        """Set the tiles that the next frames draw, each with a factor on its opacity.
+
+        Raises:
+            SceneInvalid: A tile is not in the pool.
+        """
+        self.fade[:] = 0
+        for tile, fade in fades.items():
+            if tile not in self._slots_of:
+                raise SceneInvalid("is not in the pool", where=f"tile {tile}")
+            self.fade[self._slots_of[tile]] = fade
+
+    def take_writes(self) -> list[SlotWrite]:
+        """Return the rows that are not in GPU memory yet, and forget them: one renderer copies them."""
+        writes, self._writes = self._writes, []
+        return writes
+
+    def locate(self, row: int) -> tuple[int, int]:
+        """Return the key of the tile, and the row in it, of a row of the pool.
+
+        Raises:
+            IndexError: No tile holds the row.
+        """
+        slot, offset = divmod(row, self.slot_rows)
+        for tile, slots in self._slots_of.items():
+            if slot in slots and offset < self.live[slot]:
+                return tile, slots.index(slot) * self.slot_rows + offset
+        raise IndexError(f"no tile holds row {row} of the pool")
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class PooledSet:
+    """A pool with a transform and settings for drawing; they are those of a ``SplatSet``.
+
+    Raises:
+        SceneInvalid: The transform or a number cannot be used.
+    """
+
+    pool: SplatPool
+    transform: Float[np.ndarray, "4 4"] = field(default_factory=identity)
+    _: KW_ONLY
+    opacity_scale: float = 1.0
+    degree: int | None = None
+    antialias: Literal["classic", "mip"] = "classic"
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.transform, np.float64)
+        object.__setattr__(self, "transform", matrix)
+        require_affine(matrix)
+        if not (np.isfinite(self.opacity_scale) and self.opacity_scale >= 0):
+            message = f"is {self.opacity_scale}, expected a number from 0"
+            raise SceneInvalid(message, where="opacity_scale")

@@ -1,0 +1,296 @@
+"""A pool draws the tiles in it as one set of their rows, and changes no GPU object."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.project import project
+from gsgen.runtime.kernels.project.cull_slots import seen_reference
+from gsgen.runtime.kernels.project.slots import slot_table
+from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.renderer import renderer as renderers
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import NOTHING, Frame, Output
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.scene.splat_pool import PooledSet, SplatPool
+from support.rendering.splat_scenes import camera, cloud, turned
+
+OUTPUTS: tuple[Output, ...] = ("color", "depth", "normal")
+SLOT = 128
+
+
+def tiles_of(data: SplatData, count: int) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Cut the rows of a set into tiles of unequal sizes, by their keys."""
+    ends = np.linspace(0, 1, count + 1) ** 1.5 * len(data)
+    parts = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+    rows, appearance = data.rows.astype(np.float32), data.appearance.astype(np.float32)
+    return {key: (rows[part], appearance[part]) for key, part in enumerate(parts)}
+
+
+def filled(data: SplatData, count: int = 4, spare: int = 3) -> SplatPool:
+    tiles = tiles_of(data, count)
+    slots = sum(-(-len(rows) // SLOT) for rows, _ in tiles.values()) + spare
+    pool = SplatPool(slots * SLOT, data.appearance.shape[1], slot_rows=SLOT)
+    for key, (rows, appearance) in tiles.items():
+        pool.insert(key, rows, appearance, np.zeros(3))
+    pool.draw(dict.fromkeys(tiles, 1.0))
+    return pool
+
+
+def assert_equal(pooled: Frame, single: Frame) -> None:
+    for name in ("rgba", "alpha", "depth", "median_depth", "normal"):
+        np.testing.assert_array_equal(getattr(pooled, name), getattr(single, name), err_msg=name)
+    assert (pooled.visible, pooled.pairs) == (single.visible, single.pairs)
+
+
+CAMERAS = {
+    "pinhole": camera(),
+    "panorama": Camera.panorama((0, 0, 1), width=96),
+    "orthographic": camera(fx=9.0, fy=9.0).flattened(4.0),
+}
+TURNED = turned(0.4, (1, 2, 3), 1.3)
+
+
+def assert_draws_as_one_set(renderer: Renderer, view: Camera) -> None:
+    data = cloud(900, seed=3, degree=1)
+    pool = filled(data)
+    pooled = renderer.render(Scene([], pools=[PooledSet(pool, TURNED)]), view, outputs=OUTPUTS)
+    single = renderer.render(Scene([SplatSet(data, TURNED)]), view, outputs=OUTPUTS)
+    assert single.visible > 100
+    assert_equal(pooled, single)
+    # Ids name the same rows, through the tiles.
+    assert pooled.ids is not None
+    assert single.ids is not None
+    starts = np.cumsum([0, *(len(rows) for rows, _ in tiles_of(data, 4).values())])
+    for own, expected in set(zip(pooled.ids.ravel(), single.ids.ravel(), strict=True)):
+        if expected == NOTHING:
+            assert own == NOTHING
+            continue
+        tile, row = pool.locate(int(own))
+        assert starts[tile] + row == expected
+
+
+@pytest.mark.parametrize("kind", CAMERAS)
+def test_a_pool_draws_its_tiles_as_one_set(renderer: Renderer, kind: str) -> None:
+    assert_draws_as_one_set(renderer, CAMERAS[kind])
+
+
+def test_a_pool_of_many_pages_draws_its_tiles_as_one_set(device: Device) -> None:
+    small = Renderer(device, rasteriser="tiles", page_rows=3 * SLOT)
+    assert_draws_as_one_set(small, CAMERAS["pinhole"])
+
+
+def test_compact_pools_and_quads_are_close(device: Device) -> None:
+    data = cloud(400, seed=5, degree=2)
+    compact = Renderer(device, rasteriser="quads", compact=True)
+    pooled = compact.render(Scene([], pools=[filled(data)]), camera()).rgba
+    single = compact.render(Scene([data]), camera()).rgba
+    np.testing.assert_allclose(pooled, single, atol=4e-3)
+
+
+def test_a_pool_blends_with_sets_around_it(renderer: Renderer) -> None:
+    front, back = cloud(200, 7, degree=0), cloud(300, 8, degree=0)
+    both = renderer.render(Scene([front, back]), camera(), outputs=OUTPUTS)
+    mixed = renderer.render(Scene([front], pools=[filled(back)]), camera(), outputs=OUTPUTS)
+    assert_equal(mixed, both)
+    scene = Scene([front], pools=[filled(back)])
+    assert scene.locate(199) == (0, 199)
+    assert scene.locate(205) == (1, 5)
+    with pytest.raises(IndexError):
+        scene.locate(len(scene))
+
+
+@pytest.mark.parametrize("fade", [0.0, 0.3, 1.0])
+def test_fades_multiply_the_opacity_of_their_tile_alone(renderer: Renderer, fade: float) -> None:
+    data = cloud(400, 9, degree=0)
+    pool = filled(data, count=2)
+    pool.draw({0: fade, 1: 1.0} if fade else {1: 1.0})
+    faded = data.rows.copy()
+    cut = len(tiles_of(data, 2)[0][0])
+    faded[:cut, 3] = np.float32(fade) * faded[:cut, 3]
+    expected = renderer.render(Scene([SplatData(faded, data.appearance, "sh")]), camera())
+    assert_equal(renderer.render(Scene([], pools=[pool]), camera()), expected)
+
+
+def test_tiles_far_from_the_origin_of_the_scene_keep_their_precision(renderer: Renderer) -> None:
+    """A scene on the globe: metres at six million of them, where float32 has steps of a half."""
+    data = cloud(500, 11, degree=1)
+    globe = np.array([4.2e6, -3.1e6, 4.0e6])
+    pool = SplatPool(8 * SLOT, 12, slot_rows=SLOT)
+    origins = [globe, globe + np.array([300.25, -7.5, 90.125])]
+    for tile, (rows, appearance) in tiles_of(data, 2).items():
+        moved = rows.copy()
+        moved[:, :3] -= (origins[tile] - globe).astype(np.float32)
+        pool.insert(tile, moved, appearance, origins[tile])
+    pool.draw({0: 1.0, 1: 1.0})
+    here = camera()
+    view = here.view.copy()
+    view[:3, 3] = here.view[:3, 3] - here.view[:3, :3] @ globe
+    there = Camera(view, width=61, height=47, fx=here.fx, fy=here.fy, cx=here.cx, cy=here.cy)
+    pooled = renderer.render(Scene([], pools=[pool]), there).rgba
+    expected = renderer.render(Scene([data]), here).rgba
+    assert pooled is not None
+    assert expected is not None
+    assert 10 * np.log10(1 / np.mean((pooled - expected) ** 2)) > 80
+
+
+# ---- Arrivals, evictions and fades ---------------------------------------------------------------
+
+
+def test_a_thousand_arrivals_make_no_plan_and_no_gpu_object(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(0)
+    data = cloud(3000, 12, degree=0)
+    tiles = tiles_of(data, 30)
+    pool = SplatPool(12 * SLOT, 3, slot_rows=SLOT)
+    scene = Scene([], pools=[pool])
+    view = camera(width=16, height=16)
+    renderer.render(Scene([data]), view)  # room for all pairs
+    renderer.render(scene, view)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a GPU object was made")
+
+    monkeypatch.setattr(renderers, "Plan", refuse)
+    monkeypatch.setattr(type(renderer.device), "_buffer", refuse)
+    uploaded: list[int] = []
+    write = type(renderer.device).write
+
+    def counted(self: Device, buffer: object, array: np.ndarray, offset: int = 0) -> None:
+        uploaded.append(array.nbytes)
+        write(self, buffer, array, offset)
+
+    monkeypatch.setattr(type(renderer.device), "write", counted)
+    arrivals = frames = 0
+    while arrivals < 1000:
+        uploaded.clear()
+        expected = 0
+        for key in rng.permutation(30):
+            rows, appearance = tiles[int(key)]
+            if int(key) in pool.tiles:
+                if rng.random() < 0.6:
+                    pool.evict(int(key))
+            elif -(-len(rows) // SLOT) <= pool.free_slots:
+                pool.insert(int(key), rows, appearance, np.zeros(3))
+                expected += rows.nbytes + len(rows) * 16  # three floats take a vector of four
+                arrivals += 1
+        pool.draw(dict.fromkeys(pool.tiles, 1.0))
+        frames += 1
+        if frames % 20:
+            pool.take_writes()  # only every twentieth frame is drawn, to save time
+            continue
+        renderer.render(scene, view)
+        assert sum(uploaded) - expected < 4096  # uniforms and the slot table
+    assert frames > 50
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_after_any_events_a_pool_draws_what_a_new_set_of_its_tiles_draws(
+    renderer: Renderer, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    data = cloud(1500, 20 + seed, degree=0)
+    tiles = tiles_of(data, 12)
+    pool = SplatPool(14 * SLOT, 3, slot_rows=SLOT)
+    scene = Scene([], pools=[pool])
+    for _ in range(12):
+        for key in rng.permutation(12)[:5]:
+            rows, appearance = tiles[int(key)]
+            if int(key) in pool.tiles:
+                pool.evict(int(key))
+            elif -(-len(rows) // SLOT) <= pool.free_slots:
+                pool.insert(int(key), rows, appearance, np.zeros(3))
+        drawn = [tile for tile in pool.tiles if rng.random() < 0.8]
+        pool.draw(dict.fromkeys(drawn, 1.0))
+        parts = [tiles[tile] for tile in drawn] or [tiles[0]]
+        rows, appearance = (np.concatenate(column) for column in zip(*parts, strict=True))
+        count = len(rows) if drawn else 0
+        expected = renderer.render(
+            Scene([SplatData(rows, appearance, "sh", count=count)]), camera()
+        )
+        actual = renderer.render(scene, camera())
+        np.testing.assert_array_equal(actual.rgba, expected.rgba)
+
+
+def test_a_pool_refuses_what_it_cannot_hold() -> None:
+    pool = SplatPool(2 * SLOT, 3, slot_rows=SLOT)
+    rows, color = np.zeros((SLOT + 1, 10), np.float32), np.zeros((SLOT + 1, 3), np.float32)
+    pool.insert(5, rows, color, np.zeros(3))
+    assert (pool.free_slots, pool.tiles) == (0, (5,))
+    with pytest.raises(CapacityExceeded, match="tile 6: needs 1 slots, but only 0 of 2 are free"):
+        pool.insert(6, rows[:1], color[:1], np.zeros(3))
+    with pytest.raises(SceneInvalid, match="tile 5: is in the pool already"):
+        pool.insert(5, rows, color, np.zeros(3))
+    with pytest.raises(SceneInvalid, match=r"tile 7: rows \[1, 10\] and appearance \[1, 12\]"):
+        pool.insert(7, rows[:1], np.zeros((1, 12), np.float32), np.zeros(3))
+    with pytest.raises(SceneInvalid, match="tile 8: is not in the pool"):
+        pool.draw({8: 1.0})
+    with pytest.raises(SceneInvalid, match="tile 8: is not in the pool"):
+        pool.evict(8)
+    with pytest.raises(IndexError):
+        pool.locate(2 * SLOT - 1)
+    for sizes in ((0, 3, SLOT), (10, 3, 100), (10, 5, SLOT)):
+        with pytest.raises(SceneInvalid):
+            SplatPool(sizes[0], sizes[1], slot_rows=sizes[2])
+    with pytest.raises(SceneInvalid, match="opacity_scale"):
+        PooledSet(pool, opacity_scale=float("nan"))
+
+
+# ---- Culling -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_slots_are_culled_as_the_reference_says(renderer: Renderer, seed: int) -> None:
+    """Boxes all around the camera; those within a rounding error of a side may go either way."""
+    rng = np.random.default_rng(seed)
+    count = 400
+    pool = SplatPool(count * 64, 3, slot_rows=64)
+    for tile in range(count):
+        rows = cloud(int(rng.integers(1, 65)), 100 + tile, degree=0, size=0.05).rows.copy()
+        rows[:, :3] = rng.normal(size=3) * 4 + 0.3 * rng.normal(size=(len(rows), 3))
+        color = np.zeros((len(rows), 3), np.float32)
+        pool.insert(tile, rows.astype(np.float32), color, rng.normal(size=3))
+    pool.draw({tile: 1.0 for tile in range(count) if tile % 7})
+    view = camera(cx=20.0)
+    scene = Scene([], pools=[PooledSet(pool, TURNED)])
+    placed = renderer.placed(scene)
+    plan = renderer.plan(placed, view, frozenset(["color"]))
+    plan.submit(placed, view, np.zeros(3), only=["project"])
+    plan.collect()
+    frame = project.frame_uniform(view, np.zeros(3))
+    keys = renderer.device.read(plan.buffers["keys of Gaussians a"], np.uint32, len(pool))
+    absent = (keys.reshape(count, 64) == ABSENT).all(axis=1)
+    differences = total = 0
+    for splat_set, page in placed:
+        assert page.slots is not None
+        slots = page.slots
+        uniform = project.page_uniform(splat_set, view, 0, page.capacity, page.capacity)
+        table = slot_table(pool, slots.first, slots.count, TURNED, view)
+        groups = renderer.device.read(slots.dispatch, np.uint32, 3)
+        assert groups[1:].tolist() == [1, 1]
+        listed = renderer.device.read(slots.seen, np.uint32, slots.count)[: groups[0]]
+        assert len(set(listed)) == len(listed)
+        seen = np.zeros(slots.count, bool)
+        seen[listed] = True
+        differences += int(np.count_nonzero(seen != seen_reference(table, frame, uniform)))
+        total += len(listed)
+        assert absent[slots.first : slots.first + slots.count][~seen].all()
+    assert differences <= 1
+    assert 20 < total < 300
+
+
+def test_a_culled_slot_has_no_splat_in_the_image(renderer: Renderer) -> None:
+    """Random scenes around the camera: with and without culling, pictures are the same."""
+    for seed in range(4):
+        data = cloud(1500, 40 + seed, depth=(-6, 6), size=0.3, degree=0)
+        order = np.lexsort((data.rows[:, 2] > 0, data.rows[:, 0] > 0, data.rows[:, 1] > 0))
+        sorted_data = SplatData(data.rows[order], data.appearance[order], "sh")
+        pooled = renderer.render(Scene([], pools=[filled(sorted_data, count=9)]), camera())
+        single = renderer.render(Scene([sorted_data]), camera())
+        np.testing.assert_array_equal(pooled.rgba, single.rgba)
