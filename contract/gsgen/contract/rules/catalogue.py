@@ -29,6 +29,7 @@ from gsgen.contract.rules.pictures import (
     opacities,
     orientation,
     poses,
+    resolution,
     sizes,
     turning,
 )
@@ -67,6 +68,7 @@ FAMILIES = (
     opacities,
     colors,
     harmonics,
+    resolution,
     determinism,
     camera,
     motion,

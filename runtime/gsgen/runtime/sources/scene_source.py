@@ -26,7 +26,8 @@ class SceneSource(StaticSource):
         self, splat_set: SplatSet, color_space: Literal["srgb", "linear"] = "srgb"
     ) -> None:
         self._set = splat_set
-        self.name, self.data, self.antialias = "scene", splat_set.data, splat_set.antialias
+        self.name, self.data = "scene", splat_set.data
+        self.antialias = splat_set.antialias or "classic"
         self.color_space, self.weighted = color_space, splat_set.weighted
 
     def splats(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypeVar, final
 import numpy as np
 
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.runtime.errors import DeviceLost, DeviceUnavailable
 from gsgen.runtime.media import pictures
@@ -24,7 +25,6 @@ from gsgen.runtime.viewer.overlay import Overlay, SliderState
 from gsgen.runtime.viewer.panels import Slider
 from gsgen.runtime.viewer.present import View
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer, ViewRequest
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 
 if TYPE_CHECKING:
     from rendercanvas.contexts import WgpuContext
