@@ -10,7 +10,7 @@ from types import ModuleType
 
 from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
-from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness
+from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness, trajectory
 from gsgen.contract.rules.graph import capture, graph, integers, naming, replay
 from gsgen.contract.rules.interface import (
     avatar_inputs,
@@ -73,6 +73,7 @@ FAMILIES = (
     camera,
     motion,
     robustness,
+    trajectory,
     turning,
     effects,
     poses,
