@@ -25,6 +25,7 @@ __all__ = [
     "Rule",
     "Scope",
     "Severity",
+    "Statistic",
     "Violation",
     "backends_in",
     "builtin_rules",
@@ -39,7 +40,7 @@ from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.probing.run_comparison import Behaviour, Comparison, ProbeRun, ProbeRuns
 from gsgen.contract.rules.catalogue import builtin_rules, installed_rules
 from gsgen.contract.spec.severity import Level, Severity
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Statistic, Violation
 from gsgen.contract.validation.level_backend import LevelBackend, LevelContext, LevelUnavailable
 from gsgen.contract.validation.rule import Check, Registry, Rule, Scope, backends_in, rule, rules_in
 from gsgen.contract.validation.waivers import Review

@@ -50,6 +50,7 @@ class Format(StrEnum):
     MARKDOWN = "markdown"
     MD = "md"
     GITHUB = "github"
+    HTML = "html"
 
 
 # Format → the module in gsgen.contract.reporters, and its function.
@@ -60,6 +61,7 @@ _REPORTERS = {
     Format.MARKDOWN: ("markdown", "to_markdown"),
     Format.MD: ("markdown", "to_markdown"),
     Format.GITHUB: ("github", "to_github"),
+    Format.HTML: ("html", "to_html"),
 }
 
 
@@ -122,6 +124,8 @@ def validate(
     entries = validate_all(files, settings, jobs=jobs, progress=progress)
     if known:
         entries = [_against(known, entry) for entry in entries]
+    if format is Format.HTML:
+        entries = [_drawn(entry, settings) for entry in entries]
     _print(entries, Format.JSON if as_json else format, output, verbose=verbose, quiet=quiet)
     raise typer.Exit(_exit_code(entries))
 
@@ -147,6 +151,13 @@ def _against(known: "Baseline", entry: "Entry") -> "Entry":
     from gsgen.contract.validation.report import Report
 
     return known.apply(entry) if isinstance(entry, Report) else entry
+
+
+def _drawn(entry: "Entry", settings: "Settings") -> "Entry":
+    from gsgen.contract.tools.pictures import with_picture
+    from gsgen.contract.validation.report import Report
+
+    return with_picture(entry, settings) if isinstance(entry, Report) else entry
 
 
 def _print(

@@ -65,8 +65,8 @@ def to_sarif(entries: Sequence[Entry]) -> str:
 def _speaking(report: Report) -> set[str]:
     """Return the ids of the rules that the log mentions; readers need no others."""
     silent_failures = [*_crashed(report), *report.unchecked]
-    found = {finding.rule for finding in report.findings}
-    return found | {outcome.rule.id for outcome in silent_failures}
+    rules_of_findings = {finding.rule for finding in report.findings}
+    return rules_of_findings | {outcome.rule.id for outcome in silent_failures}
 
 
 def _crashed(report: Report) -> list[Outcome]:

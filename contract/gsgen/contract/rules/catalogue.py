@@ -10,7 +10,7 @@ from types import ModuleType
 
 from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
-from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness, root
+from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness, root, trajectory
 from gsgen.contract.rules.graph import capture, graph, integers, naming, repeatability, replay
 from gsgen.contract.rules.interface import (
     avatar_inputs,
@@ -29,6 +29,7 @@ from gsgen.contract.rules.pictures import (
     opacities,
     orientation,
     poses,
+    resolution,
     sizes,
     turning,
 )
@@ -79,11 +80,13 @@ FAMILIES = (
     opacities,
     colors,
     harmonics,
+    resolution,
     determinism,
     camera,
     motion,
     root,
     robustness,
+    trajectory,
     turning,
     effects,
     poses,

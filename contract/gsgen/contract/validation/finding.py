@@ -1,6 +1,6 @@
 """Results of a rule: a violation at one location, and findings that count violations."""
 
-__all__ = ["Certainty", "Example", "Finding", "Location", "Violation"]
+__all__ = ["Certainty", "Distribution", "Example", "Finding", "Location", "Statistic", "Violation"]
 
 import hashlib
 import json
@@ -31,6 +31,40 @@ class Location:
         return f"{self.subject}, {self.field}" if self.field else self.subject
 
 
+@dataclass(frozen=True, slots=True)
+class Statistic:
+    """A number that a rule compares with limits, which a report can draw.
+
+    Attributes:
+        name: What is measured, with its unit.
+        value: The measured number.
+        low: The smallest allowed value; None without such a limit.
+        high: The largest allowed value; None without such a limit.
+    """
+
+    name: str
+    value: float
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """A histogram of the checked values of a rule that some rows break.
+
+    Attributes:
+        low: Lower edge of the first bin.
+        high: Upper edge of the last bin.
+        valid: The number of sampled rows in each bin that keep the rule.
+        invalid: The number of those that break it.
+    """
+
+    low: float
+    high: float
+    valid: tuple[int, ...]
+    invalid: tuple[int, ...]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Violation:
     """One location where a rule does not hold, with the actual and the expected value.
@@ -46,6 +80,7 @@ class Violation:
         min_fraction: The rule fails only if more than this fraction of all checked rows is
             invalid.
         certainty: ``confirmed``, or ``possible`` for a conclusion drawn from the numbers.
+        statistic: The number that the rule compared, for plots.
     """
 
     where: Location
@@ -57,13 +92,26 @@ class Violation:
     magnitude: Float[np.ndarray, " n"] | None = None
     min_fraction: float = 0.0
     certainty: Certainty = "confirmed"
+    statistic: Statistic | None = None
 
     @classmethod
     def at(
-        cls, subject: str, actual: str, expected: str, *, certainty: Certainty = "confirmed"
+        cls,
+        subject: str,
+        actual: str,
+        expected: str,
+        *,
+        certainty: Certainty = "confirmed",
+        statistic: Statistic | None = None,
     ) -> "Violation":
         """Return a violation at one tensor, node or manifest field."""
-        return cls(where=Location(subject), expected=expected, actual=actual, certainty=certainty)
+        return cls(
+            where=Location(subject),
+            expected=expected,
+            actual=actual,
+            certainty=certainty,
+            statistic=statistic,
+        )
 
     @classmethod
     def rows(
@@ -127,6 +175,8 @@ class Finding:
         waiver: The reason of its waiver; empty for rules that are ignored.
         known: The baseline lists the finding already, so it does not count.
         truncated: The finding also counts violations at further locations.
+        statistic: The number that the rule compared; None for most rules.
+        distribution: Values of the checked rows; None for violations that are not of rows.
     """
 
     rule: str
@@ -145,6 +195,8 @@ class Finding:
     waiver: str = ""
     known: bool = False
     truncated: bool = False
+    statistic: Statistic | None = None
+    distribution: Distribution | None = None
 
     @property
     def counts(self) -> bool:

@@ -6,9 +6,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gsgen.contract.validation.finding import Certainty, Example, Location, Violation
+from gsgen.contract.validation.finding import (
+    Certainty,
+    Distribution,
+    Example,
+    Location,
+    Statistic,
+    Violation,
+)
 
 _MAX_EXAMPLES = 5
+# Rows of a chunk that are sampled for a histogram, and its bins.
+_SAMPLED = 2048
+_BINS = 24
 
 
 @dataclass(slots=True, kw_only=True)
@@ -27,6 +37,8 @@ class FindingCounter:
         min_fraction: The rule fails only above this fraction of invalid rows.
         by_rows: Rows are counted, not single values.
         truncated: The counter also holds violations at further locations.
+        statistic: The number that the rule compared first.
+        samples: Values of checked rows, and which of them break the rule.
     """
 
     where: Location
@@ -41,11 +53,14 @@ class FindingCounter:
     certainty: Certainty = "confirmed"
     by_rows: bool = False
     truncated: bool = False
+    statistic: Statistic | None = None
+    samples: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def add(self, violation: Violation, probe: str = "", start: int = 0) -> None:
         """Count one violation; ``start`` is the number of the first row of its chunk."""
         self.total += violation.checked
         self.min_fraction = violation.min_fraction
+        self.statistic = self.statistic or violation.statistic
         if violation.invalid_rows is None:
             self.count += 1
             if len(self.examples) < _MAX_EXAMPLES:
@@ -56,6 +71,7 @@ class FindingCounter:
         if count:
             self.count += count
             self._remember(violation, probe, start)
+            self._sample(violation)
 
     def _remember(self, violation: Violation, probe: str, start: int) -> None:
         assert violation.invalid_rows is not None
@@ -71,6 +87,28 @@ class FindingCounter:
         if masked[worst] > self.magnitude:
             self.magnitude = float(masked[worst])
             self.worst = _example(violation.values, worst, probe, start)
+
+    def _sample(self, violation: Violation) -> None:
+        """Keep evenly spaced values of a chunk, if each row has one."""
+        values, invalid = violation.values, violation.invalid_rows
+        if values is not None and invalid is not None and values.ndim == 1:
+            step = -(-len(values) // _SAMPLED)
+            self.samples.append((values[::step].astype(np.float64), invalid[::step]))
+
+    def distribution(self) -> Distribution | None:
+        """Return the histogram of the sampled values; None without finite ones."""
+        if not self.samples:
+            return None
+        values, invalid = (np.concatenate(part) for part in zip(*self.samples, strict=True))
+        finite = np.isfinite(values)
+        values, invalid = values[finite], invalid[finite]
+        if not len(values):
+            return None
+        ends = float(values.min()), float(values.max())
+        counts = [
+            np.histogram(values[mask], _BINS, ends)[0].tolist() for mask in (~invalid, invalid)
+        ]
+        return Distribution(*ends, *map(tuple, counts))
 
     @property
     def fails(self) -> bool:

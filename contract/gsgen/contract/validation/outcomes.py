@@ -186,4 +186,6 @@ class ResultCollector:
             source=source,
             waived=rule.id in self.settings.ignore,
             truncated=counter.truncated,
+            statistic=counter.statistic,
+            distribution=counter.distribution(),
         )

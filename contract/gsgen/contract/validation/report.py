@@ -6,6 +6,7 @@ __all__ = [
     "Entry",
     "LevelOutcome",
     "Outcome",
+    "Picture",
     "Report",
     "ResolvedFinding",
     "Status",
@@ -106,6 +107,21 @@ class ResolvedFinding:
     message: str
 
 
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A drawn probe of a validated model, or the reason why none was drawn.
+
+    Attributes:
+        probe: Label of the probe.
+        png: The picture; empty if there is none.
+        problem: Why there is none; else empty.
+    """
+
+    probe: str = ""
+    png: bytes = b""
+    problem: str = ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
     """The result of validating one model.
@@ -136,6 +152,7 @@ class Report:
         required: Rules that must have been checked.
         timed: Reporters show times, so that two reports of equal input differ.
         docs_url: Root of the published documentation; empty if unknown.
+        picture: The model drawn at one probe; None where nothing was drawn.
     """
 
     path: str
@@ -163,6 +180,7 @@ class Report:
     required: frozenset[str] = frozenset()
     timed: bool = False
     docs_url: str = ""
+    picture: Picture | None = None
 
     @property
     def unchecked(self) -> tuple[Outcome, ...]:

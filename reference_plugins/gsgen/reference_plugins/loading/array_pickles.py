@@ -73,7 +73,6 @@ class _Sparse(_Inert):
     by_columns = True
 
     def dense(self) -> np.ndarray:
-        """Return the matrix as a dense array."""
         shape: Any = self.state.get("_shape", self.state.get("shape"))
         starts, minor, data = (self.state[k] for k in ("indptr", "indices", "data"))
         rows, columns = (int(size) for size in shape)
@@ -138,7 +137,7 @@ def _scalar(dtype: np.dtype, data: Any) -> Any:
 
 def _bytes_of(text: str, encoding: str) -> bytes:
     if encoding != "latin1":
-        raise pickle.UnpicklingError(f"bytes are encoded as {encoding!r}")
+        raise pickle.UnpicklingError(f"bytes are encoded as {encoding!r}, expected 'latin1'")
     return text.encode("latin1")
 
 

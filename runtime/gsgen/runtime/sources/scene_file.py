@@ -26,6 +26,7 @@ from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.placed_source import DrawSettings, PlacedSource
 from gsgen.runtime.sources.scene_fields import Fields, fields_of, refuse
 from gsgen.runtime.sources.source import Source
+from gsgen.runtime.sources.stream_settings import StreamSettings
 
 VERSION: Final = "1.0"
 Result = TypeVar("Result")
@@ -38,15 +39,7 @@ _MAX_BYTES: Final = 64 << 20  # inputs such as poses may be in the file
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SceneModel:
-    """A splat file or a generator of a scene file.
-
-    Attributes:
-        path: The file.
-        transform: Local → world, [4, 4].
-        settings: Drawing settings of its Gaussians.
-        inputs: Tensor name or role → value, for generators.
-        where: Location in the scene file, for error messages.
-    """
+    """A splat file or a generator of a scene file, with its transform to world, [4, 4]."""
 
     path: Path
     transform: Float[np.ndarray, "4 4"]
@@ -58,14 +51,7 @@ class SceneModel:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneMesh:
-    """A mesh of a scene file.
-
-    Attributes:
-        path: The file.
-        transform: Local → world, [4, 4].
-        shading: Shading; None for that of the file.
-        where: Location in the scene file, for error messages.
-    """
+    """A mesh file of a scene file; a shading of None is that of the mesh file."""
 
     path: Path
     transform: Float[np.ndarray, "4 4"]
@@ -119,12 +105,7 @@ def is_scene_file(path: Path) -> bool:
 
 
 def read_scene(path: str | Path) -> SceneFile:
-    """Read and check a scene file, without opening the files that it names.
-
-    Raises:
-        SceneUnreadable: The file is not JSON.
-        SceneInvalid: A field is unknown, missing or invalid; the message names it.
-    """
+    """Read and check a scene file, without opening the files that it names."""
     file = Path(path)
     fields = fields_of(_document(file), str(file))
     version = fields.text(_VERSION_FIELD)
@@ -154,6 +135,7 @@ def open_scene(
     scene: SceneFile | str | Path,
     provider: str = "cpu",
     sizes: Mapping[Path, Mapping[str, int]] | None = None,
+    streaming: StreamSettings | None = None,
 ) -> list[Source]:
     """Open the files of a scene: a source for each model, then one for each mesh.
 
@@ -163,6 +145,7 @@ def open_scene(
         scene: The scene file, or its path.
         provider: ONNX Runtime's execution provider for generators.
         sizes: Path of a generator → symbol → size of an open dimension.
+        streaming: How tilesets are streamed.
 
     Raises:
         SceneUnreadable: A file cannot be read.
@@ -172,17 +155,24 @@ def open_scene(
     with ExitStack() as stack:
         sources: list[Source] = []
         for model in scene_file.models:
-            sources.append(_open_model(model, provider, (sizes or {}).get(model.path)))
+            sources.append(_open_model(model, provider, (sizes or {}).get(model.path), streaming))
             stack.callback(sources[-1].close)
         sources += [_open_mesh(mesh) for mesh in scene_file.meshes]
         stack.pop_all()  # from here on the caller closes the sources
     return sources
 
 
-def _open_model(model: SceneModel, provider: str, sizes: Mapping[str, int] | None) -> Source:
+def _open_model(
+    model: SceneModel,
+    provider: str,
+    sizes: Mapping[str, int] | None,
+    streaming: StreamSettings | None,
+) -> Source:
     if is_scene_file(model.path):
         refuse("is a scene file, expected a splat file or a generator", f"{model.where}.path")
-    inner = _locate_errors(lambda: open_source(model.path, provider, sizes), f"{model.where}.path")
+    inner = _locate_errors(
+        lambda: open_source(model.path, provider, sizes, streaming), f"{model.where}.path"
+    )
     try:
         return PlacedSource(
             inner, model.transform, model.settings, model.inputs, f"{model.where}.inputs"

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.probing.probes import NAMED
+from gsgen.contract.probing.probes import INPUT_PREFIX
 from gsgen.contract.probing.run_comparison import Behaviour, Comparison
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.roles import CAMERA_ROLES, KINDS
@@ -97,7 +97,7 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
 def _inputs_of(subject: InspectedModel, key: str) -> list[Input]:
     """Return the inputs of a key of ``Behaviour.varied``: a role, or one input."""
     inputs = subject.manifest.inputs if subject.manifest else ()
-    return [entry for entry in inputs if key in (entry.role, f"{NAMED}{entry.name}")]
+    return [entry for entry in inputs if key in (entry.role, f"{INPUT_PREFIX}{entry.name}")]
 
 
 def _depends(behaviour: Behaviour, key: str) -> bool:
@@ -112,7 +112,7 @@ def _is_of_camera(subject: InspectedModel, key: str) -> bool:
 
 
 def _location(key: str) -> str:
-    return key if key.startswith(NAMED) else f"role {key}"
+    return key if key.startswith(INPUT_PREFIX) else f"role {key}"
 
 
 def _zero_changes(behaviour: Behaviour, role: str) -> bool:

@@ -45,14 +45,14 @@ def joints_fit_pose(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _order_faults(entry: Input) -> Iterator[Violation]:
-    seen: set[str] = set()
+    earlier_names: set[str] = set()
     for joint in entry.joints:
-        if joint.name in seen:
+        if joint.name in earlier_names:
             yield _at(entry, f"two joints {joint.name!r}", "different names")
-        if joint.parent is not None and joint.parent not in seen:
+        if joint.parent is not None and joint.parent not in earlier_names:
             actual = f"joint {joint.name!r} before its parent {joint.parent!r}"
             yield _at(entry, actual, "parents first")
-        seen.add(joint.name)
+        earlier_names.add(joint.name)
 
 
 @rule(

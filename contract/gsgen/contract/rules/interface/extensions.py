@@ -107,8 +107,8 @@ def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at("manifest operator_profile", f"operator set {opset}", expected)
     missing = profile.missing(node.op_type for node in subject.graph.all_nodes())
     if missing:
-        more = f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
-        actual = f"{', '.join(missing[:_MOST_NAMED])}{more} in the graph"
+        remainder = f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
+        actual = f"{', '.join(missing[:_MOST_NAMED])}{remainder} in the graph"
         yield Violation.at("manifest operator_profile", actual, f"operators of {name} alone")
 
 

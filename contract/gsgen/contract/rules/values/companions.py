@@ -1,13 +1,12 @@
-"""GV rules of companion models: images keep their size, and uncertainties are deviations."""
+"""GV rules of post-process models: images are finite, keep their size and lie in their range."""
 
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from gsgen.contract.probing.run_comparison import ProbeRuns
-from gsgen.contract.spec.manifest import PostProcessManifest, TrajectoryManifest
-from gsgen.contract.spec.roles import IMAGE_CHANNELS, POST_PROCESS, TRAJECTORY
+from gsgen.contract.spec.manifest import PostProcessManifest
+from gsgen.contract.spec.roles import IMAGE_CHANNELS, POST_PROCESS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM
@@ -16,9 +15,6 @@ from gsgen.contract.validation.rule import rule
 # An image may leave its range by this fraction of it, in so many of its values.
 _RANGE_SLACK = 0.1
 _OUTLIERS = 0.01
-# The rounding error of an eigenvalue, relative to the trace.
-_ROUNDING = 1e-5
-_STATE_SIZES = {28: 7, 21: 6}  # entries of an upper triangle → numbers of a state
 
 
 def _outputs(probe_runs: ProbeRuns, name: str) -> Iterator[tuple[str, np.ndarray]]:
@@ -32,18 +28,18 @@ def _outputs(probe_runs: ProbeRuns, name: str) -> Iterator[tuple[str, np.ndarray
 
 @rule(
     "GV055",
-    "companion-outputs-finite",
+    "image-finite",
     Severity.ERROR,
     over="execution",
     fixture="image_divided_by_zero",
     needs=(MODEL_RUNS,),
-    kinds=(POST_PROCESS, TRAJECTORY),
+    kinds=(POST_PROCESS,),
 )
-def companion_outputs_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """Images and predicted states are finite.
+def image_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
+    """Every value of the image is finite.
 
     Why:
-        A picture with NaN shows black or white holes, and a camera at NaN loads no tile.
+        A picture with NaN shows black or white holes.
 
     Hint:
         Find the division, logarithm or norm that sees zero, and clamp before it.
@@ -124,48 +120,3 @@ def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
         actual = f"values from {lowest:.3g} to {highest:.3g}"
         expected = f"the declared range {[low, high]}"
         yield Violation.at(f"output {name}", actual, expected, certainty="possible")
-
-
-@rule(
-    "GV058",
-    "uncertainty-not-negative",
-    Severity.ERROR,
-    over="execution",
-    fixture="log_variance_as_deviation",
-    needs=("GV055", "GO019"),
-    kinds=(TRAJECTORY,),
-)
-def uncertainty_not_negative(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """Standard deviations are not negative, and covariances are positive semi-definite.
-
-    Why:
-        A prefetcher widens its frustum by the uncertainty; a negative one makes it narrower than
-        the path. Negative numbers usually are logarithms of variances, as networks predict them.
-
-    Hint:
-        Apply exp to half of a log variance, or softplus, at the end of the model.
-    """
-    manifest = probe_runs.subject.manifest
-    if not isinstance(manifest, TrajectoryManifest):
-        return
-    declared = manifest.outputs.uncertainty
-    for label, value in _outputs(probe_runs, declared.name):
-        rows = value.astype(np.float64)
-        invalid = _indefinite(rows) if declared.semantics == "covariance-upper" else rows < 0
-        if invalid.any():
-            actual = f"down to {rows.min():.3g} at {label!r}"
-            expected = f"{declared.semantics} of 0 or more; logarithms need exp"
-            yield Violation.at(f"output {declared.name}", actual, expected)
-            return
-
-
-def _indefinite(rows: Float[np.ndarray, "t u"]) -> Bool[np.ndarray, " t"]:
-    """Return which rows, upper triangles of matrices, have a clearly negative eigenvalue."""
-    size = _STATE_SIZES.get(rows.shape[-1], 0)
-    if not size:
-        return np.zeros(len(rows), bool)
-    matrices = np.zeros((len(rows), size, size))
-    upper = np.triu_indices(size)
-    matrices[:, upper[0], upper[1]] = matrices[:, upper[1], upper[0]] = rows
-    values = np.linalg.eigvalsh(matrices)
-    return np.asarray(values[:, 0] < -_ROUNDING * np.abs(values).sum(axis=1))

@@ -1,0 +1,166 @@
+"""HTML report: one file without scripts or links to other files.
+
+Texts from a model are escaped, and the page's own policy forbids scripts and requests.
+"""
+
+__all__ = ["to_html"]
+
+import base64
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib.resources import files
+
+from gsgen.contract.reporters.plots import histogram, number_line
+from gsgen.contract.reporters.rule_pages import help_url
+from gsgen.contract.reporters.summary import (
+    plural,
+    printable,
+    summary_line,
+    verdict_line,
+    verdict_word,
+)
+from gsgen.contract.spec.units import format_bytes
+from gsgen.contract.validation.finding import Finding
+from gsgen.contract.validation.report import Entry, Outcome, Picture, Report, Unreadable
+
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+_EXPECTED = "; expected "
+
+
+def to_html(entries: Sequence[Entry]) -> str:
+    """Return all reports as one page."""
+    style = files("gsgen.contract.reporters").joinpath("report.css").read_text("utf-8")
+    title = summary_line(entries) if len(entries) != 1 else entries[0].path
+    sections = "\n".join(_section(entry, number) for number, entry in enumerate(entries, 1))
+    index = _index(entries) if len(entries) > 1 else ""
+    return f"""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
+<title>gsgen: {_text(title)}</title>
+<style>
+{style}</style>
+</head>
+<body>
+<header><h1>gsgen validate</h1><p>{_text(summary_line(entries))}</p></header>
+<main>
+{index}{sections}
+</main>
+</body>
+</html>"""
+
+
+def _text(text: str) -> str:
+    return escape(printable(text, keep="\n"))
+
+
+def _index(entries: Sequence[Entry]) -> str:
+    items = "".join(
+        f'<li><a href="#model-{number}">{_text(entry.path)}</a> {_verdict(entry)}</li>'
+        for number, entry in enumerate(entries, 1)
+    )
+    return f"<nav><ol>{items}</ol></nav>\n"
+
+
+def _verdict(entry: Entry) -> str:
+    if isinstance(entry, Unreadable):
+        return '<span class="chip error">unreadable</span>'
+    passes = entry.verdict == "conforms" and not entry.unchecked
+    kind = "pass" if passes else "error"
+    return f'<span class="chip {kind}">{_text(verdict_word(entry))}</span>'
+
+
+def _section(entry: Entry, number: int) -> str:
+    head = f'<section id="model-{number}"><h2>{_text(entry.path)} {_verdict(entry)}</h2>'
+    if isinstance(entry, Unreadable):
+        return f"{head}<pre>{_text(str(entry.error))}</pre></section>"
+    counted = [finding for finding in entry.findings if finding.counts]
+    remaining = [finding for finding in entry.findings if not finding.counts]
+    parts = [
+        head,
+        f"<p>{_text(verdict_line(entry))}</p>",
+        _facts(entry),
+        _picture(entry.picture),
+        *(_unchecked(outcome) for outcome in entry.unchecked),
+        *(_finding(finding, entry) for finding in counted),
+    ]
+    if remaining:
+        cards = "".join(_finding(finding, entry) for finding in remaining)
+        title = f"{plural(len(remaining), 'finding')} waived or known"
+        parts.append(f"<details><summary>{title}</summary>{cards}</details>")
+    return "\n".join([*parts, _rules(entry), "</section>"])
+
+
+def _facts(report: Report) -> str:
+    size = format_bytes(report.size)
+    if report.external_size:
+        size += f" and {format_bytes(report.external_size)} external data"
+    not_run = [f"{level.level.word}: {level.reason}" for level in report.levels if not level.ran]
+    facts = {
+        "kind": report.kind or "unknown",
+        "name": report.name,
+        "contract": report.contract,
+        "capacity": f"{report.capacity:,} rows" if report.capacity else "",
+        "size": size,
+        "validated for": f"{report.target.label} at level {report.level.word}",
+        "did not run": "; ".join(not_run),
+        "took": f"{report.seconds:.2f} s" if report.timed else "",
+    }
+    return _list((name, _text(value)) for name, value in facts.items() if value)
+
+
+def _list(items: Iterable[tuple[str, str]]) -> str:
+    rows = "".join(f"<dt>{name}</dt><dd>{value}</dd>" for name, value in items)
+    return f"<dl>{rows}</dl>"
+
+
+def _picture(picture: Picture | None) -> str:
+    if picture is None or not picture.png:
+        problem = picture.problem if picture else "pictures were not asked for"
+        return f'<p class="note">Not drawn: {_text(problem)}.</p>'
+    data, label = base64.b64encode(picture.png).decode(), _text(picture.probe)
+    image = f'<img alt="The model at probe {label}" src="data:image/png;base64,{data}">'
+    return f"<figure>{image}<figcaption>Probe {label}, drawn by gsgen.</figcaption></figure>"
+
+
+def _unchecked(outcome: Outcome) -> str:
+    name = _text(f"{outcome.rule.id} {outcome.rule.slug}")
+    reason = _text(f"{outcome.status}: {outcome.reason}")
+    chip = '<span class="chip error">required</span>'
+    return f"<article><h3>{chip} {name}</h3><p>Not checked. {reason}</p></article>"
+
+
+def _finding(finding: Finding, report: Report) -> str:
+    actual, _, expected = finding.message.rpartition(_EXPECTED)
+    rule = next(o.rule for o in report.outcomes if o.rule.id == finding.rule)
+    url = help_url(rule, report.docs_url)
+    name = _text(f"{finding.rule} {finding.slug}")
+    title = f'<a href="{escape(url)}">{name}</a>' if url else name
+    doubt = ", possible" if finding.certainty == "possible" else ""
+    severity = finding.severity.word
+    facts = [
+        ("where", _text(str(finding.where))),
+        ("actual", _text(actual or finding.message)),
+        ("expected", _text(expected)),
+        ("why", _text(rule.rationale)),
+        ("hint", _text(finding.hint)),
+        ("waived", _text(finding.waiver)),
+    ]
+    plots = [histogram(finding.distribution, str(finding.where)) if finding.distribution else ""]
+    plots += [number_line(finding.statistic) if finding.statistic else ""]
+    chip = f'<span class="chip {severity}">{severity}{doubt}</span>'
+    body = _list((name, value) for name, value in facts if value)
+    return f"<article><h3>{chip} {title}</h3>{body}{''.join(plots)}</article>"
+
+
+def _rules(report: Report) -> str:
+    rows = "".join(
+        f"<tr><td>{_text(o.rule.id)}</td><td>{_text(o.rule.slug)}</td>"
+        f"<td>{_text(o.status)}</td><td>{_text(o.reason)}</td></tr>"
+        for o in report.outcomes
+    )
+    head = "<tr><th>rule</th><th>name</th><th>status</th><th>reason</th></tr>"
+    table = f'<div class="wide"><table>{head}{rows}</table></div>'
+    return f"<details><summary>{plural(len(report.outcomes), 'rule')}</summary>{table}</details>"

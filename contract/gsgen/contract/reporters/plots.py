@@ -1,0 +1,74 @@
+"""Plots of findings as inline SVG: a histogram of rows, a number against its limits."""
+
+__all__ = ["histogram", "number_line"]
+
+from html import escape
+
+from gsgen.contract.validation.finding import Distribution, Statistic
+
+_WIDTH, _HEIGHT = 480, 120
+_MARGIN, _BASE = 8, 96
+# The axis of a number line is wider than what it shows, by this share.
+_ROOM = 0.15
+
+
+def histogram(distribution: Distribution, name: str) -> str:
+    """Return a histogram; rows that break the rule stand on those that keep it."""
+    bars = list(zip(distribution.valid, distribution.invalid, strict=True))
+    tallest = max(valid + invalid for valid, invalid in bars)
+    width = (_WIDTH - 2 * _MARGIN) / len(bars)
+    parts = []
+    for number, (valid, invalid) in enumerate(bars):
+        left, floor = _MARGIN + number * width, float(_BASE)
+        for count, kind in ((valid, "valid"), (invalid, "invalid")):
+            height = (_BASE - _MARGIN) * count / max(tallest, 1)
+            floor -= height
+            if count:
+                parts.append(_bar(kind, left, floor, width - 1, height))
+    low, high = _number(distribution.low), _number(distribution.high)
+    parts += [_label(_MARGIN, "start", low), _label(_WIDTH - _MARGIN, "end", high)]
+    broken = sum(distribution.invalid)
+    label = (
+        f"Values of {name}: {broken} of {sum(distribution.valid) + broken} sampled rows "
+        f"break the rule"
+    )
+    return _svg(parts, label)
+
+
+def number_line(statistic: Statistic) -> str:
+    """Return a number as a mark, and its allowed range as a band."""
+    limits = [limit for limit in (statistic.low, statistic.high) if limit is not None]
+    ends = [*limits, statistic.value]
+    room = _ROOM * ((max(ends) - min(ends)) or abs(statistic.value) or 1.0)
+    low, high = min(ends) - room, max(ends) + room
+
+    def position(value: float) -> float:
+        return _MARGIN + (_WIDTH - 2 * _MARGIN) * (value - low) / (high - low)
+
+    left = position(low if statistic.low is None else statistic.low)
+    right = position(high if statistic.high is None else statistic.high)
+    mark = position(statistic.value)
+    parts = [_bar("allowed", left, 40, right - left, 24), _bar("invalid", mark - 1.5, 28, 3, 48)]
+    parts += [_label(position(limit), "middle", _number(limit)) for limit in limits]
+    parts.append(_label(mark, "middle", _number(statistic.value), top=20))
+    return _svg(parts, f"{statistic.name}: {_number(statistic.value)}, allowed range shaded")
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"
+
+
+def _bar(kind: str, left: float, top: float, width: float, height: float) -> str:
+    size = f'width="{max(width, 0):.1f}" height="{height:.1f}"'
+    return f'<rect class="{kind}" x="{left:.1f}" y="{top:.1f}" {size}/>'
+
+
+def _label(left: float, anchor: str, text: str, top: float = 114) -> str:
+    return f'<text x="{left:.1f}" y="{top:g}" text-anchor="{anchor}">{escape(text)}</text>'
+
+
+def _svg(parts: list[str], label: str) -> str:
+    caption = escape(label)
+    size = f'viewBox="0 0 {_WIDTH} {_HEIGHT}"'
+    image = f'<svg role="img" aria-label="{caption}" {size}>{"".join(parts)}</svg>'
+    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
