@@ -13,7 +13,6 @@ from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
 
-
 def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
     for name, largest in comparison.changed.items():
         actual = f"differs by up to {largest:.3g} at probe {comparison.first!r}"

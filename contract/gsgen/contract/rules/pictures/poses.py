@@ -87,7 +87,9 @@ def _deviation(
     statistic = float(np.median((error / change)[counts]))
     if statistic <= _FOLLOWS:
         return None
-    manner = "stay as they were" if np.median((stays / change)[counts]) < _FOLLOWS else "turn otherwise"
+    manner = (
+        "stay as they were" if np.median((stays / change)[counts]) < _FOLLOWS else "turn otherwise"
+    )
     actual = (
         f"covariances {manner} where {np.count_nonzero(counts)} neighbourhoods turn by "
         f"{np.degrees(np.median(motion.angle[counts])):.0f}° with the {role}: error {statistic:.2f} "
@@ -112,7 +114,10 @@ def _motions(
     if sample is None:
         return
     for run in behaviour.runs(indices):
-        if run.sample is None or run.sample.outputs[declared.name].shape != outputs[declared.name].shape:
+        if (
+            run.sample is None
+            or run.sample.outputs[declared.name].shape != outputs[declared.name].shape
+        ):
             continue
         later = run.sample.outputs[declared.name][sample.indices].astype(np.float64)
         if np.isfinite(later).all():
@@ -148,7 +153,9 @@ def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
             if reading:
                 actual = f"neighbourhoods turn {reading} at {run.probe.label!r}"
                 expected = "rotations as the convention declares them"
-                yield Violation.at(f"input {entries[0].name}", actual, expected, certainty="possible")
+                yield Violation.at(
+                    f"input {entries[0].name}", actual, expected, certainty="possible"
+                )
                 break
 
 
@@ -197,13 +204,17 @@ _MATRICES: dict[int, Matrices] = {3: _from_axis_angle, 4: rotation_matrix}
 _OTHER_READINGS: dict[int, dict[str, Matrices]] = {
     3: {"rotations were inverted": _inverse(_from_axis_angle)},
     4: {
-        "quaternions w x y z were read as x y z w": lambda q: rotation_matrix(np.roll(q, 1, axis=1)),
+        "quaternions w x y z were read as x y z w": lambda q: rotation_matrix(
+            np.roll(q, 1, axis=1)
+        ),
         "rotations were inverted": _inverse(rotation_matrix),
     },
 }
 
 
-def _between(before: np.ndarray, after: np.ndarray, matrices: Matrices) -> Float[np.ndarray, "j 3 3"]:
+def _between(
+    before: np.ndarray, after: np.ndarray, matrices: Matrices
+) -> Float[np.ndarray, "j 3 3"]:
     """Return the rotation of each joint from one pose to another."""
     return np.asarray(matrices(after) @ matrices(before).transpose(0, 2, 1))
 
