@@ -121,7 +121,9 @@ def test_flags_that_a_format_cannot_hold_are_told(tmp_path):
         ("linear.glb", "glb", ()),
         ("mip.spz", "spz", ()),
         ("mip.spz", "glb", (mip,)),
-        ("mip.spz", "ply", (mip,)),
+        ("mip.spz", "ply", ()),
+        ("mip.spz", "sog", ("the order of the splats",)),
+        ("mip.spz", "compressed-ply", ("the order of the splats",)),
     ):
         done = convert(tmp_path / source, tmp_path / "out", codec_named(target))
         assert done.lost == lost

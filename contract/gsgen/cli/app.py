@@ -11,9 +11,10 @@ from importlib.metadata import version
 from typing import Annotated, Any, Never
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from gsgen.contract._extensions import Command, escape_markup, find_commands
+from gsgen.contract.commands.options import OPTION_ORDER
 from gsgen.contract.errors import ExitCode, GsgenError, UnknownName
 from gsgen.contract.process.interrupts import ending_at_interrupts
 
@@ -107,8 +108,18 @@ def build(commands: list[Command]) -> typer.Typer:
         if isinstance(loaded, typer.Typer):
             app.add_typer(loaded, name=command.name)
         else:
-            app.command(command.name, context_settings=command.context)(loaded)
+            app.command(command.name, cls=_Ordered, context_settings=command.context)(loaded)
     return app
+
+
+class _Ordered(TyperCommand):
+    """A command that keeps the order of its options, in ``ctx.meta[OPTION_ORDER]``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments, and note the name of each parameter in the order typed."""
+        *_, order = self.make_parser(ctx).parse_args(args=list(args))
+        ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
+        return super().parse_args(ctx, args)
 
 
 class _Sorted(TyperGroup):

@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats.shared.notices import FormatWarning
-from gsgen.formats.shared.splats import Splats
+from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
+from gsgen.tiles.downloads import names_one_file, read_download
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.gltf.container import open_content
 from gsgen.tiles.gltf.decoding import decode_content
@@ -85,8 +86,10 @@ def recognises(path: str | os.PathLike[str]) -> bool:
     return (Path(text) / INDEX).is_file()
 
 
-def read_leaves(source: str | os.PathLike[str]) -> Splats:
+def read_leaves(source: str | os.PathLike[str]) -> Splats | PointCloud | PackedRows:
     """Return all leaves of a tileset as one set of splats, in the frame of the root tile.
+
+    The address of one file of splats, such as a PLY, gives the content of this file.
 
     Where the root frame is so large that float32 would lose millimetres, positions are
     relative to the middle of the splats; a ``FormatWarning`` then reports that origin.
@@ -95,6 +98,8 @@ def read_leaves(source: str | os.PathLike[str]) -> Splats:
         TilesetInvalid: A file is missing or wrong, or there are no splats.
         StoreUnavailable: The store cannot be read now.
     """
+    if names_one_file(source):
+        return read_download(source)
     store, index = open_store(os.fspath(source))
     with store:
         tileset = load_tileset(store, index, name=str(source))

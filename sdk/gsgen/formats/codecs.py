@@ -87,7 +87,8 @@ CODECS: Final = (
         read=read_ply,
         write=write_ply,
         marks=PLY_MAGIC,
-        loss="nothing, bit for bit (flags aside)",
+        keeps_flags=frozenset({"antialiased"}),
+        loss="nothing, bit for bit (the flag of linear colours aside)",
         source="graphdeco-inria/gaussian-splatting",
     ),
     Codec(
@@ -97,6 +98,7 @@ CODECS: Final = (
         suffixes=(".compressed.ply",),
         read=read_ply,  # its marks are those of PLY, whose reader sees the packed words
         write=write_compressed_ply,
+        keeps_flags=frozenset({"antialiased"}),
         order=compressed_order,
         loss="steps within the box of 256 neighbours: positions and scales 1/2047 (y: 1/1023), "
         "colours 1/255; opacity 1/255, rotations 0.2°, harmonics 1/32 from −4 to 4; the order of "

@@ -1,39 +1,49 @@
 """Converts files of splats to another format and measures the loss."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
-from gsgen.formats.codecs import CODECS, Codec
+from gsgen.formats.codecs import CODECS, Codec, Content
+from gsgen.formats.editing.filters import rows_of
 from gsgen.formats.loss import Difference, differences
 from gsgen.formats.open import open_splats
 from gsgen.formats.packed import splats_of_rows
 from gsgen.formats.ply.ply import write_ply
-from gsgen.formats.shared.errors import NotSupported
+from gsgen.formats.shared.errors import NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath, make_folder
+from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.splat_values import ARRAYS
 from gsgen.formats.shared.splats import SH_COUNTS, PackedRows, PointCloud, Splats
 from gsgen.formats.sog.sog import written_bytes
 
 __all__ = ["Conversion", "convert"]
 
 
+MAX_COMPARED: Final = 2 << 30
+"""The most bytes of splats in memory for which the written file is read back and compared."""
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conversion:
-    """The paths, formats, number of splats and losses of a converted file.
+    """The result of a conversion, with its losses.
 
     Attributes:
-        source: The file that was read.
+        source: The files that were read.
         target: The file that was written.
         format: The name of the target's format.
-        count: The number of splats or points.
+        count: The number of splats or points that were written.
         degree: The SH degrees of the source and the target; None for points.
-        sizes: The sizes of both files, in bytes.
+        sizes: The sizes of the sources together and of the target, in bytes.
         lost: The dropped properties, in words.
         differences: The error of each kept quantity; empty for points.
+        compared: Whether the written file was compared; not above ``MAX_COMPARED``.
     """
 
     source: str
@@ -44,87 +54,143 @@ class Conversion:
     sizes: tuple[int, int]
     lost: tuple[str, ...]
     differences: tuple[Difference, ...]
+    compared: bool = True
 
 
 def convert(
-    source: FilePath,
+    source: FilePath | Sequence[FilePath],
     target: FilePath,
     codec: Codec,
     *,
     sh_degree: int | None = None,
     drop_invalid: bool = False,
+    edits: Sequence[Callable[[Splats], Splats]] = (),
+    read: Callable[[FilePath], Content] | None = None,
+    read_back: Callable[[FilePath], Content] | None = None,
     write: Callable[[FilePath, Splats], None] | None = None,
     step: Callable[[str], None] = lambda words: None,
 ) -> Conversion:
-    """Convert a splat file to another format, then compare the written file with the source.
+    """Convert ``source`` to ``target``, then compare the written file with what was to be written.
 
     Args:
-        source: A file that ``open_splats`` reads. Packed rows become splats.
+        source: A file that ``open_splats`` reads, or several, which are merged in this order.
+            Packed rows become splats.
         target: The output path. An existing file is replaced, a missing folder is created.
         codec: The format of the target.
         sh_degree: Drop harmonics above this degree.
         drop_invalid: Drop rows of a PLY file that cannot be drawn, and warn about them.
+        edits: Applied to the merged splats, in this order.
+        read: Replaces the reader of the sources, for example to set options.
+        read_back: Replaces the reader of the target.
         write: Replaces the writer of the codec, for example to set options.
         step: Called with a description of each step.
 
     Raises:
         FormatError: A file cannot be read or written; NotSupported if gsgen does not write
-            the format, or the format cannot hold points.
+            the format, or the format cannot hold points; ValueInvalid if the sources have
+            different flags, or no splat is left.
     """
-    writer = write or codec.write
-    if writer is None:
+    writer = write or _writer_of(codec, target)
+    sources = [source] if isinstance(source, str | os.PathLike) else list(source)
+    read = read or partial(open_splats, drop_invalid=drop_invalid)
+    parts: list[Splats] = []
+    for path in sources:
+        step(f"reading {path}")
+        content = read(path)
+        if isinstance(content, PointCloud):
+            if len(sources) > 1 or edits:
+                raise _points_refused(path, "splats, which merging and edits need")
+            return _convert_points(path, target, codec, content)
+        parts.append(splats_of_rows(content) if isinstance(content, PackedRows) else content)
+    splats = merged(parts)
+    del parts
+    for index, edit in enumerate(edits):
+        step(f"edit {index + 1} of {len(edits)}")
+        splats = edit(splats)
+    reduced = _with_degree(splats, min(codec.most_degree, 4 if sh_degree is None else sh_degree))
+    lost, degree = _losses(splats, reduced, codec), (splats.degree, reduced.degree)
+    del splats
+    step(f"writing {target}")
+    make_folder(target)
+    writer(target, reduced)
+    is_compared = sum(getattr(reduced, name).nbytes for name in ARRAYS) <= MAX_COMPARED
+    entries: tuple[Difference, ...] = ()
+    if is_compared:
+        step(f"comparing {target} with what was to be written")
+        back = (read_back or codec.read)(target)
+        assert isinstance(back, Splats)  # every writer writes splats
+        order = codec.order(reduced) if codec.order else np.arange(len(reduced))
+        entries = differences(rows_of(reduced, order), back)
+    return Conversion(
+        source=", ".join(map(str, sources)),
+        target=str(target),
+        format=codec.name,
+        count=len(reduced),
+        degree=degree,
+        sizes=(sum(map(_bytes_of, sources)), written_bytes(target)),
+        lost=lost,
+        differences=entries,
+        compared=is_compared,
+    )
+
+
+def _writer_of(codec: Codec, target: FilePath) -> Callable[[FilePath, Splats], None]:
+    if codec.write is None:
         names = [entry.name for entry in CODECS if entry.write]
         raise NotSupported(
             f"{codec.title} is a format that gsgen only reads",
             expected=f"one of {', '.join(names)}",
             path=str(target),
         )
-    step(f"reading {source}")
-    before = written_bytes(source) if Path(source).is_file() else 0
-    content = open_splats(source, drop_invalid=drop_invalid)
-    if isinstance(content, PointCloud):
-        return _convert_points(source, target, codec, content, before)
-    splats = splats_of_rows(content) if isinstance(content, PackedRows) else content
-    reduced = _with_degree(splats, min(codec.most_degree, 4 if sh_degree is None else sh_degree))
-    step(f"writing {target}")
-    make_folder(target)
-    writer(target, reduced)
-    step(f"comparing {target} with {source}")
-    back = codec.read(target)
-    assert isinstance(back, Splats)  # every writer writes splats
-    order = codec.order(reduced) if codec.order else np.arange(len(reduced))
-    return Conversion(
-        source=str(source),
-        target=str(target),
-        format=codec.name,
-        count=len(reduced),
-        degree=(splats.degree, reduced.degree),
-        sizes=(before, written_bytes(target)),
-        lost=_losses(splats, reduced, codec),
-        differences=differences(_ordered(reduced, order), back),
+    return codec.write
+
+
+def merged(parts: Sequence[Splats]) -> Splats:
+    """Return all splats as one set; harmonics that a part lacks are zero.
+
+    Raises:
+        ValueInvalid: One part is antialiased or has linear colours, and another one not.
+    """
+    for flag in ("antialiased", "color_space"):
+        values = {getattr(part, flag) for part in parts}
+        if len(values) > 1:
+            raise ValueInvalid(
+                f"differs between the sources: {' and '.join(sorted(map(str, values)))}",
+                where=flag,
+                expected="the same for all",
+                hint="such splats cannot be drawn right in one file",
+            )
+    return joined(parts)
+
+
+def _bytes_of(path: FilePath) -> int:
+    return written_bytes(path) if Path(path).is_file() else 0
+
+
+def _points_refused(path: FilePath, expected: str) -> NotSupported:
+    return NotSupported(
+        "the file holds coloured points, which have no size, rotation or opacity",
+        expected=expected,
+        hint="write a PLY file; `gsgen export static` makes a generator of them",
+        path=str(path),
     )
 
 
 def _convert_points(
-    source: FilePath, target: FilePath, codec: Codec, points: PointCloud, before: int
+    source: FilePath, target: FilePath, codec: Codec, points: PointCloud
 ) -> Conversion:
     if codec.name != "ply":
-        raise NotSupported(
-            "the file holds coloured points, which have no size, rotation or opacity",
-            expected=f"splats, which {codec.title} needs",
-            hint="write a PLY file; `gsgen export static` makes a generator of them",
-            path=str(source),
-        )
+        raise _points_refused(source, f"splats, which {codec.title} needs")
+    sizes = _bytes_of(source)
     make_folder(target)
     write_ply(target, points)
-    sizes = before, Path(target).stat().st_size
     return Conversion(
         source=str(source),
         target=str(target),
         format=codec.name,
         count=len(points),
         degree=None,
-        sizes=sizes,
+        sizes=(sizes, written_bytes(target)),
         lost=(),
         differences=(),
     )
@@ -134,11 +200,6 @@ def _with_degree(splats: Splats, degree: int) -> Splats:
     if splats.degree <= degree:
         return splats
     return replace(splats, sh=np.ascontiguousarray(splats.sh[:, : SH_COUNTS[degree]]))
-
-
-def _ordered(splats: Splats, order: np.ndarray) -> Splats:
-    names = ("position", "rotation", "log_scale", "logit_opacity", "sh")
-    return replace(splats, **{name: getattr(splats, name)[order] for name in names})
 
 
 def _losses(splats: Splats, reduced: Splats, codec: Codec) -> tuple[str, ...]:

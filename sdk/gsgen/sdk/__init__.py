@@ -20,24 +20,9 @@ if TYPE_CHECKING:
     from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication, installed_plugins
 
 __all__ = [
-    "Cells",
-    "Demo",
-    "ExportFailed",
-    "ExportRejected",
-    "Exported",
-    "GaussianGenerator",
-    "Gaussians",
-    "GeneratorInvalid",
-    "ParityFailed",
-    "Plugin",
-    "PostProcess",
-    "Publication",
-    "export",
-    "export_post_process",
-    "inputs",
-    "installed_plugins",
-    "math",
-    "wrap",
-]
+    "Cells", "Demo", "ExportFailed", "ExportRejected", "Exported", "GaussianGenerator", "Gaussians",
+    "GeneratorInvalid", "ParityFailed", "Plugin", "PostProcess", "Publication", "export",
+    "export_post_process", "inputs", "installed_plugins", "math", "wrap",
+]  # fmt: skip
 
 __getattr__ = lazy_getattr(__name__)

@@ -7,14 +7,9 @@ Gaussians, and their visibility like opacity; the shape of a cell matters only i
 """
 
 __all__ = [
-    "FieldParity",
-    "ModelOutput",
-    "Parity",
-    "Reference",
-    "compare",
-    "fibonacci_directions",
+    "FieldParity", "ModelOutput", "Parity", "Reference", "compare", "fibonacci_directions",
     "references_equal",
-]
+]  # fmt: skip
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -155,15 +150,10 @@ def compare(
 
     Iterators are advanced together, so that a caller may hold one probe's arrays at a time.
 
-    Args:
-        references: The expected outputs for each probe.
-        outputs: The model's outputs for each probe.
-        tolerances: Allowed errors.
-        roundings: How often values were rounded to the storage dtype: twice, if the references
-            were, too.
-        nearby: Returns the expected outputs for slightly changed inputs. A few rows may match these
-            instead: at a threshold, such as the border of a frustum, one kernel jumps a little
-            sooner than another.
+    ``roundings`` counts how often values were rounded to the storage dtype: twice, if the
+    references were, too. ``nearby`` returns the expected outputs for slightly changed inputs. A few
+    rows may match these instead: at a threshold, such as the border of a frustum, one kernel jumps
+    a little sooner than another.
     """
     worst: dict[str, FieldParity] = {}
     probes = jumped = 0

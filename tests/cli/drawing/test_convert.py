@@ -159,3 +159,71 @@ def test_a_source_is_not_replaced_unless_that_is_wished(
     assert file.read_bytes() == source.read_bytes()
     assert gsgen_here("convert", file, target, "--sh-degree", "0", "--force").code == 0
     assert open_splats(target).degree == 0
+
+
+def test_edits_are_applied_in_the_order_typed(source: Path, tmp_path: Path) -> None:
+    position = open_splats(source).position
+    target = tmp_path / "a.ply"
+    words = ("convert", source, target, "--translate", "1,0,0", "--scale", "2")
+    assert gsgen_here(*words, "--translate=0,0,-3").code == 0
+    expected = (position + np.float32([1, 0, 0])) * 2 + np.float32([0, 0, -3])
+    np.testing.assert_allclose(open_splats(target).position, expected, atol=1e-5)
+    words = ("convert", source, target, "--scale", "2", "--translate", "1,0,0")
+    assert gsgen_here(*words).code == 0
+    np.testing.assert_allclose(
+        open_splats(target).position, position * 2 + np.float32([1, 0, 0]), atol=1e-5
+    )
+
+
+def test_several_sources_are_merged(source: Path, tmp_path: Path) -> None:
+    write_ply(tmp_path / "other.ply", scene(30, 0, seed=1))
+    ran = gsgen_here("convert", source, tmp_path / "other.ply", tmp_path / "all.ply")
+    assert ran.code == 0, ran.err
+    merged = open_splats(tmp_path / "all.ply")
+    assert (len(merged), merged.degree) == (80, 2)
+    np.testing.assert_array_equal(merged.position[:50], open_splats(source).position)
+    assert not merged.sh[50:, 1:].any()
+    write_ply(tmp_path / "mip.ply", scene(3, 0, antialiased=True))
+    ran = gsgen_here("convert", source, tmp_path / "mip.ply", tmp_path / "no.ply")
+    assert ran.code == 1
+    assert "antialiased: differs between the sources: False and True" in ran.err
+
+
+def test_statistics_are_printed_and_drawn(source: Path, tmp_path: Path) -> None:
+    words = ("convert", source, tmp_path / "a.ply", "--where", "x>0", "--statistics")
+    ran = gsgen_here(*words, "--histograms", tmp_path / "a.png", "--json")
+    assert ran.code == 0, ran.err
+    (summary,) = json.loads(ran.out)["statistics"]
+    assert summary[0]["name"] == "x"
+    assert summary[0]["low"] > 0
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert "deviation" in gsgen_here(*words).out
+
+
+def test_edits_that_cannot_be_are_refused(source: Path, tmp_path: Path) -> None:
+    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--translate", "1,2")
+    assert ran.code == 2
+    assert ran.err.startswith("gsgen: --translate: is '1,2', expected finite numbers X,Y,Z")
+    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--where", "opacity>2")
+    assert ran.code == 1
+    assert "--where opacity>2 leaves none of 50 splats" in ran.err
+    assert not (tmp_path / "a.ply").exists()
+
+
+def test_axes_of_spz_are_those_of_the_option(source: Path, tmp_path: Path) -> None:
+    words = ("convert", source, tmp_path / "a.spz", "--spz-axes", "RDF")
+    ran = gsgen_here(*words)
+    assert ran.code == 0, ran.err
+    position = open_splats(source).position
+    turned = open_splats(tmp_path / "a.spz").position * np.float32([1, -1, -1])
+    np.testing.assert_allclose(turned, position, atol=2e-4)
+    assert (
+        gsgen_here("convert", tmp_path / "a.spz", tmp_path / "b.ply", "--spz-axes", "RDF").code == 0
+    )
+    np.testing.assert_allclose(open_splats(tmp_path / "b.ply").position, position, atol=2e-4)
+
+
+def test_half_of_the_splats_are_left(source: Path, tmp_path: Path) -> None:
+    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--decimate", "50%")
+    assert ran.code == 0, ran.err
+    assert 15 <= len(open_splats(tmp_path / "a.ply")) <= 25

@@ -58,7 +58,7 @@ def ask(net: Mlp, inputs: np.ndarray) -> np.ndarray:
 
 def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> ExpectedGaussians:
     """Duplex-GS in float64: scales bounded by the cell, levels without the half cell."""
-    cloud, nets, cfg = read.anchors.cloud, read.anchors.nets, read.anchors.cfg
+    cloud, nets, cfg = read.anchors.cloud, read.anchors.nets, read.anchors.run.cfg
     n, k = len(cloud), cloud.per_anchor
     matrix = view.astype(np.float64)
     centre = np.linalg.inv(matrix.T)[:3, 3]

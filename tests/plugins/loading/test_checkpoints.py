@@ -113,8 +113,8 @@ def test_what_lies_in_a_run_stands_for_it(
     parts |= {run / "deform/iteration_7/deform.pth": 7} if (run / "deform").is_dir() else {}
     for path, meant in parts.items():
         checkpoint = read(path)
-        assert (checkpoint.iteration, checkpoint.folder.resolve()) == (meant, run)
-    assert read(Path(), 7).iteration == 7
+        assert (checkpoint.run.iteration, checkpoint.run.folder.resolve()) == (meant, run)
+    assert read(Path(), 7).run.iteration == 7
     with pytest.raises(NotInCheckpoint, match=rf"is iteration 7, not {number}"):
         read(run / "point_cloud/iteration_7", number)
     with pytest.raises(CheckpointInvalid, match="does not exist"):
@@ -127,9 +127,9 @@ def test_what_lies_in_a_run_stands_for_it(
 def test_minus_one_is_the_last_iteration(tmp_path: Path) -> None:
     """As ``--iteration -1`` is for the published loaders."""
     run = write_deformable(tmp_path / "run")
-    assert read_deformation(run, -1).iteration == 40000
+    assert read_deformation(run, -1).run.iteration == 40000
     folder = run / "point_cloud/iteration_40000"
-    assert read_deformation(folder, -1).iteration == 40000
+    assert read_deformation(folder, -1).run.iteration == 40000
 
 
 def test_a_file_of_another_iteration_is_pointed_at(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_an_iteration_by_itself_will_do(tmp_path: Path) -> None:
         with pytest.raises(CheckpointInvalid, match="cfg_args"):  # it says which levels are seen
             read_anchors(tmp_path / name, octree=True)
         shutil.copy(run / "cfg_args", tmp_path / name)
-        assert read_anchors(tmp_path / name, octree=True).iteration == number
+        assert read_anchors(tmp_path / name, octree=True).run.iteration == number
         generator = octree_gs_plugin.build(tmp_path / name)
         assert generator.producer == expected.producer
         with pytest.raises(NotInCheckpoint, match="alone, not 5"):

@@ -311,7 +311,7 @@ def test_what_lies_in_a_run_of_people_stands_for_it(tmp_path: Path) -> None:
     run = write_gauhuman(tmp_path / "gauhuman", PersonOptions(nets=True))
     for path_in_run in ("point_cloud/iteration_1200/point_cloud.ply", "mlp_ckpt/iteration_1200"):
         read = read_gauhuman(run / path_in_run)
-        assert (read.iteration, read.nets is not None) == (1200, True)
+        assert (read.run.iteration, read.nets is not None) == (1200, True)
 
 
 def test_sample_points_have_to_be_as_many_as_gaussians(tmp_path: Path) -> None:

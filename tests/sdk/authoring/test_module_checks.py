@@ -56,7 +56,12 @@ class NamedInputs(Cloud):
     ("made", "where", "what", "hint"),
     [
         (NotSetUp, "NotSetUp", "__init__ does not call its parent's", "super().__init__()"),
-        (OneInput, "OneInput.inputs", "is one input, expected a tuple", "(inputs.time(),)"),
+        (
+            OneInput,
+            "OneInput.inputs",
+            "is a single input, expected a tuple of inputs",
+            "(inputs.time(),)",
+        ),
         (
             NamedInput,
             "NamedInput.inputs[0]",

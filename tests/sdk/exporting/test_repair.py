@@ -67,7 +67,7 @@ def test_padding_a_colour_adds_a_channel_of_ones(tmp_path: Path) -> None:
 
 def test_the_order_of_sh_is_changed_on_request_only(tmp_path: Path) -> None:
     source = find("sh_channel_major").write(tmp_path)
-    with pytest.raises(GsgenError, match="has no fault with one right answer"):
+    with pytest.raises(GsgenError, match="has no fault that gsgen can repair without guessing"):
         repair(source, tmp_path / "fixed.onnx")
     assert not (tmp_path / "fixed.onnx").exists()
     done = repair(source, tmp_path / "fixed.onnx", RepairRequest(channel_major=True))
@@ -122,9 +122,9 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
     [
         (("--size", "N"), 2, "--size: is 'N', expected SYMBOL=SIZE"),
         (("--pin", "N=-3"), 2, "--pin: is 'N=-3', expected SYMBOL=SIZE"),
-        (("--dry-run",), 1, "has no fault with one right answer"),
+        (("--dry-run",), 1, "has no fault that gsgen can repair without guessing"),
         (("--manifest", "none.json"), 2, "none.json: cannot be read"),
-        ((), 1, "has no fault with one right answer"),
+        ((), 1, "has no fault that gsgen can repair without guessing"),
     ],
 )
 def test_what_cannot_be_done_is_said(

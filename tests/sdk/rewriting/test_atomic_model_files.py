@@ -6,11 +6,11 @@ import pytest
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.validator import validate
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.exporting.repair import RepairRequest, repair
 from gsgen.sdk.float16.convert_model import write_float16
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 
 
 def test_a_folder_is_no_place_for_a_file(tmp_path: Path) -> None:

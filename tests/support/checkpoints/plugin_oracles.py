@@ -94,7 +94,7 @@ def anchors(
 def _levels(
     read: AnchorCheckpoint, centre: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor | None, torch.Tensor]:
-    cloud, cfg = read.cloud, read.cfg
+    cloud, cfg = read.cloud, read.run.cfg
     fork, mode = cfg.values["fork"], cfg.values["dist2level"]
     level = cloud.level.double()
     voxel, standard = cloud.info[:2].double()

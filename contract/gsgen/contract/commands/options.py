@@ -1,11 +1,24 @@
 """Command-line options that several commands share, with one name, default and help text each."""
 
-__all__ = ["AsJson", "Config", "FailOn", "LevelName", "Memory", "Seed", "TargetName", "Timeout"]
+__all__ = [
+    "OPTION_ORDER",
+    "AsJson",
+    "Config",
+    "FailOn",
+    "LevelName",
+    "Memory",
+    "Seed",
+    "TargetName",
+    "Timeout",
+]
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+OPTION_ORDER = "gsgen.option_order"
+"""Key of ``Context.meta`` with the names of the parameters in the order typed, with repetitions."""
 
 LevelName = Annotated[
     str | None,

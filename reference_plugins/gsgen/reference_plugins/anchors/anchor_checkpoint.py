@@ -7,18 +7,9 @@ file each, or state dicts in one file: ``checkpoints.pth`` of the mode ``unite``
 """
 
 __all__ = [
-    "AnchorCheckpoint",
-    "AnchorCloud",
-    "AnchorNets",
-    "Mlp",
-    "States",
-    "describe_anchors",
-    "numbered",
-    "read_anchors",
-    "read_nets",
-    "require_appearance",
-    "require_sizes",
-]
+    "AnchorCheckpoint", "AnchorCloud", "AnchorNets", "Mlp", "States", "describe_anchors",
+    "numbered", "read_anchors", "read_nets", "require_appearance", "require_sizes",
+]  # fmt: skip
 
 import re
 from collections.abc import Mapping
@@ -30,13 +21,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.formats import FormatError, ply_properties, read_ply_columns
+from gsgen.formats import ply_properties, read_ply_columns
 from gsgen.formats.ply.layout import XYZ
-from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
-from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint
-from gsgen.reference_plugins.loading.folder import find_iteration, required_file, within_run
-from gsgen.reference_plugins.loading.method_detection import refuse_other_method
-from gsgen.reference_plugins.loading.states import Shape, load_network, load_state, require_tensors
+from gsgen.reference_plugins.loading.cfg_args import CfgArgs
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint, format_faults
+from gsgen.reference_plugins.loading.folder import required_file
+from gsgen.reference_plugins.loading.states import (
+    layer_of,
+    linear_shapes,
+    load_network,
+    load_state,
+    require_tensors,
+)
+from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
 _OFFSET = re.compile(r"f_offset_(\d+)")
 _FEATURE = re.compile(r"f_anchor_feat_(\d+)")
@@ -63,7 +60,7 @@ class AnchorCloud:
     log_scale: Float[Tensor, "n 6"]
     rotation: Float[Tensor, "n 4"]  # quaternions (w, x, y, z); only the prefilter uses them
     level: Float[Tensor, " n"] | None = None  # octree level, from 0; absent in Scaffold-GS
-    # A learnt shift of the level that belongs to a distance
+    # a learnt shift of the level that belongs to a distance
     extra_level: Float[Tensor, " n"] | None = None
     # numbers of the scene in the first rows of a column: voxel size, distance, …
     info: Float[Tensor, " n"] | None = None
@@ -106,13 +103,11 @@ class AnchorNets:
     level: bool = False  # whether the level is one of the inputs
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class AnchorCheckpoint:
     """The anchors, networks and training options of an anchor checkpoint."""
 
-    folder: Path  # folder of the training run
-    iteration: int  # number of the iteration
-    cfg: CfgArgs  # options of the training run
+    run: TrainingRun
     cloud: AnchorCloud
     nets: AnchorNets  # the networks
 
@@ -122,23 +117,14 @@ def read_anchors(
 ) -> AnchorCheckpoint:
     """Read a checkpoint of Scaffold-GS or Octree-GS.
 
-    ``folder`` is the training run, one iteration, or a file in either; without ``iteration``, the
-    last is read. With ``octree``, anchors have levels.
+    With ``octree``, anchors have levels.
     """
-    folder, iteration = within_run(folder, iteration)
-    number, iteration_folder = find_iteration(folder, iteration)
-    refuse_other_method("octree-gs" if octree else "scaffold-gs", folder, iteration_folder)
-    cfg = read_cfg_args(folder, required=octree)
-    ply = required_file(iteration_folder / "point_cloud.ply", "the anchors")
+    method = "octree-gs" if octree else "scaffold-gs"
+    run = open_run(method, folder, iteration, needs_cfg=octree)
+    ply = required_file(run.files / "point_cloud.ply", "the anchors")
     cloud = _read_cloud(ply, octree=octree)
-    require_sizes(cfg, cloud, ply)
-    return AnchorCheckpoint(
-        folder=folder,
-        iteration=number,
-        cfg=cfg,
-        cloud=cloud,
-        nets=read_nets(iteration_folder, cfg, cloud, octree=octree),
-    )
+    require_sizes(run.cfg, cloud, ply)
+    return AnchorCheckpoint(run, cloud, read_nets(run, cloud, octree=octree))
 
 
 def require_sizes(cfg: CfgArgs, cloud: AnchorCloud, ply: Path) -> None:
@@ -150,7 +136,7 @@ def require_sizes(cfg: CfgArgs, cloud: AnchorCloud, ply: Path) -> None:
 
 
 def _read_cloud(path: Path, *, octree: bool) -> AnchorCloud:
-    try:
+    with format_faults(path):
         names = ply_properties(path)
         offsets, features = numbered(_OFFSET, names), numbered(_FEATURE, names)
         groups = {"position": XYZ, "scale": _SCALES, "rotation": _ROTATION}
@@ -161,8 +147,6 @@ def _read_cloud(path: Path, *, octree: bool) -> AnchorCloud:
             hint = "Expected 3 K and F of them: is this a checkpoint of another method?"
             raise CheckpointInvalid(message, where=str(path), hint=hint)
         tables = read_ply_columns(path, groups)
-    except FormatError as error:
-        raise CheckpointInvalid(str(error).replace(f"{path}: ", ""), where=str(path)) from error
     read = {name: torch.from_numpy(table) for name, table in tables.items()}
     axes = read["offset"].reshape(len(read["offset"]), 3, -1)  # stored axis by axis
     columns = {name: read[name].reshape(-1) for name in _LEVELS if octree}
@@ -184,8 +168,6 @@ def numbered(pattern: re.Pattern[str], names: tuple[str, ...]) -> tuple[str, ...
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Sizes:
-    """Sizes that determine the shapes of the decoding networks of anchors."""
-
     per_anchor: int
     width: int
     appearance: int
@@ -193,13 +175,12 @@ class _Sizes:
     octree: bool
 
 
-def read_nets(
-    iteration_folder: Path, cfg: CfgArgs, cloud: AnchorCloud, *, octree: bool
-) -> AnchorNets:
+def read_nets(run: TrainingRun, cloud: AnchorCloud, *, octree: bool) -> AnchorNets:
     """Read the networks of an anchor checkpoint.
 
     ``cloud`` determines the shapes of the networks; with ``octree``, the level may be an input.
     """
+    iteration_folder, cfg = run.files, run.cfg
     states = _states(iteration_folder)
     path, state = states.get("embedding", (iteration_folder, {}))
     embedding = _embedding(path, state, cfg) if state else None
@@ -296,20 +277,11 @@ def _bank(states: States, iteration_folder: Path, sizes: _Sizes) -> Mlp:
 def _mlp(
     path: Path, state: Mapping[str, Any], inputs: int, sizes: _Sizes, out: int, *, distance: bool
 ) -> Mlp:
-    f = sizes.width
-    expected: dict[str, Shape] = {
-        "0.weight": (f, inputs),
-        "0.bias": (f,),
-        "2.weight": (out, f),
-        "2.bias": (out,),
-    }
+    expected = linear_shapes("0", inputs, sizes.width) | linear_shapes("2", sizes.width, out)
     read = require_tensors(path, state, expected)
+    (hidden, hidden_bias), (out_weight, out_bias) = layer_of(read, "0"), layer_of(read, "2")
     return Mlp(
-        hidden=read["0.weight"],
-        hidden_bias=read["0.bias"],
-        out=read["2.weight"],
-        out_bias=read["2.bias"],
-        distance=distance,
+        hidden=hidden, hidden_bias=hidden_bias, out=out_weight, out_bias=out_bias, distance=distance
     )
 
 
@@ -318,11 +290,7 @@ def describe_anchors(checkpoint: AnchorCheckpoint) -> str:
     cloud, nets = checkpoint.cloud, checkpoint.nets
     heads = {"opacity": nets.opacity, "covariance": nets.covariance, "colour": nets.color}
     by_distance = [name for name, head in heads.items() if head.distance]
-    parts = [
-        f"iteration {checkpoint.iteration}",
-        f"{len(cloud):,} anchors × {cloud.per_anchor} Gaussians",
-        f"features of {cloud.width}",
-    ]
+    parts = [f"{len(cloud):,} anchors × {cloud.per_anchor} Gaussians", f"features of {cloud.width}"]
     if cloud.level is not None:
         parts.append(f"levels {int(cloud.level.min())} to {int(cloud.level.max())}")
     parts += ["feature bank"] if nets.bank is not None else []
@@ -330,7 +298,7 @@ def describe_anchors(checkpoint: AnchorCheckpoint) -> str:
     parts += ["level into all networks"] if nets.level else []
     if nets.embedding is not None:
         parts.append(f"{len(nets.embedding)} appearances of {nets.embedding.shape[1]}")
-    return f"{checkpoint.folder}: {', '.join(parts)}"
+    return f"{checkpoint.run}, {', '.join(parts)}"
 
 
 def require_appearance(

@@ -96,11 +96,9 @@ class AnchorHeads(nn.Module):
     def appearances(self) -> int:
         """The number of selectable appearances; 0 if there is at most one."""
         appearance_bias = self.appearance_bias
-        return (
-            0
-            if appearance_bias is None or appearance_bias.shape[0] == 1
-            else int(appearance_bias.shape[0])
-        )
+        if appearance_bias is None or appearance_bias.shape[0] == 1:
+            return 0
+        return int(appearance_bias.shape[0])
 
     def _layers(self, mlp: Mlp, parts: int = 1) -> _Layers:
         hidden = [mlp.hidden[:, : self.width + 3]]

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
-from gsgen.formats import FormatError, ply_properties, read_ply_columns
+from gsgen.formats import ply_properties, read_ply_columns
 from gsgen.reference_plugins.anchors.anchor_checkpoint import (
     AnchorCheckpoint,
     AnchorCloud,
@@ -28,10 +28,10 @@ from gsgen.reference_plugins.anchors.anchor_checkpoint import (
     read_nets,
     require_sizes,
 )
-from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
-from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.reference_plugins.loading.folder import find_iteration, required_file, within_run
-from gsgen.reference_plugins.loading.method_detection import refuse_other_method
+from gsgen.reference_plugins.loading.cfg_args import CfgArgs
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_faults
+from gsgen.reference_plugins.loading.folder import required_file
+from gsgen.reference_plugins.loading.training_run import open_run
 
 _COLUMNS = {
     "position": ("x", "y", "z"),
@@ -73,16 +73,10 @@ class CellCheckpoint:
 
 
 def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
-    """Read a checkpoint of Duplex-GS.
-
-    ``folder`` is the training run, one iteration, or a file in either; without ``iteration``, the
-    last is read.
-    """
-    folder, iteration = within_run(folder, iteration)
-    number, iteration_folder = find_iteration(folder, iteration)
-    refuse_other_method("duplex-gs", folder, iteration_folder)
-    cfg = read_cfg_args(folder, required=True)
-    ply = required_file(iteration_folder / "point_cloud.ply", "the cells")
+    """Read a checkpoint of Duplex-GS."""
+    run = open_run("duplex-gs", folder, iteration, needs_cfg=True)
+    cfg = run.cfg
+    ply = required_file(run.files / "point_cloud.ply", "the cells")
     columns = _columns(ply)
     cloud = _cloud(columns)
     require_sizes(cfg, cloud, ply)
@@ -94,18 +88,12 @@ def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
             f"properties anchor_shv, but {ply.name} has {visibility.shape[1] - 1}"
         )
         raise CheckpointInvalid(message, where=str(cfg.path))
-    anchors = AnchorCheckpoint(
-        folder=folder,
-        iteration=number,
-        cfg=cfg,
-        cloud=cloud,
-        nets=read_nets(iteration_folder, cfg, cloud, octree=True),
-    )
+    anchors = AnchorCheckpoint(run, cloud, read_nets(run, cloud, octree=True))
     return CellCheckpoint(anchors, visibility, _weighting(columns["info"].reshape(-1), cfg, ply))
 
 
 def _columns(path: Path) -> dict[str, Tensor]:
-    try:
+    with format_faults(path):
         names = ply_properties(path)
         groups = {name: numbered(pattern, names) for name, pattern in _NUMBERED.items()}
         if not groups["offset"] or len(groups["offset"]) % 3 or not groups["feature"]:
@@ -115,8 +103,6 @@ def _columns(path: Path) -> dict[str, Tensor]:
         harmonics = groups["rest"]
         groups = {name: group for name, group in groups.items() if group}
         tables = read_ply_columns(path, _COLUMNS | groups)
-    except FormatError as error:
-        raise CheckpointInvalid(str(error).replace(f"{path}: ", ""), where=str(path)) from error
     columns = {name: torch.from_numpy(table) for name, table in tables.items()}
     return columns if harmonics else columns | {"rest": columns["constant"][:, :0]}
 

@@ -139,7 +139,6 @@ class DuplexGS(AnchorGenerator):
         return Cells(frame.anchor, visibility, covariance=stacked(planes))
 
     def _visibility(self, frame: Decoding) -> Float[Tensor, "n 1"]:
-        """Return the visibility of each cell from the camera, from 0 to 1."""
         return torch.sigmoid(_evaluated(frame.of(self.visibility), frame.views.direction))
 
 

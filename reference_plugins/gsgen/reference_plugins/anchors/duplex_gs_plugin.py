@@ -72,14 +72,14 @@ def build(
     levels = Levels.of(read.anchors)
     report_checkpoint(
         f"{describe_cells(read)}; {levels.mode} to whole levels, fork {levels.fork:g}",
-        read.anchors.cfg,
+        read.anchors.run.cfg,
     )
     if blend == "alpha":
         note(
             "note: the method blends by a weighted sum of cells; this model needs sorted "
             "Gaussians. --blend wsr keeps the cells"
         )
-    warn_unsupported(read.anchors.cfg, SUPPORTED_OPTIONS)
+    warn_unsupported(read.anchors.run.cfg, SUPPORTED_OPTIONS)
     appearance = require_appearance(read.anchors, appearance_id, "--appearance-id")
     generator = DuplexGS(
         read,
@@ -89,17 +89,11 @@ def build(
         appearance=appearance,
         selection=Selection(cull, max_anchors),
     )
-    generator.producer = producer_of(_PUBLICATION.code, read.anchors.folder, read.anchors.iteration)
+    generator.producer = producer_of(_PUBLICATION.code, read.anchors.run)
     return generator
 
 
-def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether a run's point cloud has cells, which are anchors with a size."""
-    return "anchor_size_0" in point_columns(iteration)
-
-
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic Duplex-GS checkpoint of 3,000 cells, and return the export options."""
     from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_duplex
 
     write_duplex(folder, AnchorOptions(anchors=3000, iteration=40_000))
@@ -115,7 +109,7 @@ PLUGIN = Plugin(
     "embedding_appearance.pt), or all of them in checkpoints.pth.",
     inputs=("view", "projection", "appearance_id"),
     publication=_PUBLICATION,
-    recognises=_recognises,
+    recognises=lambda run, iteration: "anchor_size_0" in point_columns(iteration),
     demo=Demo(write=_write_demo, caption="around it"),
     build=build,
 )

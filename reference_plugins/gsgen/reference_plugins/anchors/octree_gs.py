@@ -49,20 +49,19 @@ class Levels:
     @classmethod
     def of(cls, checkpoint: AnchorCheckpoint) -> "Levels":
         """Read the levels of detail of an anchor checkpoint."""
-        cloud, cfg = checkpoint.cloud, checkpoint.cfg
+        cloud, cfg = checkpoint.cloud, checkpoint.run.cfg
         assert cloud.level is not None
         assert cloud.info is not None
         if len(cloud) < 2 or not (cloud.info[:2] > 0).all():
             message = (
                 f"info is {cloud.info[:2].tolist()}, expected a voxel size and a distance above 0"
             )
-            raise CheckpointInvalid(message, where=str(checkpoint.folder))
+            raise CheckpointInvalid(message, where=str(checkpoint.run.folder))
         mode = cfg.word("dist2level", "round", MODES)
         fork = cfg.number("fork", 2)
         if fork <= 1:
-            raise CheckpointInvalid(
-                f"fork is {fork:g}, expected a number above 1", where=str(cfg.path)
-            )
+            message = f"fork is {fork:g}, expected a number above 1"
+            raise CheckpointInvalid(message, where=str(cfg.path))
         top = int(cloud.level.max()) - int(cloud.level.min())
         voxel, standard = (float(number) for number in cloud.info[:2])
         return cls(mode=mode, fork=fork, voxel=voxel, standard=standard, top=top)

@@ -48,24 +48,23 @@ def build(
     read = read_anchors(checkpoint, iteration, octree=True)
     levels = Levels.of(read)
     report_checkpoint(
-        f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}", read.cfg
+        f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}",
+        read.run.cfg,
     )
-    warn_unsupported(read.cfg, SUPPORTED_OPTIONS)
+    warn_unsupported(read.run.cfg, SUPPORTED_OPTIONS)
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
     generator = OctreeGS(read.cloud, read.nets, levels, appearance=appearance, selection=selection)
-    generator.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
+    generator.producer = producer_of(_PUBLICATION.code, read.run)
     return generator
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether a run's point cloud has anchors with levels, which are not cells."""
     columns = point_columns(iteration)
     return {"f_offset_0", "level"} <= set(columns) and "anchor_size_0" not in columns
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic Octree-GS checkpoint of 3,000 anchors, and return the export options."""
     from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_octree
 
     options = AnchorOptions(anchors=3000, iteration=40_000)

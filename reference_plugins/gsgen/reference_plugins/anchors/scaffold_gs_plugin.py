@@ -45,24 +45,22 @@ def build(
     from gsgen.reference_plugins.loading.provenance import producer_of
 
     saved = read_anchors(checkpoint, iteration)
-    report_checkpoint(describe_anchors(saved), saved.cfg)
-    if not saved.cfg.present:
-        note(f"note: {saved.cfg.path} is missing; its flags follow from the networks' shapes")
+    report_checkpoint(describe_anchors(saved), saved.run.cfg)
+    if not saved.run.cfg.present:
+        note(f"note: {saved.run.cfg.path} is missing; its flags follow from the networks' shapes")
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(saved, appearance_id, "--appearance-id")
     generator = ScaffoldGS(saved.cloud, saved.nets, appearance=appearance, selection=selection)
-    generator.producer = producer_of(_PUBLICATION.code, saved.folder, saved.iteration)
+    generator.producer = producer_of(_PUBLICATION.code, saved.run)
     return generator
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether a run's point cloud has anchors without levels."""
     columns = point_columns(iteration)
     return "f_offset_0" in columns and not {"level", "anchor_size_0"} & set(columns)
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic Scaffold-GS checkpoint of 3,000 anchors, and return the export options."""
     from gsgen.reference_plugins.anchors.synthetic_anchors import AnchorOptions, write_scaffold
 
     write_scaffold(folder, AnchorOptions(anchors=3000))

@@ -63,7 +63,6 @@ class MotionPlayback(GaussianGenerator):
         return gaussians
 
     def _input_value(self, declared: Input, frame: Int[Tensor, "1"]) -> Tensor:
-        """Look up the value of an avatar's input in a frame of the motion."""
         table: Any = getattr(self, f"table_{declared.role}")
         value: Tensor = torch.index_select(table, 0, frame).reshape(declared.shape or (-1,))
         body = int(declared.name.rpartition("_")[2]) if declared.name[-1].isdecimal() else 0

@@ -33,14 +33,9 @@ _HANDS = 90
 # Numbers of a pose: root and body alone, SMPL, SMPL+H, SMPL-X.
 _WIDTHS = (66, 72, 156, 165)
 _JSON = {
-    "root_pose": 3,
-    "body_pose": 63,
-    "jaw_pose": 3,
-    "leye_pose": 3,
-    "reye_pose": 3,
-    "lhand_pose": 45,
-    "rhand_pose": 45,
-}
+    "root_pose": 3, "body_pose": 63, "jaw_pose": 3, "leye_pose": 3, "reye_pose": 3,
+    "lhand_pose": 45, "rhand_pose": 45,
+}  # fmt: skip
 _KNOWN = (*("poses", "trans", "mocap_framerate", "mocap_frame_rate"), *("R", "Rh", "Th", "shapes"))
 
 
@@ -108,9 +103,8 @@ def _read_folder(path: Path, joints: int) -> Motion:
                 message = f"has frames of different sizes: {error}"
                 raise CheckpointInvalid(message, where=str(path)) from error
             return _from_arrays(path, joined, joints)
-    raise CheckpointInvalid(
-        "holds no .npz, .npy or .json", where=str(path), hint=_supported_motions()
-    )
+    message = "holds no .npz, .npy or .json"
+    raise CheckpointInvalid(message, where=str(path), hint=_supported_motions())
 
 
 def _frame_number(path: Path) -> tuple[int, str]:
@@ -134,9 +128,8 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 def _from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Motion:
     if "poses" not in read or not read["poses"].size:
         names = ", ".join(read) or "no known array"
-        raise CheckpointInvalid(
-            f"has no array poses (has: {names})", where=str(path), hint=_supported_motions()
-        )
+        message = f"has no array poses (has: {names})"
+        raise CheckpointInvalid(message, where=str(path), hint=_supported_motions())
     poses = read["poses"]
     frames = len(poses) if poses.ndim > 1 else 1
     pose = _convert_poses(path, poses.reshape(frames, -1), joints)

@@ -1,18 +1,9 @@
 """Command-line options that all plugins of people share."""
 
 __all__ = [
-    "BodyFile",
-    "Hands",
-    "Instances",
-    "MotionFile",
-    "RootRotation",
-    "Shape",
-    "Spacing",
-    "parse_numbers",
-    "read_shape",
-    "warn_about_body",
-    "with_motion",
-]
+    "BodyFile", "Hands", "Instances", "MotionFile", "RootRotation", "Shape", "Spacing",
+    "parse_numbers", "read_shape", "warn_about_body", "with_motion",
+]  # fmt: skip
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -134,9 +125,8 @@ def parse_numbers(text: str | None, most: int, option: str) -> list[float] | Non
         numbers = [float(word) for word in text.split(",")]
     except ValueError as error:
         hint = f"Write it as {option} 0.4,-1.2."
-        raise ConfigInvalid(
-            f"{text!r} is not a list of numbers", where=option, hint=hint
-        ) from error
+        message = f"{text!r} is not a list of numbers"
+        raise ConfigInvalid(message, where=option, hint=hint) from error
     if len(numbers) > most or not all(abs(number) < 1e6 for number in numbers):
         message = f"gives {len(numbers)} numbers, expected up to {most}, all finite"
         raise ConfigInvalid(message, where=option)

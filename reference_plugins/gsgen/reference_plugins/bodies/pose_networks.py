@@ -15,14 +15,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.reference_plugins.loading.states import Shape, require_tensors
+from gsgen.reference_plugins.loading.states import (
+    Layer,
+    Shape,
+    layer_of,
+    linear_shapes,
+    require_tensors,
+)
 from gsgen.reference_plugins.tensors.positional_encoding import (
     POINT_OCTAVES,
     encoded_size,
     positional_encoding,
 )
-
-Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 _EMBEDDED = encoded_size(3, POINT_OCTAVES)
 # Index of the layer whose input includes the encoded point again.
@@ -47,9 +51,9 @@ def read_pose_nets(
     names = [f"block_mlps.{2 * index}" for index in range(3)]
     expected: dict[str, Shape] = {}
     for name, (inputs, outputs) in zip(names, sizes, strict=True):
-        expected |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
+        expected |= linear_shapes(name, inputs, outputs)
     read = require_tensors(path, pose, expected)
-    first = tuple((read[f"{n}.weight"], read[f"{n}.bias"]) for n in names)
+    first = tuple(layer_of(read, name) for name in names)
     width = _width(weights.get("bw_linears.0.weight"))
     inputs_of = [_EMBEDDED, width, width, width and _EMBEDDED + width]
     names = [f"bw_linears.{index}" for index in range(4)] + ["bw_fc"]

@@ -5,14 +5,9 @@ transforms from rotations, and vertices by linear blend skinning.
 """
 
 __all__ = [
-    "big_pose",
-    "joint_transforms",
-    "joints_of",
-    "nearest",
-    "pose_feature",
-    "posed_vertices",
+    "big_pose", "joint_transforms", "joints_of", "nearest", "pose_feature", "posed_vertices",
     "rodrigues",
-]
+]  # fmt: skip
 
 from collections.abc import Sequence
 

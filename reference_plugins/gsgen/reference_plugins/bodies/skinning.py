@@ -6,14 +6,9 @@ transforms, so they cost nothing per Gaussian.
 """
 
 __all__ = [
-    "blend_transforms",
-    "covariance",
-    "multiply_matrices",
-    "planes_to_rows",
-    "posed_transforms",
-    "repeat_rows",
-    "transform_points",
-]
+    "blend_transforms", "covariance", "multiply_matrices", "planes_to_rows", "posed_transforms",
+    "repeat_rows", "transform_points",
+]  # fmt: skip
 
 from collections.abc import Sequence
 

@@ -116,7 +116,6 @@ def body_arrays(options: PersonOptions) -> dict[str, np.ndarray]:
 
 
 def _joint_positions(joints: int) -> Float[np.ndarray, "j 3"]:
-    """Return the joint positions of the synthetic stick figure."""
     bones = _BONES + (_PALMS if joints == 24 else _FACE)
     positions = np.zeros((joints, 3))
     for joint, parent in enumerate(_PARENTS[joints][1:], start=1):

@@ -44,24 +44,18 @@ def build(
     from gsgen.sdk import inputs
 
     read = read_deformation(checkpoint, iteration)
-    report_checkpoint(read.describe(), read.cfg)
-    if not read.cfg.present:
-        note(f"note: {read.cfg.path} is missing; the network tells its variant")
+    report_checkpoint(read.describe(), read.run.cfg)
+    if not read.run.cfg.present:
+        note(f"note: {read.run.cfg.path} is missing; the variant follows from the network's shapes")
     if read.operations > _HIGH_OPERATIONS:
         note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     generator = Deformable3DGS(read.canonical, read.net, time)
-    generator.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
+    generator.producer = producer_of(_PUBLICATION.code, read.run)
     return generator
 
 
-def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether a training run has a folder of deformation networks."""
-    return (run / "deform").is_dir()
-
-
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic checkpoint of 8,000 Gaussians that move visibly."""
     from gsgen.reference_plugins.deformation.synthetic_deformations import write_deformable
 
     write_deformable(folder, count=8000, sway=1.0)
@@ -76,7 +70,7 @@ PLUGIN = Plugin(
     "DIR/deform/iteration_N/deform.pth.",
     inputs=("time",),
     publication=_PUBLICATION,
-    recognises=_recognises,
+    recognises=lambda run, iteration: (run / "deform").is_dir(),
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,
 )

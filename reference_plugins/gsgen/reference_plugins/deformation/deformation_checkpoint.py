@@ -15,11 +15,16 @@ from pathlib import Path
 from torch import Tensor
 
 from gsgen.reference_plugins.loading.canonical import Canonical, read_canonical
-from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.reference_plugins.loading.folder import find_iteration, within_run
-from gsgen.reference_plugins.loading.method_detection import refuse_other_method
-from gsgen.reference_plugins.loading.states import Shape, load_state, require_tensors
+from gsgen.reference_plugins.loading.states import (
+    Layer,
+    Shape,
+    layer_of,
+    linear_shapes,
+    load_state,
+    require_tensors,
+)
+from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 from gsgen.reference_plugins.tensors.positional_encoding import POINT_OCTAVES, encoded_size
 
 BLENDER_TIME_OCTAVES = 6
@@ -28,8 +33,6 @@ _POINT_INPUTS = encoded_size(3, POINT_OCTAVES)
 _TIME = encoded_size(1, POINT_OCTAVES)
 _BLENDER_TIME = encoded_size(1, BLENDER_TIME_OCTAVES)
 _LAYER = re.compile(r"linear\.(\d+)\.weight")
-
-Layer = tuple[Tensor, Tensor]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,13 +55,11 @@ class Deformation:
         return len(self.warp) == 2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class DeformationCheckpoint:
     """The Gaussians and the network of a Deformable-3D-Gaussians checkpoint."""
 
-    folder: Path  # folder of the training run
-    iteration: int  # number of the iteration
-    cfg: CfgArgs  # options of the training run
+    run: TrainingRun
     canonical: Canonical  # the canonical Gaussians
     net: Deformation  # the deformation network
 
@@ -73,7 +74,7 @@ class DeformationCheckpoint:
         kind = "Blender" if self.net.time is not None else "real"
         motion = "screws (6 degrees of freedom)" if self.net.has_six_degrees else "shifts"
         return (
-            f"{self.folder}: iteration {self.iteration}, {self.canonical.describe()}, "
+            f"{self.run}, {self.canonical.describe()}, "
             f"{len(self.net.layers)} layers of "
             f"{self.net.layers[0][0].shape[0]}, {kind} time, {motion}"
         )
@@ -81,20 +82,15 @@ class DeformationCheckpoint:
 
 def read_deformation(folder: Path, iteration: int | None = None) -> DeformationCheckpoint:
     """Read a checkpoint of Deformable-3D-Gaussians."""
-    folder, iteration = within_run(folder, iteration)
-    number, iteration_folder = find_iteration(folder, iteration)
-    refuse_other_method("deformable-3dgs", folder, iteration_folder)
-    cfg = read_cfg_args(folder)
-    canonical = read_canonical(iteration_folder / "point_cloud.ply")
-    path = folder / "deform" / f"iteration_{number}" / "deform.pth"
+    run = open_run("deformable-3dgs", folder, iteration)
+    canonical = read_canonical(run.files / "point_cloud.ply")
+    path = run.folder / "deform" / f"iteration_{run.iteration}" / "deform.pth"
     net = _read_net(path, load_state(path, "the deformation network"))
     for option, actual in (("is_blender", net.time is not None), ("is_6dof", net.has_six_degrees)):
-        if cfg.flag(option, default=actual) != actual:
+        if run.cfg.flag(option, default=actual) != actual:
             message = f"{option} is {not actual}, but the network in {path} has {actual}"
-            raise CheckpointInvalid(message, where=str(cfg.path))
-    return DeformationCheckpoint(
-        folder=folder, iteration=number, cfg=cfg, canonical=canonical, net=net
-    )
+            raise CheckpointInvalid(message, where=str(run.cfg.path))
+    return DeformationCheckpoint(run, canonical, net)
 
 
 def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
@@ -110,29 +106,23 @@ def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
     expected: dict[str, Shape] = {}
     for layer in range(count):
         inputs = embedded if layer == 0 else width + (embedded if layer == skip else 0)
-        expected |= _linear(f"linear.{layer}", inputs, width)
+        expected |= linear_shapes(f"linear.{layer}", inputs, width)
     if blender:
-        expected |= _linear("timenet.0", _BLENDER_TIME, None)
-        expected |= _linear("timenet.2", None, embedded - _POINT_INPUTS)
+        expected |= linear_shapes("timenet.0", _BLENDER_TIME, None)
+        expected |= linear_shapes("timenet.2", None, embedded - _POINT_INPUTS)
     warp = ("branch_w", "branch_v") if "branch_w.weight" in state else ("gaussian_warp",)
     for name in warp:
-        expected |= _linear(name, width, 3)
-    expected |= _linear("gaussian_rotation", width, 4) | _linear("gaussian_scaling", width, 3)
-    read = require_tensors(path, state, expected)
-    moves = [_layer(read, name) for name in warp]
-    return Deformation(
-        layers=tuple(_layer(read, f"linear.{i}") for i in range(count)),
-        skip=skip,
-        time=(_layer(read, "timenet.0"), _layer(read, "timenet.2")) if blender else None,
-        warp=(moves[0], moves[1]) if len(moves) == 2 else (moves[0],),
-        rotation=_layer(read, "gaussian_rotation"),
-        scaling=_layer(read, "gaussian_scaling"),
+        expected |= linear_shapes(name, width, 3)
+    expected |= linear_shapes("gaussian_rotation", width, 4) | linear_shapes(
+        "gaussian_scaling", width, 3
     )
-
-
-def _linear(name: str, inputs: int | None, outputs: int | None) -> dict[str, Shape]:
-    return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
-
-
-def _layer(read: Mapping[str, Tensor], name: str) -> Layer:
-    return read[f"{name}.weight"], read[f"{name}.bias"]
+    read = require_tensors(path, state, expected)
+    moves = [layer_of(read, name) for name in warp]
+    return Deformation(
+        layers=tuple(layer_of(read, f"linear.{i}") for i in range(count)),
+        skip=skip,
+        time=(layer_of(read, "timenet.0"), layer_of(read, "timenet.2")) if blender else None,
+        warp=(moves[0], moves[1]) if len(moves) == 2 else (moves[0],),
+        rotation=layer_of(read, "gaussian_rotation"),
+        scaling=layer_of(read, "gaussian_scaling"),
+    )

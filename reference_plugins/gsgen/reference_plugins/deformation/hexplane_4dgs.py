@@ -15,9 +15,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.contract.spec.manifest import Input
-from gsgen.reference_plugins.deformation.hexplane_checkpoint import Flags, HexPlaneNets, Layer
+from gsgen.reference_plugins.deformation.hexplane_checkpoint import Flags, HexPlaneNets
 from gsgen.reference_plugins.deformation.hexplane_field import HexPlaneField
 from gsgen.reference_plugins.loading.canonical import Canonical
+from gsgen.reference_plugins.loading.states import Layer
 from gsgen.reference_plugins.tensors.baked_constants import Bake
 from gsgen.reference_plugins.tensors.layers import Dense
 from gsgen.reference_plugins.tensors.planes import covariance_planes, planes_of, stacked

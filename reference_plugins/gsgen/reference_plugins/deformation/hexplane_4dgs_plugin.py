@@ -52,22 +52,16 @@ def build(
     from gsgen.sdk import inputs
 
     read = read_hexplanes(checkpoint, iteration)
-    report_checkpoint(read.describe(), read.cfg)
+    report_checkpoint(read.describe(), read.run.cfg)
     if read.flags.mask == "empty_voxel":
         note("warning: empty_voxel was never compared with the original code")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     generator = HexPlane4DGS(read.canonical, read.nets, read.flags, time, bake=bake)
-    generator.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
+    generator.producer = producer_of(_PUBLICATION.code, read.run)
     return generator
 
 
-def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether an iteration's files include a hexplane and its network."""
-    return (iteration / "deformation.pth").is_file()
-
-
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic checkpoint of 8,000 Gaussians that move visibly."""
     from gsgen.reference_plugins.deformation.synthetic_deformations import (
         HexPlaneOptions,
         write_hexplane,
@@ -86,7 +80,7 @@ PLUGIN = Plugin(
     "deformation.pth. Iterations of the coarse stage are passed over.",
     inputs=("time",),
     publication=_PUBLICATION,
-    recognises=_recognises,
+    recognises=lambda run, iteration: (iteration / "deformation.pth").is_file(),
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,
 )

@@ -5,7 +5,7 @@
 ``cfg_args`` tells which parts are active.
 """
 
-__all__ = ["HEADS", "Flags", "HexPlaneCheckpoint", "HexPlaneNets", "Layer", "read_hexplanes"]
+__all__ = ["HEADS", "Flags", "HexPlaneCheckpoint", "HexPlaneNets", "read_hexplanes"]
 
 import re
 from collections.abc import Mapping
@@ -17,11 +17,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.reference_plugins.loading.canonical import Canonical, read_canonical
-from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
+from gsgen.reference_plugins.loading.cfg_args import CfgArgs
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.reference_plugins.loading.folder import find_iteration, within_run
-from gsgen.reference_plugins.loading.method_detection import refuse_other_method
-from gsgen.reference_plugins.loading.states import Shape, entries_below, load_state, require_tensors
+from gsgen.reference_plugins.loading.states import (
+    Layer,
+    Shape,
+    entries_below,
+    layer_of,
+    linear_shapes,
+    load_state,
+    require_tensors,
+)
+from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 from gsgen.reference_plugins.tensors.hexplane import PLANES
 
 # Head, named after the values that it changes → number of its outputs.
@@ -32,8 +39,6 @@ _GRID = re.compile(r"grid\.grids\.(\d+)\.(\d+)")
 _OUT = re.compile(r"feature_out\.(\d+)\.weight")
 # Tensors of an earlier encoding of time; inference does not need them.
 _UNUSED = ("timenet.", "time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
-
-Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +91,11 @@ class HexPlaneNets:
     voxels: tuple[Tensor, Tensor, Tensor] | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class HexPlaneCheckpoint:
     """The Gaussians, hexplane and networks of a 4DGaussians checkpoint."""
 
-    folder: Path  # folder of the training run
-    iteration: int  # number of the iteration
-    cfg: CfgArgs  # options of the training run
+    run: TrainingRun
     flags: Flags  # the active parts of the networks
     canonical: Canonical  # the canonical Gaussians
     nets: HexPlaneNets  # the hexplane and its networks
@@ -102,7 +105,6 @@ class HexPlaneCheckpoint:
         grids = self.nets.grids
         sizes = ["×".join(map(str, _sizes(planes))) for planes in grids]
         parts = [
-            f"iteration {self.iteration}",
             self.canonical.describe(),
             f"planes of {grids[0][0].shape[0]} channels at {', '.join(sizes)}",
             f"{len(self.nets.feature)} layers of {self.nets.feature[0][0].shape[0]}",
@@ -110,11 +112,10 @@ class HexPlaneCheckpoint:
         ]
         parts += ["rotations multiplied"] if self.flags.apply_rotation else []
         parts += [f"masked by {self.flags.mask}"] if self.flags.mask else []
-        return f"{self.folder}: {', '.join(parts)}"
+        return f"{self.run}, {', '.join(parts)}"
 
 
 def _sizes(planes: tuple[Tensor, ...]) -> tuple[int, int, int, int]:
-    """Return the resolution of the planes along x, y, z and t."""
     return (planes[0].shape[2], planes[0].shape[1], planes[1].shape[1], planes[2].shape[1])
 
 
@@ -123,19 +124,14 @@ def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckp
 
     Without ``iteration``, the last one of the fine stage is read.
     """
-    folder, iteration = within_run(folder, iteration)
-    number, iteration_folder = find_iteration(folder, iteration)
-    refuse_other_method("hexplane-4dgs", folder, iteration_folder)
-    cfg = read_cfg_args(folder, required=True)
-    flags = Flags.of(cfg)
-    canonical = read_canonical(iteration_folder / "point_cloud.ply")
+    run = open_run("hexplane-4dgs", folder, iteration, needs_cfg=True)
+    flags = Flags.of(run.cfg)
+    canonical = read_canonical(run.files / "point_cloud.ply")
     if "shs" in flags.active and canonical.degree != 3:
         message = f"SH of degree {canonical.degree}, but no_dshs is False: expected degree 3"
-        raise CheckpointInvalid(message, where=str(iteration_folder / "point_cloud.ply"))
-    nets = _read_nets(iteration_folder / "deformation.pth", flags)
-    return HexPlaneCheckpoint(
-        folder=folder, iteration=number, cfg=cfg, flags=flags, canonical=canonical, nets=nets
-    )
+        raise CheckpointInvalid(message, where=str(run.files / "point_cloud.ply"))
+    nets = _read_nets(run.files / "deformation.pth", flags)
+    return HexPlaneCheckpoint(run, flags, canonical, nets)
 
 
 def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
@@ -161,7 +157,7 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
     return HexPlaneNets(
         aabb=read["grid.aabb"],
         grids=grids,
-        feature=tuple(_layer(read, f"feature_out.{2 * i}") for i in range(layers)),
+        feature=tuple(layer_of(read, f"feature_out.{2 * i}") for i in range(layers)),
         heads={head: _pair(read, f"{head}_deform") for head in flags.active},
         static=static,
         voxels=_voxels(read) if flags.mask == "empty_voxel" else None,
@@ -193,13 +189,15 @@ def _expected_shapes(
         for index in range(PLANES):
             expected[f"grid.grids.{scale}.{index}"] = (1, channels, None, None)
     for layer in range(layers):
-        expected |= _linear(
+        expected |= linear_shapes(
             f"feature_out.{2 * layer}", channels * scales if layer == 0 else width, width
         )
     outs = {f"{head}_deform": HEADS[head] for head in flags.active}
     outs |= {"static_mlp": 1} if flags.mask == "static_mlp" else {}
     for name, out in outs.items():
-        expected |= _linear(f"{name}.1", width, width) | _linear(f"{name}.3", width, out)
+        expected |= linear_shapes(f"{name}.1", width, width) | linear_shapes(
+            f"{name}.3", width, out
+        )
     if flags.mask == "empty_voxel":
         expected["empty_voxel.grid"] = (1, 1, None, None, None)
         for corner in ("xyz_min", "xyz_max"):
@@ -208,16 +206,8 @@ def _expected_shapes(
     return expected
 
 
-def _linear(name: str, inputs: int, outputs: int) -> dict[str, Shape]:
-    return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
-
-
-def _layer(read: Mapping[str, Tensor], name: str) -> Layer:
-    return read[f"{name}.weight"], read[f"{name}.bias"]
-
-
 def _pair(read: Mapping[str, Tensor], name: str) -> tuple[Layer, Layer]:
-    return _layer(read, f"{name}.1"), _layer(read, f"{name}.3")
+    return layer_of(read, f"{name}.1"), layer_of(read, f"{name}.3")
 
 
 def _voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:

@@ -133,11 +133,9 @@ class _Resolution(nn.Module):
         self, time: Float[Tensor, "1"], position: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "n c"]:
         (space,) = self.space(position)
-        x, y, z = (
-            self.x(time, position[:, 0]),
-            self.y(time, position[:, 1]),
-            self.z(time, position[:, 2]),
-        )
+        x = self.x(time, position[:, 0])
+        y = self.y(time, position[:, 1])
+        z = self.z(time, position[:, 2])
         features: Tensor = space * (x * y * z)
         return features
 

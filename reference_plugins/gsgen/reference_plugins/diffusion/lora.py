@@ -10,7 +10,7 @@ __all__ = ["Adapter", "Pair", "read_lora", "split_pairs"]
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,13 +49,9 @@ _ALPHA = re.compile(r"(?P<layer>.+)\.alpha")
 _TEXT = ("text_encoder.", "text_encoder_2.", "lora_te_", "lora_te1_", "lora_te2_")
 # Part of a tensor's name → the kind of adapter that it belongs to.
 _UNSUPPORTED = {
-    "dora_scale": "DoRA",
-    "lora_magnitude_vector": "DoRA",
-    "hada_": "LoHa",
-    "lokr_": "LoKr",
-    "lora_mid": "LoCon with a core",
-    "oft_": "OFT",
-}
+    "dora_scale": "DoRA", "lora_magnitude_vector": "DoRA", "hada_": "LoHa", "lokr_": "LoKr",
+    "lora_mid": "LoCon with a core", "oft_": "OFT",
+}  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -144,9 +140,8 @@ def split_pairs(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], 
         pair = pairs.setdefault(layer, Pair())
         if getattr(pair, part) is not None:
             message = f"{name} is a second tensor of its kind for {layer}"
-            raise CheckpointInvalid(
-                message, where=str(path), hint="Give a file that holds one adapter."
-            )
+            hint = "Give a file that holds one adapter."
+            raise CheckpointInvalid(message, where=str(path), hint=hint)
         if part == "alpha" and value.numel() != 1:
             message = f"{name} is {list(value.shape)}, expected one number"
             raise CheckpointInvalid(message, where=str(path))
@@ -194,22 +189,13 @@ def _checked_settings(settings: Mapping[str, Any], where: Path) -> dict[str, flo
         message = f"peft_type is {settings['peft_type']!r}, supported: 'LORA'"
         raise CheckpointInvalid(message, where=str(where))
     pattern = settings.get("alpha_pattern") or {}
-    numbers = [settings.get("lora_alpha", 1), *_values(pattern)]
-    if not all(_is_number(number) for number in numbers):
-        raise CheckpointInvalid(
-            f"lora_alpha and alpha_pattern must hold finite numbers, but hold {numbers!r:.80}",
-            where=str(where),
-        )
+    ranks = pattern.values() if isinstance(pattern, dict) else [pattern]
+    numbers = [settings.get("lora_alpha", 1), *ranks]
+    if not all(type(number) in (int, float) and math.isfinite(number) for number in numbers):
+        message = f"lora_alpha and alpha_pattern must hold finite numbers, but hold {numbers!r:.80}"
+        raise CheckpointInvalid(message, where=str(where))
     for name in pattern:
         if not re.fullmatch(r"[\w.]+", name):  # peft interprets them as regular expressions
             message = f"alpha_pattern has {name!r}, supported: suffixes of layer names"
             raise CheckpointInvalid(message, where=str(where))
     return {name: float(value) for name, value in pattern.items()}
-
-
-def _values(pattern: Any) -> Iterable[Any]:
-    return pattern.values() if isinstance(pattern, dict) else [pattern]
-
-
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)

@@ -105,9 +105,8 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
             folder,
             lambda candidate: (candidate / name).is_file() or (candidate / "unet" / name).is_file(),
         )
-        raise CheckpointInvalid(
-            "is missing: expected the options of a network", where=str(path), hint=near
-        )
+        message = "is missing: expected the options of a network"
+        raise CheckpointInvalid(message, where=str(path), hint=near)
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise ValueError(f"has {path.stat().st_size:,} bytes")

@@ -16,27 +16,28 @@ _TIME = 4
 _REQUIRED = {
     "act_fn": ("silu",),
     "time_embedding_type": ("positional",),
-    "class_embed_type": (None,),
-    "num_class_embeds": (None,),
     "resnet_time_scale_shift": ("default", "scale_shift"),
     "downsample_type": ("conv",),
     "upsample_type": ("conv",),
-    "encoder_hid_dim": (None,),
-    "encoder_hid_dim_type": (None,),
-    "time_cond_proj_dim": (None,),
-    "time_embedding_act_fn": (None,),
-    "timestep_post_act": (None,),
-    "time_embedding_dim": (None,),
-    "dual_cross_attention": (False,),
-    "only_cross_attention": (False,),
     "mid_block_only_cross_attention": (None, False),
-    "class_embeddings_concat": (False,),
-    "resnet_skip_time_act": (False,),
     "resnet_out_scale_factor": (1, 1.0),
-    "cross_attention_norm": (None,),
     "attention_type": ("default",),
-    "attn_norm_num_groups": (None,),
-    "reverse_transformer_layers_per_block": (None,),
+    **dict.fromkeys(
+        (
+            *("class_embed_type", "num_class_embeds", "encoder_hid_dim", "encoder_hid_dim_type"),
+            *("time_cond_proj_dim", "time_embedding_act_fn", "timestep_post_act"),
+            *("time_embedding_dim", "cross_attention_norm", "attn_norm_num_groups"),
+            "reverse_transformer_layers_per_block",
+        ),
+        (None,),
+    ),
+    **dict.fromkeys(
+        (
+            *("dual_cross_attention", "only_cross_attention", "class_embeddings_concat"),
+            "resnet_skip_time_act",
+        ),
+        (False,),
+    ),
 }
 
 
@@ -110,10 +111,8 @@ class UNetOptions:
         middle = _MID[config.choice("mid_block_type", tuple(_MID), usual)]
         context = config.integer("cross_attention_dim", 1280) if conditional else None
         if context is None and "context" in (*down, *up, middle):
-            raise config.option_error(
-                "down_block_types",
-                "has blocks with cross-attention, but the network is unconditional",
-            )
+            problem = "has blocks with cross-attention, but the network is unconditional"
+            raise config.option_error("down_block_types", problem)
         return cls(
             inputs=config.integer("in_channels", 4 if conditional else 3),
             outputs=config.integer("out_channels", 4 if conditional else 3),
@@ -166,9 +165,8 @@ def _heads_per_level(
         heads = tuple(max(1, count // width) for count in channels)
     for count, head in zip(channels, heads, strict=True):
         if count % head:
-            raise config.option_error(
-                "attention_head_dim", f"{head} heads do not divide {count} channels"
-            )
+            problem = f"{head} heads do not divide {count} channels"
+            raise config.option_error("attention_head_dim", problem)
     return heads
 
 

@@ -75,7 +75,6 @@ class _Level(nn.Module):
     def apply_block(
         self, index: int, image: Tensor, time: Tensor, context: Tensor | None
     ) -> Tensor:
-        """Apply one residual block of a U-Net level, and the attention after it if any."""
         features: Tensor = self.resnets[index](image, time)
         return (
             _apply_attention(self.attentions[index], features, context) if self.kind else features

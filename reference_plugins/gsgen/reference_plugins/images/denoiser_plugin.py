@@ -144,18 +144,16 @@ def _parse_lora(word: str) -> tuple[Path, float]:
         scale = math.nan
     if not math.isfinite(scale):
         hint = "Write it as FILE or FILE:0.8."
-        raise ConfigInvalid(
-            f"{text!r} is not a scale: expected a finite number", where="--lora", hint=hint
-        )
+        message = f"{text!r} is not a scale: expected a finite number"
+        raise ConfigInvalid(message, where="--lora", hint=hint)
     return Path(name), scale
 
 
 def _trained_size(read: "DiffusionCheckpoint") -> tuple[int, int]:
     if read.size is None:
         hint = "Give --size HEIGHTxWIDTH, or --size any."
-        raise ConfigInvalid(
-            "the checkpoint does not record an image size", where="--size", hint=hint
-        )
+        message = "the checkpoint does not record an image size"
+        raise ConfigInvalid(message, where="--size", hint=hint)
     note(f"size: {read.size[0]} × {read.size[1]}, as in training")
     return read.size
 

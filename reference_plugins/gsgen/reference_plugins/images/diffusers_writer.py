@@ -13,13 +13,9 @@ from gsgen.reference_plugins.diffusion.model_config import ModelConfig
 from gsgen.reference_plugins.loading.safetensors import write_safetensors
 
 SCHEDULE: Final[Mapping[str, Any]] = {
-    "_class_name": "DDPMScheduler",
-    "num_train_timesteps": 1000,
-    "beta_schedule": "scaled_linear",
-    "beta_start": 0.00085,
-    "beta_end": 0.012,
-    "prediction_type": "epsilon",
-}
+    "_class_name": "DDPMScheduler", "num_train_timesteps": 1000, "beta_schedule": "scaled_linear",
+    "beta_start": 0.00085, "beta_end": 0.012, "prediction_type": "epsilon",
+}  # fmt: skip
 """The noise schedule of Stable Diffusion."""
 
 _WEIGHTS = "diffusion_pytorch_model.safetensors"

@@ -163,9 +163,8 @@ def _network(
         with torch.device("meta"):
             module = network(config, weights)
     except (ValueError, ZeroDivisionError) as error:  # torch rejects a size
-        raise CheckpointInvalid(
-            f"does not describe a valid network: {error}", where=str(config.path)
-        ) from error
+        message = f"does not describe a valid network: {error}"
+        raise CheckpointInvalid(message, where=str(config.path)) from error
     expected = {name: tuple(value.shape) for name, value in module.state_dict().items()}
     read = require_tensors(changed_by or path, _rename_attention(weights, expected), expected)
     module.load_state_dict(read, strict=True, assign=True)

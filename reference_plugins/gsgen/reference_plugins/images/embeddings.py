@@ -28,7 +28,7 @@ class Embeddings:
     """The text embeddings of a prompt."""
 
     context: Float[Tensor, "1 m d"] | None = None  # A vector for each token
-    # A vector for the whole prompt, if the network takes one (SDXL)
+    # a vector for the whole prompt, if the network takes one (SDXL)
     pooled: Float[Tensor, "1 p"] | None = None
     time_ids: tuple[float, ...] | None = None  # sizes of the image for SDXL, if the file has them
 

@@ -35,9 +35,8 @@ def set_denoising_weights(unet: UNet) -> None:
     options = unet.options
     shape = (options.inputs, options.outputs, len(options.channels), options.layers)
     if shape != (COLORS, COLORS, 2, 1) or (options.channels[0], options.groups) != (8, 4):
-        raise ConfigInvalid(
-            f"has unsupported options for weights by formula: {options}", where="unet"
-        )
+        message = f"has unsupported options for weights by formula: {options}"
+        raise ConfigInvalid(message, where="unet")
     weights = Weights(unet)
     weights("conv_in", _centre)
     weights("down_blocks.0.downsamplers.0.conv", _blur)

@@ -55,7 +55,6 @@ def build(checkpoint: Folder, size: Size = "360x640", *, slider: Slider = True) 
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a style transfer network that draws outlines, and return its export options."""
     from gsgen.reference_plugins.images.synthetic_images import write_stylise
 
     write_stylise(folder, drawing=True)

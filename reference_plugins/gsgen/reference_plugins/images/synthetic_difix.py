@@ -45,10 +45,8 @@ _SHARE = 8 / _RANK  # α/r, with the α that peft sets
 _UNET: dict[str, Any] = {
     "_class_name": "UNet2DConditionModel",
     "block_out_channels": [_WIDTH, _WIDTH],
-    "down_block_types": [
-        "DownBlock2D",
-        "DownBlock2D",
-    ],  # only the middle block attends to the prompt
+    # Only the middle block attends to the prompt.
+    "down_block_types": ["DownBlock2D", "DownBlock2D"],
     "up_block_types": ["UpBlock2D", "UpBlock2D"],
     "cross_attention_dim": 16,
     "attention_head_dim": 4,
@@ -124,10 +122,8 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
     )
     noise = torch.linspace(first**0.5, last**0.5, steps, dtype=torch.float64).square()
     signal = float(torch.cumprod(1 - noise, 0)[_TIMESTEP])
-    image_gain, contrast_gain = (
-        scale / math.sqrt(1 - signal),
-        scale * math.sqrt(signal / (1 - signal)),
-    )
+    image_gain = scale / math.sqrt(1 - signal)
+    contrast_gain = scale * math.sqrt(signal / (1 - signal))
     for color in range(COLORS):  # means of four pixels; neither convolution reads beyond the border
         weights["down_blocks.0.downsamplers.0.conv.weight"][color, color, 1:, 1:] = 0.25
         weights["up_blocks.0.upsamplers.0.conv.weight"][color, color, 1, 1] = 1.0
@@ -139,11 +135,8 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
     gamma, beta = weights["conv_norm_out.weight"], weights["conv_norm_out.bias"]
     for color in range(COLORS):
         weights["conv_in.weight"][color, color, 1, 1] = 1 / scale
-        x, fine, coarse = (
-            8 * color,
-            _WIDTH + color,
-            color,
-        )  # channels of the skip connection, and of the lower level
+        # Channels of the skip connection, and of the lower level.
+        x, fine, coarse = 8 * color, _WIDTH + color, color
         joined[x, fine], joined[x + 1, fine] = 1.0, -1.0
         joined[x + 2 : x + 6, fine], joined[x + 2 : x + 6, coarse] = 1.0, -1.0
         fixed[x + 6], fixed[x + 7] = _LARGE, -_LARGE

@@ -73,7 +73,6 @@ class _Sparse(_Inert):
     by_columns = True
 
     def dense(self) -> np.ndarray:
-        """Return the matrix as a dense array."""
         shape: Any = self.state.get("_shape", self.state.get("shape"))
         starts, minor, data = (self.state[k] for k in ("indptr", "indices", "data"))
         rows, columns = (int(size) for size in shape)

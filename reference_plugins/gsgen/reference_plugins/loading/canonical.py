@@ -11,8 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients
-from gsgen.formats import FormatError, PointCloud, read_ply
-from gsgen.reference_plugins.loading.errors import CheckpointInvalid
+from gsgen.formats import PointCloud, read_ply
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_faults
 from gsgen.reference_plugins.loading.folder import required_file
 
 
@@ -45,13 +45,10 @@ class Canonical:
 def read_canonical(path: Path) -> Canonical:
     """Read the canonical Gaussians of a deformation from a 3DGS PLY."""
     required_file(path, "the canonical Gaussians")
-    try:
+    with format_faults(path):
         splats = read_ply(path)
-    except FormatError as error:
-        message = str(error).replace(f"{path}: ", "")
-        raise CheckpointInvalid(message, where=str(path)) from error
     if isinstance(splats, PointCloud):
-        raise CheckpointInvalid("holds points, expected splats", where=str(path))
+        raise CheckpointInvalid("holds a point cloud, expected splats", where=str(path))
     return Canonical(
         position=torch.from_numpy(splats.position),
         rotation=torch.from_numpy(splats.rotation),

@@ -104,19 +104,15 @@ def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
 def _parsed(path: Path) -> dict[str, Any]:
     hint = "Expected one line: Namespace(name=literal, …), as the training code writes it."
     if path.stat().st_size > _MAX_BYTES:
-        raise CheckpointInvalid(
-            f"has {path.stat().st_size:,} bytes, expected at most {_MAX_BYTES:,}",
-            where=str(path),
-            hint=hint,
-        )
+        message = f"has {path.stat().st_size:,} bytes, expected at most {_MAX_BYTES:,}"
+        raise CheckpointInvalid(message, where=str(path), hint=hint)
     try:
         text = path.read_text("utf-8").strip()
         tree = _tree(text)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = getattr(error, "msg", str(error))
-        raise CheckpointInvalid(
-            f"cannot be parsed: {reason}", where=str(path), hint=hint
-        ) from error
+        message = f"cannot be parsed: {reason}"
+        raise CheckpointInvalid(message, where=str(path), hint=hint) from error
     if not (
         isinstance(tree, ast.Call)
         and isinstance(tree.func, ast.Name)

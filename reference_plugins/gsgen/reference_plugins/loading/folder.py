@@ -1,6 +1,6 @@
 """Finds the folders and files of a training run."""
 
-__all__ = ["find_iteration", "likely_folders", "required_file", "source_name", "within_run"]
+__all__ = ["find_iteration", "likely_folders", "required_file", "within_run"]
 
 import re
 from collections.abc import Callable, Iterator
@@ -131,8 +131,3 @@ def _elsewhere(path: Path) -> str:
 def _iterations(home: Path) -> dict[int, Path]:
     matches = ((_ITERATION.fullmatch(child.name), child) for child in home.iterdir())
     return {int(match[1]): child for match, child in matches if match and child.is_dir()}
-
-
-def source_name(folder: Path) -> str:
-    """Return the default name of a model exported from ``folder``."""
-    return folder.resolve().name

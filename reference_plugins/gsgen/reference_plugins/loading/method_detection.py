@@ -21,11 +21,9 @@ def refuse_other_method(name: str, run: Path, iteration: Path) -> None:
     }
     if recognising and name not in recognising:
         match = next(iter(recognising.values()))
-        raise CheckpointInvalid(
-            f"is a checkpoint of {match.title or match.name}",
-            where=str(run),
-            hint=f"Export it with `gsgen export {match.name}`.",
-        )
+        message = f"is a checkpoint of {match.title or match.name}"
+        hint = f"Export it with `gsgen export {match.name}`."
+        raise CheckpointInvalid(message, where=str(run), hint=hint)
 
 
 def point_columns(iteration: Path) -> tuple[str, ...]:

@@ -1,18 +1,9 @@
 """Command-line options and console messages that several plugins share."""
 
 __all__ = [
-    "AppearanceId",
-    "Checkpoint",
-    "CullOption",
-    "Fps",
-    "Frames",
-    "Iteration",
-    "Loop",
-    "MaxAnchors",
-    "note",
-    "report_checkpoint",
-    "warn_unsupported",
-]
+    "AppearanceId", "Checkpoint", "CullOption", "Fps", "Frames", "Iteration", "Loop", "MaxAnchors",
+    "note", "report_checkpoint", "warn_unsupported",
+]  # fmt: skip
 
 import sys
 from collections.abc import Mapping
@@ -60,7 +51,9 @@ Frames = Annotated[
 Fps = Annotated[
     float | None, typer.Option(help="Frames a second at natural speed, for the manifest.", min=0.01)
 ]
-Loop = Annotated[bool, typer.Option("--loop", help="The end continues at the start.")]
+Loop = Annotated[
+    bool, typer.Option("--loop", help="The motion repeats: its end continues at its start.")
+]
 
 
 def note(text: str) -> None:

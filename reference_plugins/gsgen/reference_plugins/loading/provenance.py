@@ -4,22 +4,22 @@ __all__ = ["producer_of"]
 
 import hashlib
 from importlib.metadata import version
-from pathlib import Path
 
 from gsgen.contract.spec.manifest import Producer
+from gsgen.reference_plugins.loading.training_run import TrainingRun
 
 _WEIGHTS = (".ply", ".pt", ".pth")
 _PARENTS = ("point_cloud", "deform", "mlp_ckpt")
 
 
-def producer_of(source: str, folder: Path, iteration: int) -> Producer:
+def producer_of(source: str, run: TrainingRun) -> Producer:
     """Return the producer entry of the manifest: version, source and checksum of the weights.
 
     The digest is that of the contents of all PLY and torch files of the iteration, one after
     another in the order of their paths.
     """
-    folders = [folder / parent / f"iteration_{iteration}" for parent in _PARENTS]
-    folders = folders if folders[0].is_dir() else [folder]
+    folders = [run.folder / parent / f"iteration_{run.iteration}" for parent in _PARENTS]
+    folders = folders if folders[0].is_dir() else [run.folder]
     files = [
         file
         for iteration_folder in folders

@@ -21,17 +21,10 @@ _LENGTH = 8
 _MAX_HEADER_BYTES = 100_000_000
 _METADATA = "__metadata__"
 _DTYPES = {
-    "F64": torch.float64,
-    "F32": torch.float32,
-    "F16": torch.float16,
-    "BF16": torch.bfloat16,
-    "I64": torch.int64,
-    "I32": torch.int32,
-    "I16": torch.int16,
-    "I8": torch.int8,
-    "U8": torch.uint8,
+    "F64": torch.float64, "F32": torch.float32, "F16": torch.float16, "BF16": torch.bfloat16,
+    "I64": torch.int64, "I32": torch.int32, "I16": torch.int16, "I8": torch.int8, "U8": torch.uint8,
     "BOOL": torch.bool,
-}
+}  # fmt: skip
 _NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 
 
@@ -89,9 +82,8 @@ def _tensors(data: bytearray) -> dict[str, Tensor]:
 
 def _tensor(data: bytearray, start: int, name: str, entry: Any) -> Tensor:
     if entry["dtype"] not in _DTYPES:
-        raise ValueError(
-            f"{name} has the dtype {entry['dtype']}; expected one of {', '.join(_DTYPES)}"
-        )
+        message = f"{name} has the dtype {entry['dtype']}; expected one of {', '.join(_DTYPES)}"
+        raise ValueError(message)
     dtype, shape = _DTYPES[entry["dtype"]], [int(size) for size in entry["shape"]]
     begin, end = (int(offset) for offset in entry["data_offsets"])
     count = math.prod(shape)

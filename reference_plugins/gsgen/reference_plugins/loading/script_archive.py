@@ -21,17 +21,11 @@ from torch import Tensor
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
 _DTYPES = {
-    "FloatStorage": torch.float32,
-    "DoubleStorage": torch.float64,
-    "HalfStorage": torch.float16,
-    "BFloat16Storage": torch.bfloat16,
-    "LongStorage": torch.int64,
-    "IntStorage": torch.int32,
-    "ShortStorage": torch.int16,
-    "CharStorage": torch.int8,
-    "ByteStorage": torch.uint8,
+    "FloatStorage": torch.float32, "DoubleStorage": torch.float64, "HalfStorage": torch.float16,
+    "BFloat16Storage": torch.bfloat16, "LongStorage": torch.int64, "IntStorage": torch.int32,
+    "ShortStorage": torch.int16, "CharStorage": torch.int8, "ByteStorage": torch.uint8,
     "BoolStorage": torch.bool,
-}
+}  # fmt: skip
 
 
 def is_script_archive(path: Path) -> bool:
@@ -99,9 +93,8 @@ class _Reader:
         self._root = names[0].removesuffix("data.pkl")
         order = f"{self._root}byteorder"
         if order in archive.namelist() and self._bytes("byteorder") != sys.byteorder.encode():
-            raise ValueError(
-                f"has another byte order than this machine, expected {sys.byteorder}-endian"
-            )
+            message = f"has another byte order than this machine, expected {sys.byteorder}-endian"
+            raise ValueError(message)
 
     def module(self) -> Any:
         with self._archive.open(f"{self._root}data.pkl") as file:

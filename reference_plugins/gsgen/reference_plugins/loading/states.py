@@ -1,12 +1,16 @@
 """Reads state dicts without running code, and checks the shape of every tensor."""
 
-__all__ = ["Shape", "entries_below", "first_names", "load_network", "load_state", "require_tensors"]
+__all__ = [
+    "Layer", "Shape", "entries_below", "first_names", "layer_of", "linear_shapes", "load_network",
+    "load_state", "require_tensors",
+]  # fmt: skip
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
@@ -16,6 +20,8 @@ from gsgen.reference_plugins.loading.tensor_files import load_tensors
 
 Shape = tuple[int | None, ...]
 """Sizes of a tensor's axes; None allows any size."""
+Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
+"""Weight and bias of a dense layer."""
 
 _MAX_SHOWN = 12
 # Prefixes of every name after training on several GPUs, and after compilation.
@@ -31,9 +37,8 @@ def load_state(path: Path, content: str) -> dict[str, Any]:
     hint = "Expected a file of tensors, as torch.save writes it; code in files is not run."
     state = load_tensors(path, hint)
     if not isinstance(state, dict):
-        raise CheckpointInvalid(
-            f"holds a {type(state).__name__}, expected a state dict", where=str(path)
-        )
+        message = f"holds a {type(state).__name__}, expected a state dict"
+        raise CheckpointInvalid(message, where=str(path))
     return {name: _unwrapped(value) for name, value in _unwrapped(state).items()}
 
 
@@ -79,12 +84,19 @@ def require_tensors(
     ]
     problems = [text for text in troubles if text and not text.endswith(": ")]
     if problems:
-        raise CheckpointInvalid(
-            "; ".join(problems[:_MAX_SHOWN]),
-            where=str(path),
-            hint="Its cfg_args may come from another training run.",
-        )
+        hint = "Its cfg_args may come from another training run."
+        raise CheckpointInvalid("; ".join(problems[:_MAX_SHOWN]), where=str(path), hint=hint)
     return {name: state[name].detach().to(torch.float32) for name in expected}
+
+
+def linear_shapes(name: str, inputs: int | None, outputs: int | None) -> dict[str, Shape]:
+    """Return the expected shapes of the weight and the bias of a dense layer."""
+    return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
+
+
+def layer_of(state: Mapping[str, Tensor], name: str) -> Layer:
+    """Return weight and bias of a dense layer in a state dict."""
+    return state[f"{name}.weight"], state[f"{name}.bias"]
 
 
 def first_names(names: Iterable[str], between: str = ", ") -> str:

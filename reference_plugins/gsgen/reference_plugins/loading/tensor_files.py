@@ -11,8 +11,7 @@ from typing import Any
 
 import torch
 
-from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.reference_plugins.loading.reasons import reason_of
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid, reason_of
 
 # Training computes learning rates and scene sizes with NumPy, and saves them with the tensors.
 # They are not used here.
@@ -28,16 +27,9 @@ _NUMPY = (
 
 # Errors of reading a file that torch did not write.
 _DAMAGED = (
-    pickle.UnpicklingError,
-    struct.error,
-    AttributeError,
-    EOFError,
-    LookupError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-)
+    pickle.UnpicklingError, struct.error, AttributeError, EOFError, LookupError, OSError,
+    RuntimeError, TypeError, ValueError,
+)  # fmt: skip
 
 
 class Inert:

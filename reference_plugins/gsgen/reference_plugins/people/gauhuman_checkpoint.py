@@ -17,11 +17,10 @@ from gsgen.reference_plugins.bodies.body_models import (
 )
 from gsgen.reference_plugins.bodies.pose_networks import PoseNets, read_pose_nets
 from gsgen.reference_plugins.loading.canonical import Canonical, read_canonical
-from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
+from gsgen.reference_plugins.loading.cfg_args import CfgArgs
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.reference_plugins.loading.folder import find_iteration, within_run
-from gsgen.reference_plugins.loading.method_detection import refuse_other_method
 from gsgen.reference_plugins.loading.states import load_state
+from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
 
 JOINTS = {"smpl": 24, "smplx": 55}
 # Number of shape coefficients in training. For SMPL-X these are ten, and ten more that the published
@@ -32,13 +31,11 @@ _GENDERS = ("neutral", "male", "female")
 _LEVELS = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class GauHumanCheckpoint:
     """A trained avatar of GauHuman, without poses."""
 
-    folder: Path  # the training run
-    iteration: int  # the training iteration
-    cfg: CfgArgs  # options of the training run
+    run: TrainingRun
     canonical: Canonical  # the Gaussians in the big pose
     body: Body  # the body model
     nets: PoseNets | None  # networks that correct joints and weights; None if they were not trained
@@ -46,10 +43,7 @@ class GauHumanCheckpoint:
     def describe(self) -> str:
         """Describe the checkpoint in one line: Gaussians, networks and body model."""
         nets = "pose and weight networks" if self.nets is not None else "no networks"
-        return (
-            f"{self.folder}: iteration {self.iteration}, {self.canonical.describe()}, "
-            f"{nets}; {self.body.describe()}"
-        )
+        return f"{self.run}, {self.canonical.describe()}, {nets}; {self.body.describe()}"
 
 
 def read_gauhuman(
@@ -57,24 +51,19 @@ def read_gauhuman(
 ) -> GauHumanCheckpoint:
     """Read a checkpoint of GauHuman.
 
-    ``folder`` is the training run or an iteration. Without ``body``, the body model is searched
-    under ``assets`` in the run and in the folders above it.
+    Without ``body``, the body model is searched under ``assets`` in the run and in the folders
+    above it.
     """
-    folder, iteration = within_run(folder, iteration)
-    number, iteration_folder = find_iteration(folder, iteration)
-    refuse_other_method("gauhuman", folder, iteration_folder)
-    cfg = read_cfg_args(folder)
-    model = read_body_of(folder, cfg, body)
-    path = folder / "mlp_ckpt" / f"iteration_{number}" / "ckpt.pth"
-    trained = cfg.flag("motion_offset_flag", default=path.is_file())
+    run = open_run("gauhuman", folder, iteration)
+    model = read_body_of(run.folder, run.cfg, body)
+    path = run.folder / "mlp_ckpt" / f"iteration_{run.iteration}" / "ckpt.pth"
+    trained = run.cfg.flag("motion_offset_flag", default=path.is_file())
     if not trained and path.is_file():
         message = f"motion_offset_flag is False, but {path} exists"
-        raise CheckpointInvalid(message, where=str(cfg.path))
+        raise CheckpointInvalid(message, where=str(run.cfg.path))
     nets = _read_nets(path, model.joints) if trained else None
-    canonical = read_canonical(iteration_folder / "point_cloud.ply")
-    return GauHumanCheckpoint(
-        folder=folder, iteration=number, cfg=cfg, canonical=canonical, body=model, nets=nets
-    )
+    canonical = read_canonical(run.files / "point_cloud.ply")
+    return GauHumanCheckpoint(run, canonical, model, nets)
 
 
 def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:

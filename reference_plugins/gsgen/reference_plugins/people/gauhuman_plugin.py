@@ -52,8 +52,8 @@ def build(
     from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 
     read = read_gauhuman(checkpoint, iteration, body)
-    report_checkpoint(read.describe(), read.cfg)
-    warn_about_body(read.cfg, read.body)
+    report_checkpoint(read.describe(), read.run.cfg)
+    warn_about_body(read.run.cfg, read.body)
     recording = read_motion(motion, read.body.joints) if motion else None
     avatar = GauHuman(
         read.canonical,
@@ -75,7 +75,6 @@ def _recognises(run: Path, iteration: Path) -> bool:
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic GauHuman checkpoint and a motion, and return the export options."""
     from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
     from gsgen.reference_plugins.bodies.synthetic_motion import write_demo_motion
     from gsgen.reference_plugins.people.synthetic_people import write_gauhuman

@@ -18,11 +18,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from gsgen.formats import FormatError, read_ply_columns
+from gsgen.formats import read_ply_columns
 from gsgen.reference_plugins.bodies.body_models import Body, read_body, required_body
 from gsgen.reference_plugins.loading.array_archives import read_npz
 from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
-from gsgen.reference_plugins.loading.errors import CheckpointInvalid
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_faults
 from gsgen.reference_plugins.loading.folder import likely_folders, required_file
 from gsgen.reference_plugins.loading.tensor_files import load_tensors
 
@@ -32,17 +32,9 @@ BETAS = 10
 FIRST_EXPRESSION = 300
 EXPRESSIONS = 100
 _FIELDS = (
-    "offset_xyz",
-    "query_points",
-    "rgb",
-    "opacity",
-    "scaling",
-    "rotation",
-    "transform_mat_neutral_pose",
-    "betas",
-    "body_ratio",
-    "have_face",
-)
+    "offset_xyz", "query_points", "rgb", "opacity", "scaling", "rotation",
+    "transform_mat_neutral_pose", "betas", "body_ratio", "have_face",
+)  # fmt: skip
 _POINTS = "pretrained_models/dense_sample_points"
 _PRIOR = "pretrained_models/voxel_grid/human_prior_constrain.npz"
 
@@ -140,7 +132,7 @@ def read_face(flame: Path, ids: Path, body: Body) -> Face:
 def _face_dirs(path: Path) -> Any:
     read = read_array_pickle(path) if path.suffix != ".npz" else read_npz(path, ("shapedirs",))
     if "shapedirs" not in read:
-        raise CheckpointInvalid("lacks shapedirs", where=str(path))
+        raise CheckpointInvalid("has no array shapedirs, the vertex offsets", where=str(path))
     return read["shapedirs"]
 
 
@@ -210,12 +202,8 @@ def _samples(folder: Path, count: int) -> Float[np.ndarray, "n 3"]:
 
 
 def _points(path: Path) -> Float[np.ndarray, "n 3"]:
-    try:
-        read = read_ply_columns(path, {"position": ("x", "y", "z")})
-    except FormatError as error:
-        message = str(error).replace(f"{path}: ", "")
-        raise CheckpointInvalid(message, where=str(path)) from error
-    return read["position"].astype(np.float64)
+    with format_faults(path):
+        return read_ply_columns(path, {"position": ("x", "y", "z")})["position"].astype(np.float64)
 
 
 def _stiff(path: Path, vertices: int) -> Bool[np.ndarray, " v"]:

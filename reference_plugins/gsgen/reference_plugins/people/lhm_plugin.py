@@ -75,7 +75,6 @@ def build(
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic LHM avatar and a motion, and return the export options."""
     from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
     from gsgen.reference_plugins.bodies.synthetic_motion import write_demo_motion
     from gsgen.reference_plugins.people.synthetic_people import write_lhm

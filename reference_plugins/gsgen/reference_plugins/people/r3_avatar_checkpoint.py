@@ -24,7 +24,13 @@ from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.loading.folder import likely_folders, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
-from gsgen.reference_plugins.loading.states import Shape, require_tensors
+from gsgen.reference_plugins.loading.states import (
+    Layer,
+    Shape,
+    layer_of,
+    linear_shapes,
+    require_tensors,
+)
 from gsgen.reference_plugins.loading.tensor_files import Inert, load_tensors
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_body_of
 from gsgen.reference_plugins.tensors.hexplane import PLANES
@@ -56,8 +62,6 @@ _CLASSES = (
         )
     ),
 )
-
-Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 
 class _Shell(Inert):
@@ -249,16 +253,9 @@ def _decoder(
     width = first.shape[0] if first is not None and first.ndim else None
     expected: dict[str, Shape] = {}
     for index in range(count):
-        inputs = width if index else features
-        expected |= {f"linear.{index}.weight": (width, inputs)}
-        expected |= {f"linear.{index}.bias": (width,)}
+        expected |= linear_shapes(f"linear.{index}", width if index else features, width)
     for head, outputs in _HEADS.items():
-        expected |= {f"gaussian_{head}.weight": (outputs, width)}
-        expected |= {f"gaussian_{head}.bias": (outputs,)}
+        expected |= linear_shapes(f"gaussian_{head}", width, outputs)
     read = require_tensors(path, state, expected)
-
-    def layer(name: str) -> Layer:
-        return read[f"{name}.weight"], read[f"{name}.bias"]
-
-    inner = tuple(layer(f"linear.{index}") for index in range(count))
-    return inner, {head: layer(f"gaussian_{head}") for head in _HEADS}
+    inner = tuple(layer_of(read, f"linear.{index}") for index in range(count))
+    return inner, {head: layer_of(read, f"gaussian_{head}") for head in _HEADS}

@@ -101,7 +101,6 @@ def build(
 
 
 def _show_progress(frame: int, frames: int) -> None:
-    """Show the progress of the search for nearest body vertices in a terminal."""
     if sys.stderr.isatty():
         typer.echo(f"\r\x1b[2Knearest vertices: {frame} of {frames} …", err=True, nl=False)
         if frame == frames:
@@ -124,13 +123,7 @@ def parse_pose_ids(text: str) -> list[int]:
     return ids
 
 
-def _recognises(run: Path, iteration: Path) -> bool:
-    """Return whether any ``chkpntN.pth`` of a run holds the decoder of R3-Avatar."""
-    return is_r3_run(run)
-
-
 def _write_demo(folder: Path) -> list[str]:
-    """Write a synthetic R3-Avatar checkpoint and a motion, and return the export options."""
     from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
     from gsgen.reference_plugins.bodies.synthetic_motion import write_demo_motion
     from gsgen.reference_plugins.people.synthetic_people import write_r3
@@ -152,7 +145,7 @@ PLUGIN = Plugin(
         code="https://github.com/Yifever20002/R3Avatars",
         licence="MIT",
     ),
-    recognises=_recognises,
+    recognises=lambda run, iteration: is_r3_run(run),
     demo=Demo(write=_write_demo, caption="a motion", view="person"),
     build=build,
 )

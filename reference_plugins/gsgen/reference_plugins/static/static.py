@@ -182,10 +182,9 @@ def neighbour_scale(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]
     try:
         from scipy.spatial import KDTree
     except ImportError as error:
-        raise GsgenError(
-            "sizes of bare points need scipy, which is not installed",
-            hint="pip install 'gsgen[sdk]'",
-        ) from error
+        message = "sizes of bare points need scipy, which is not installed"
+        hint = "pip install 'gsgen[sdk]'"
+        raise GsgenError(message, hint=hint) from error
     positions = np.asarray(points, np.float64)
     k = min(_NEIGHBOURS, len(positions) - 1)
     if k < 1:

@@ -86,7 +86,6 @@ def _describe(content: "Splats | PointCloud | PackedRows") -> str:
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write the splat file of a torus knot, and return the export options."""
     from gsgen.formats import write_ply
     from gsgen.reference_plugins.synthetic.knot import torus_knot
 

@@ -4,8 +4,9 @@ The writers of a family are in its folder; this package offers them all. They ne
 are imported on first use.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from gsgen.contract._lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.synthetic_anchors import (
@@ -27,50 +28,10 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.synthetic.knot import torus_knot
 
 __all__ = [
-    "AnchorOptions",
-    "HexPlaneOptions",
-    "PersonOptions",
-    "torus_knot",
-    "write_body",
-    "write_deformable",
-    "write_denoiser",
-    "write_difix",
-    "write_duplex",
-    "write_gauhuman",
-    "write_hexplane",
-    "write_lhm",
-    "write_motion",
-    "write_octree",
-    "write_r3",
-    "write_scaffold",
+    "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_body",
+    "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_gauhuman",
+    "write_hexplane", "write_lhm", "write_motion", "write_octree", "write_r3", "write_scaffold",
     "write_stylise",
-]
+]  # fmt: skip
 
-_MODULES = {
-    "AnchorOptions": "anchors.synthetic_anchors",
-    "HexPlaneOptions": "deformation.synthetic_deformations",
-    "PersonOptions": "bodies.synthetic_body",
-    "torus_knot": "synthetic.knot",
-    "write_body": "bodies.synthetic_body",
-    "write_deformable": "deformation.synthetic_deformations",
-    "write_denoiser": "images.synthetic_images",
-    "write_difix": "images.synthetic_difix",
-    "write_duplex": "anchors.synthetic_anchors",
-    "write_gauhuman": "people.synthetic_people",
-    "write_hexplane": "deformation.synthetic_deformations",
-    "write_lhm": "people.synthetic_people",
-    "write_motion": "bodies.synthetic_motion",
-    "write_octree": "anchors.synthetic_anchors",
-    "write_r3": "people.synthetic_people",
-    "write_scaffold": "anchors.synthetic_anchors",
-    "write_stylise": "images.synthetic_images",
-}
-
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = import_module(f"gsgen.reference_plugins.{_MODULES[name]}")
-    value: object = getattr(module, name)
-    globals()[name] = value
-    return value
+__getattr__ = lazy_getattr(__name__)

@@ -38,13 +38,7 @@ def splats_of_frame(
     antialiased: bool = False,
     color_space: Literal["srgb", "linear"] = "srgb",
 ) -> Splats:
-    """Convert drawn Gaussians to the parameters of a splat file; positions stay bit for bit.
-
-    Args:
-        gaussians: The drawn Gaussians.
-        antialiased: Whether the scene was trained with the filter of Mip-Splatting.
-        color_space: Colour space of the Gaussians.
-    """
+    """Convert drawn Gaussians to the parameters of a splat file; positions stay bit for bit."""
     scales, quaternions = scales_and_quaternions(gaussians.covariance)
     if gaussians.sh is None:
         assert gaussians.rgb is not None

@@ -19,11 +19,7 @@ _MAX_FRAMES: Final = 1_000_000
 
 
 def number_range(text: str, where: str) -> Float64[np.ndarray, " f"]:
-    """Parse the number, or the range FIRST:LAST:COUNT with both ends, of option ``where``.
-
-    Raises:
-        ConfigInvalid: The text is neither a number nor a range.
-    """
+    """Parse the number, or the range FIRST:LAST:COUNT with both ends, of option ``where``."""
     hint = "Give a number, or FIRST:LAST:COUNT such as 0:1:300."
     words = text.split(":")
     try:
@@ -44,19 +40,7 @@ def number_range(text: str, where: str) -> Float64[np.ndarray, " f"]:
 
 @final
 class FrameValues:
-    """The values of a generator's inputs in each frame.
-
-    Args:
-        source: The generator.
-        tracks: Values by tensor name or role.
-
-    Attributes:
-        frames: Number of frames.
-
-    Raises:
-        ConfigInvalid: Lengths of two tracks differ, or a time or an index is out of its range.
-        UnknownName: The generator has no such input.
-    """
+    """The values of a generator's inputs in each frame."""
 
     def __init__(self, source: GeneratorSource, tracks: Sequence[Track]) -> None:
         self._source = source

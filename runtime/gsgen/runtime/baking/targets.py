@@ -17,12 +17,7 @@ _NUMBER: Final = re.compile(r"%(0\d)?d")
 @final
 @dataclass(frozen=True, slots=True)
 class OutputFiles:
-    """The paths and the format of the files that a bake writes.
-
-    Attributes:
-        pattern: The path as the user gave it; ``%d`` or ``%04d`` stands for the frame's number.
-        codec: The format that is written.
-    """
+    """The paths and the format of the files that a bake writes."""
 
     pattern: Path
     codec: Codec
@@ -35,11 +30,6 @@ class OutputFiles:
             pattern: The path, with ``%d`` or ``%04d`` for several frames.
             frames: Number of frames.
             format: Name of a format; None for that of the suffix.
-
-        Raises:
-            ConfigInvalid: The format cannot be written, the pattern has no number or several, or
-                the path is a folder.
-            UnknownName: No format has this name.
         """
         codec = writable_codec(pattern, format, where=f"-o {pattern}")
         numbers = len(_NUMBER.findall(str(pattern)))
@@ -70,12 +60,7 @@ def _digits(match: re.Match[str], number: int) -> str:
 
 
 def writable_codec(path: Path, format: str | None, where: str) -> Codec:
-    """Return the splat format of this name, or else of a path's suffix, to be written.
-
-    Raises:
-        ConfigInvalid: The suffix names no format, or the format can only be read.
-        UnknownName: No format has this name.
-    """
+    """Return the splat format of this name, or else of a path's suffix, to be written."""
     writable = [codec for codec in CODECS if codec.write]
     if format is not None:
         if format not in [codec.name for codec in CODECS]:

@@ -87,9 +87,6 @@ def sample_views(
 
     Rows are matched by index, or by the bits of their positions if the live count changes with the
     camera. ``step`` is called before each run with the number of the camera.
-
-    Raises:
-        ConfigInvalid: Rows of different cameras cannot be matched.
     """
     views: list[_View] = []
     for index, camera in enumerate(cameras):

@@ -35,12 +35,7 @@ def model_folder(folder: Path) -> Path | None:
 
 
 def read_colmap(folder: Path) -> CameraFile:
-    """Read the COLMAP model in a folder that :func:`model_folder` returned.
-
-    Raises:
-        ConfigInvalid: A file is damaged, or has no images or a lens that no pinhole approximates.
-        SceneInvalid: A camera's numbers are invalid.
-    """
+    """Read the COLMAP model in a folder that :func:`model_folder` returned."""
     if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file():
         lenses = colmap_binary.lenses(folder / "cameras.bin")
         images = colmap_binary.images(folder / "images.bin")

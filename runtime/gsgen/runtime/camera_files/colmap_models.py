@@ -29,14 +29,7 @@ PINHOLES: Final = ("SIMPLE_PINHOLE", "PINHOLE")
 @final
 @dataclass(frozen=True, slots=True)
 class ColmapLens:
-    """The intrinsics of images, which COLMAP calls a camera.
-
-    Attributes:
-        model: Name of the camera model, such as PINHOLE.
-        width: Image width in pixels.
-        height: Image height in pixels.
-        values: Parameters of the model.
-    """
+    """The intrinsics of images, which COLMAP calls a camera."""
 
     model: str
     width: int
@@ -47,13 +40,9 @@ class ColmapLens:
 @final
 @dataclass(frozen=True, slots=True)
 class ColmapImage:
-    """The pose of a COLMAP image, and the number of its camera.
+    """The file name and the pose of a COLMAP image, and the number of its camera.
 
-    Attributes:
-        name: File name of the image.
-        quaternion: Rotation from world to camera: w, x, y, z, of any length but 0.
-        translation: Translation from world to camera.
-        lens: Number of the camera.
+    The pose is world → camera; the quaternion is w, x, y, z, of any length but 0.
     """
 
     name: str
@@ -65,11 +54,7 @@ class ColmapImage:
 def parameters(
     model: str, values: tuple[float, ...], where: str
 ) -> tuple[float, float, float, float, tuple[float, ...]]:
-    """Return fx, fy, cx, cy and the distortion coefficients of a camera.
-
-    Raises:
-        ConfigInvalid: The model is unknown, a fisheye, or has another number of parameters.
-    """
+    """Return fx, fy, cx, cy and the distortion coefficients of a camera."""
     if model not in MODELS or "FISHEYE" in model or model == "FOV":
         raise ConfigInvalid(
             f"has the camera model {model}, expected one that a pinhole approximates",

@@ -88,13 +88,7 @@ class ComparedReference:
 
 @dataclass(frozen=True, slots=True)
 class RenderEvidence:
-    """The drawn frames of a model, which the rules of level ``render`` check.
-
-    Attributes:
-        frames: Frames in the order of the probes.
-        device: Name of the graphics device.
-        references: The compared reference images.
-    """
+    """The drawn frames of a model, which the rules of level ``render`` check."""
 
     frames: tuple[RenderedProbe, ...]
     device: str
@@ -103,11 +97,7 @@ class RenderEvidence:
 
 @contextmanager
 def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
-    """Draw a model's outputs for some probes, which the rules of level ``render`` check.
-
-    Raises:
-        LevelUnavailable: A package, a graphics adapter or its memory is missing.
-    """
+    """Draw a model's outputs for some probes, which the rules of level ``render`` check."""
     if find_spec("wgpu") is None:
         raise LevelUnavailable("wgpu is not installed", hint="pip install 'gsgen[runtime]'")
     started = time.monotonic()

@@ -37,11 +37,7 @@ class ReferenceUnreadable(GsgenError):
 
 
 def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
-    """Read a reference image of a model's folder, as red, green and blue in [0, 1].
-
-    Raises:
-        ReferenceUnreadable: The picture is missing, altered or invalid.
-    """
+    """Read a reference image of a model's folder, as red, green and blue in [0, 1]."""
     raw = _bytes(folder, reference.path)
     digest = hashlib.sha256(raw).hexdigest()
     if digest != reference.sha256:

@@ -50,14 +50,7 @@ _PICTURE_NAME: Final = re.compile(r"^[0-9]+\.png$")
 @final
 @dataclass(frozen=True, slots=True)
 class References:
-    """The reference images that were written.
-
-    Attributes:
-        model: The copy whose manifest declares the pictures.
-        images: Their declarations.
-        empty: Labels of probes whose picture is empty.
-        device: Name of the graphics device.
-    """
+    """The copy of a model, its written reference images, and labels of empty ones."""
 
     model: Path
     images: tuple[ReferenceImage, ...]
@@ -148,11 +141,7 @@ class _PictureCameras:
         self._view = None if has_camera_input and camera is None else viewpoint(camera)
 
     def camera(self, probe: Probe, scene: Scene, number: int) -> Camera:
-        """Return the camera of reference image ``number``, from 0.
-
-        Raises:
-            SceneInvalid: The camera is not a pinhole camera.
-        """
+        """Return the camera of reference image ``number``, from 0."""
         if self._view is None:
             camera = probe_camera(self._manifest, probe)
         else:

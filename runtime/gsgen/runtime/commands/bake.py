@@ -106,7 +106,7 @@ def bake(
     from gsgen.formats import FormatError
     from gsgen.runtime.baking.bake_frames import bake_source
     from gsgen.runtime.sources.source import GeneratorSource
-    from gsgen.sdk.commands.sizes import sizes_of
+    from gsgen.sdk.commands.options import sizes_of
 
     tracks = _tracks(time, inputs)
     with closing(GeneratorSource(model, provider, sizes_of(size, "--size"))) as source:

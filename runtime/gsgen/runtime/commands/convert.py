@@ -14,7 +14,23 @@ import typer
 
 from gsgen.contract.errors import ConfigInvalid, ExitCode
 from gsgen.contract.process.atomic_files import refuse_itself
-from gsgen.formats.codecs import CODECS, Codec, format_titles
+from gsgen.formats.codecs import CODECS, Codec, Content, codec_named, format_titles
+from gsgen.formats.editing.statistics import Statistics, statistics_text
+from gsgen.formats.shared.files import FilePath
+from gsgen.runtime.commands.convert_edits import (
+    Decimate,
+    DropFloaters,
+    Histograms,
+    Morton,
+    Rotate,
+    Scale,
+    ShowStatistics,
+    Sphere,
+    Translate,
+    Where,
+    WithinBox,
+    edits_in_order,
+)
 from gsgen.runtime.commands.options import AsJson
 
 if TYPE_CHECKING:
@@ -22,8 +38,14 @@ if TYPE_CHECKING:
 
 _WRITABLE = [codec.name for codec in CODECS if codec.write]
 
-Source = Annotated[
-    Path, typer.Argument(help=f"{format_titles()}; recognised by its content.", show_default=False)
+Sources = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="SOURCE…",
+        help=f"{format_titles()}; recognised by its content. Several are merged. An address "
+        "(http, https) is downloaded.",
+        show_default=False,
+    ),
 ]
 Target = Annotated[Path, typer.Argument(help="The file to write.", show_default=False)]
 Format = Annotated[
@@ -50,19 +72,39 @@ Encoding = Annotated[
     Literal["ascii", "binary_little_endian", "binary_big_endian"] | None,
     typer.Option(help="Encoding of PLY. [default: binary_little_endian]"),
 ]
+SpzAxes = Annotated[
+    str | None,
+    typer.Option(
+        help="Axes of the SPZ files, such as RDF for splat-transform, which does not declare them. "
+        "[default: RUB, or as declared]"
+    ),
+]
 Force = Annotated[
     bool, typer.Option("--force", help="Allow TARGET to be SOURCE, which is replaced.")
 ]
 
 
 def convert(
-    source: Source,
+    context: typer.Context,
+    sources: Sources,
     target: Target,
     *,
     format: Format = None,
     sh_degree: Degree = None,
     drop_invalid: DropInvalid = False,
+    translate: Translate = None,
+    rotate: Rotate = None,
+    scale: Scale = None,
+    box: WithinBox = None,
+    sphere: Sphere = None,
+    where: Where = None,
+    drop_floaters: DropFloaters = None,
+    decimate: Decimate = None,
+    morton: Morton = False,
+    statistics: ShowStatistics = False,
+    histograms: Histograms = None,
     spz_version: SpzVersion = None,
+    spz_axes: SpzAxes = None,
     encoding: Encoding = None,
     force: Force = False,
     as_json: AsJson = False,
@@ -72,16 +114,50 @@ def convert(
     Exits 0 if TARGET was written, 1 if it cannot be, 2 for wrong options, 4 if SOURCE cannot be
     read.
     """
-    from gsgen.contract.commands.progress import clear, progress
-    from gsgen.formats import FormatError, FormatWarning
     from gsgen.formats.conversion import convert as convert_file
     from gsgen.runtime.baking.targets import writable_codec
 
     codec = writable_codec(target, format, where=str(target))
     if not force:
         hint = "Name another file, or replace it with --force."
-        refuse_itself(target, [source], hint)
-    write = _writer(codec, spz_version, encoding)
+        refuse_itself(target, [Path(source) for source in sources], hint)
+    values = {
+        "translate": translate,
+        "rotate": rotate,
+        "scale": scale,
+        "box": box,
+        "sphere": sphere,
+        "where": where,
+        "drop_floaters": drop_floaters,
+        "decimate": decimate,
+        "histograms": histograms,
+    }
+    summaries: list[tuple[Statistics, ...]] = []
+    run = partial(
+        convert_file,
+        sources,
+        target,
+        codec,
+        sh_degree=sh_degree,
+        edits=edits_in_order(context, values, summaries),
+        read=_reader(spz_axes, drop_invalid=drop_invalid),
+        read_back=_reader(spz_axes, drop_invalid=False) if codec.name == "spz" else None,
+        write=_writer(codec, spz_version, spz_axes, encoding),
+    )
+    result, notes = _reported(run, sources)
+    document = _as_dict(result) | {"notes": notes}
+    document["statistics"] = [[asdict(entry) for entry in summary] for summary in summaries]
+    text = "\n\n".join([*map(statistics_text, summaries), _as_text(result)])
+    typer.echo(json.dumps(document, indent=2) if as_json else text)
+
+
+def _reported(
+    run: "Callable[..., Conversion]", sources: list[str]
+) -> "tuple[Conversion, list[str]]":
+    """Return the result and the notes of a conversion, whose errors end the command."""
+    from gsgen.contract.commands.progress import clear, progress
+    from gsgen.formats import FormatError, FormatWarning
+
     is_reading = True
 
     def on_step(step: str) -> None:
@@ -92,48 +168,55 @@ def convert(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FormatWarning)
         try:
-            result = convert_file(
-                source,
-                target,
-                codec,
-                sh_degree=sh_degree,
-                drop_invalid=drop_invalid,
-                write=write,
-                step=on_step,
-            )
+            result = run(step=on_step)
         except FormatError as error:
             clear()
             typer.echo(f"gsgen: {error}", err=True)
-            is_unreadable = is_reading and error.path == str(source)
+            is_unreadable = is_reading and error.path in sources
             code = ExitCode.UNREADABLE if is_unreadable else ExitCode.FAILURE
             raise typer.Exit(code) from error
     clear()
     notes = list(dict.fromkeys(str(warning.message) for warning in caught))
     for note in notes:
         typer.echo(f"note: {note}", err=True)
-    document = _as_dict(result) | {"notes": notes}
-    typer.echo(json.dumps(document, indent=2) if as_json else _as_text(result))
+    return result, notes
 
 
 def _writer(
-    codec: Codec, spz_version: int | None, encoding: str | None
+    codec: Codec, spz_version: int | None, spz_axes: str | None, encoding: str | None
 ) -> "Callable[..., None] | None":
     """Return a writer with the options of the splat format; None without options."""
-    arguments: dict[str, tuple[str, dict[str, object]]] = {}
-    if spz_version is not None:
-        arguments["--spz-version"] = "spz", {"version": spz_version}
-    if encoding is not None:
-        arguments["--encoding"] = "ply", {"format": encoding}
-    for option, (format, _) in arguments.items():
-        if codec.name != format:
+    options: dict[str, object] = {}
+    for option, name, keyword, value in (
+        ("--spz-version", "spz", "version", spz_version),
+        ("--encoding", "ply", "format", encoding),
+    ):
+        if value is None:
+            continue
+        if codec.name != name:
             raise ConfigInvalid(
-                f"applies to {format}, but the output is {codec.name}",
+                f"applies to {name}, but the output is {codec.name}",
                 where=option,
                 hint="Leave the option out.",
             )
+        options[keyword] = value
+    if spz_axes is not None and codec.name == "spz":
+        options["axes"] = spz_axes
     assert codec.write is not None
-    options = {key: value for _, values in arguments.values() for key, value in values.items()}
     return partial(codec.write, **options) if options else None
+
+
+def _reader(spz_axes: str | None, *, drop_invalid: bool) -> Callable[[FilePath], Content]:
+    """Return a reader of any format; SPZ files have the axes of the option."""
+    from gsgen.formats.open import open_splats
+    from gsgen.formats.spz.spz import read_spz
+
+    def read(path: FilePath) -> Content:
+        if spz_axes is not None and str(path).lower().endswith(codec_named("spz").suffixes):
+            return read_spz(path, axes=spz_axes)
+        return open_splats(path, drop_invalid=drop_invalid)
+
+    return read
 
 
 def _as_dict(result: "Conversion") -> dict[str, object]:
@@ -146,6 +229,9 @@ def _as_text(result: "Conversion") -> str:
     before, after = (size / (1 << 20) for size in result.sizes)
     kind = "points" if result.degree is None else "splats"
     degree = f" of SH degree {result.degree[1]}" if result.degree else ""
+    not_compared = (
+        [] if result.compared else ["not compared: the splats take more memory than that may"]
+    )
     times = f", {before / after:.1f} times smaller" if before > 1.05 * after > 0 else ""
     lines = [
         f"{result.target}: {result.count:,} {kind}{degree}, {result.format}, "
@@ -159,6 +245,7 @@ def _as_text(result: "Conversion") -> str:
         f"  {difference.name:<10}{difference.largest:>12.3g}{difference.typical:>12.3g} {difference.unit}".rstrip()
         for difference in changed
     ]
-    if result.degree and not changed and not result.lost:
+    lines += not_compared
+    if result.degree and not changed and not result.lost and result.compared:
         lines.append("nothing was lost")
     return "\n".join(lines)

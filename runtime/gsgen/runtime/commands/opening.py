@@ -59,7 +59,7 @@ def open_scenes(
     from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.sources.opening import open_source
     from gsgen.runtime.sources.scene_file import open_scene
-    from gsgen.sdk.commands.sizes import sizes_of
+    from gsgen.sdk.commands.options import sizes_of
 
     sizes = sizes_of(list(size) if size else None, "--size")
     files = read_scene_files(scenes)

@@ -8,7 +8,6 @@ __all__ = [
     "FieldOfView",
     "Height",
     "Inputs",
-    "ModeName",
     "ModeOption",
     "Orthographic",
     "Panorama",
@@ -21,11 +20,11 @@ __all__ = [
     "ShDegree",
     "Sizes",
     "Width",
+    "mode_of",
     "read_tracks",
 ]
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
@@ -37,22 +36,6 @@ if TYPE_CHECKING:
     from gsgen.runtime.media.pictures import Mode
     from gsgen.runtime.playback.input_tracks import Track
     from gsgen.runtime.sources.source import Source
-
-
-class ModeName(StrEnum):
-    """The values of option ``--mode``; both spellings of colour are valid."""
-
-    COLOR = "color"
-    COLOUR = "colour"
-    DEPTH = "depth"
-    MEDIAN_DEPTH = "median-depth"
-    NORMAL = "normal"
-    ALPHA = "alpha"
-
-    @property
-    def mode(self) -> "Mode":
-        """The display mode that this value of ``--mode`` names."""
-        return "color" if self is ModeName.COLOUR else cast("Mode", self.value)
 
 
 Antialias = Annotated[
@@ -87,7 +70,8 @@ Inputs = Annotated[
     ),
 ]
 ModeOption = Annotated[
-    ModeName, typer.Option("--mode", help="Output to show.", case_sensitive=False)
+    Literal["color", "colour", "depth", "median-depth", "normal", "alpha"],
+    typer.Option("--mode", help="Output to show.", case_sensitive=False),
 ]
 Orthographic = Annotated[
     bool,
@@ -153,6 +137,11 @@ Sizes = Annotated[
 Width = Annotated[
     int | None, typer.Option(help="Width in pixels. [default: the camera's, or 1280]", min=1)
 ]
+
+
+def mode_of(name: str) -> "Mode":
+    """Return the display mode of a value of ``--mode``, which allows both spellings of colour."""
+    return "color" if name == "colour" else cast("Mode", name)
 
 
 def read_tracks(

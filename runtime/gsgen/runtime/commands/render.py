@@ -73,7 +73,7 @@ def render(
     up: options.Axis = None,
     orthographic: options.Orthographic = False,
     panorama: options.Panorama = False,
-    mode: options.ModeOption = options.ModeName.COLOR,
+    mode: options.ModeOption = "color",
     background: Background = None,
     time: Time = None,
     pose: options.Poses = None,
@@ -107,7 +107,7 @@ def render(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )
     color = _background(background, output, files)
-    for note in (*view.notes, *_transparency_notes(output, color, mode.mode)):
+    for note in (*view.notes, *_transparency_notes(output, color, options.mode_of(mode))):
         typer.echo(f"note: {note}", err=True)
     with open_scenes(scenes, post, provider=provider, size=size) as (sources, models):
         tracks, pose_fps = options.read_tracks(pose, inputs, sources)
@@ -117,7 +117,7 @@ def render(
         sequence = FrameSequence(
             sources,
             view,
-            mode.mode,
+            options.mode_of(mode),
             background=color,
             sh_degree=sh_degree,
             antialias=antialias,

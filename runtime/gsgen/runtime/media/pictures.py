@@ -24,13 +24,13 @@ from typing import Final, Literal
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.media import mp4
 from gsgen.runtime.media.gif import save_gif
 from gsgen.runtime.media.gpano import gpano
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame, Output
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 
 Mode = Literal["color", "depth", "median-depth", "normal", "alpha"]
 

@@ -126,13 +126,7 @@ class _Cell:
 
 
 def alone(partial: Sums, background: Sequence[float], *, published: bool = False) -> Picture:
-    """Return the picture of weighted sums over a background.
-
-    Args:
-        partial: The sums.
-        background: Red, green, blue and alpha.
-        published: Whether the background keeps its whole weight in the numerator.
-    """
+    """Return the picture of weighted sums over a background."""
     veil, backdrop = partial.veil(), partial.weight_behind / partial.scale
     share = backdrop if published else backdrop * partial.through
     *color, opaque = background

@@ -156,10 +156,6 @@ def viewpoint(
 
     ``text`` is ``orbit``, ``look-at`` or a file of cameras, from which ``#NAME`` selects; None
     orbits. ``up`` is an axis such as ``-y``; None is that of the source.
-
-    Raises:
-        ConfigInvalid: The text or an option is invalid.
-        SceneInvalid: The file of cameras is invalid.
     """
     if not 0 < fov < 180:
         message = f"is {fov} degrees, expected more than 0 and less than 180"

@@ -37,11 +37,7 @@ class Track:
     sweep: bool = False
 
     def frames(self, shape: tuple[int, ...]) -> int:
-        """Return the number of frames that the track has values for; 1 if all share one.
-
-        Raises:
-            ConfigInvalid: The values do not fill an input of this shape.
-        """
+        """Return the number of frames that the track has values for; 1 if all share one."""
         if self.sweep or self.values.size == math.prod(shape):
             return 1
         row_size = math.prod(self.values.shape[1:])
@@ -70,11 +66,7 @@ class Track:
 
 
 def input_track(text: str) -> Track:
-    """Parse the value of ``--input``, for example ``time=0..1``.
-
-    Raises:
-        ConfigInvalid: The text is not of a known form, or its file cannot be read.
-    """
+    """Parse the value of ``--input``, for example ``time=0..1``."""
     word, sign, value = text.partition("=")
     where = f"--input {word}"
     if not (word and sign and value):
@@ -103,11 +95,7 @@ def integers_if_whole(values: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "
 
 
 def read_array(path: Path) -> Shaped[np.ndarray, "..."]:
-    """Read an array from an .npy, an .npz with one array, or a .json of nested lists.
-
-    Raises:
-        ConfigInvalid: The file cannot be read, or holds no numbers.
-    """
+    """Read an array from an .npy, an .npz with one array, or a .json of nested lists."""
     try:
         if path.suffix.lower() == ".json":
             array = np.asarray(json.loads(path.read_text("utf-8")))
@@ -132,11 +120,7 @@ def _loaded(path: Path) -> Shaped[np.ndarray, "..."]:
 
 
 def numbers_of(array: Shaped[np.ndarray, "..."], where: str) -> Shaped[np.ndarray, "..."]:
-    """Check that an array holds finite numbers, and convert whole ones to integers.
-
-    Raises:
-        ConfigInvalid: The array is empty, or an entry is not a finite number.
-    """
+    """Check that an array holds finite numbers, and convert whole ones to integers."""
     if array.dtype.kind not in "iuf" or not array.size:
         message = f"holds {array.dtype} {list(array.shape)}, expected numbers"
         raise ConfigInvalid(message, where=where)

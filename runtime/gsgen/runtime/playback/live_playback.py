@@ -36,10 +36,6 @@ class LivePlayback(Playback):
     Attributes:
         playing: Whether time advances.
         version: A counter that grows when the Gaussians change.
-
-    Raises:
-        ConfigInvalid: See :class:`gsgen.runtime.playback.frame_sequence.FrameSequence`.
-        UnknownName: No model has the input of a track.
     """
 
     def __init__(
@@ -107,11 +103,7 @@ class LivePlayback(Playback):
             self._pending = moment
 
     def take(self, *, wait: bool = False) -> None:
-        """Take the pending frame if it is computed, or ``wait`` for it.
-
-        Raises:
-            GsgenError: A value does not fit, or a model fails. The frame is not tried again.
-        """
+        """Take the pending frame if it is computed, or ``wait`` for it."""
         is_ready = wait or all(source.ready for source in self.sources)
         if self._pending is None or not is_ready:
             return

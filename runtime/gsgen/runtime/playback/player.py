@@ -161,11 +161,7 @@ def compose_scene(
     sh_degree: int | None = None,
     antialias: Literal["classic", "mip"] | None = None,
 ) -> Scene:
-    """Join sources into one scene, which follows their changes; see :class:`Player`.
-
-    Raises:
-        ConfigInvalid: Colour spaces differ.
-    """
+    """Join sources into one scene, which follows their changes; see :class:`Player`."""
     return Scene(
         [source.splats(sh_degree, antialias) for source in sources],
         color_space=_common_space(sources),

@@ -58,15 +58,8 @@ class _Motion:
 def pose_tracks(text: str, source: Source) -> tuple[list[Track], float | None]:
     """Parse the value of ``--pose``, FILE or NAME=FILE, and read its file.
 
-    Args:
-        text: The value of the option.
-        source: The source whose inputs take the pose, the root's motion and the expression.
-
     Returns:
         A track for each of those inputs, and the frames per second if the file has them.
-
-    Raises:
-        ConfigInvalid: The file cannot be read, or is of another body.
     """
     word, path = named_file(text)
     motion, where = _read(path), f"--pose {path}"

@@ -35,15 +35,6 @@ class Timeline:
 
     Over several frames, inputs without a track advance by themselves: a time goes through its
     range, and a frame number counts.
-
-    Args:
-        models: The models whose inputs are set.
-        tracks: Values of inputs.
-        time: One time for all frames; None to go through the range.
-
-    Raises:
-        ConfigInvalid: ``time`` is set but no model has a time, or a track does not fit.
-        UnknownName: No model has the input of a track.
     """
 
     def __init__(

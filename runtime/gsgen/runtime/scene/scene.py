@@ -39,7 +39,7 @@ class SplatSet:
         opacity_scale: Factor of all opacities, ≥ 0; results above 1 are clamped to 1.
         degree: Highest SH degree that is used; None for all.
         antialias: Compensation of the 0.3 pixels² of dilation: none in ``classic``, less
-            opacity in ``mip`` (Yu et al. 2023, "Mip-Splatting").
+            opacity in ``mip`` (Yu et al. 2023, "Mip-Splatting"); that of ``data`` by default.
         clip: Gaussians with centres outside this box are not drawn; None for no box.
         weighted: Weights of the Gaussians if they are summed cell by cell; None if they are
             sorted and blended. The depth range, a length, follows the scale of the transform.
@@ -53,7 +53,7 @@ class SplatSet:
     _: KW_ONLY
     opacity_scale: float = 1.0
     degree: int | None = None
-    antialias: Literal["classic", "mip"] = "classic"
+    antialias: Literal["classic", "mip"] | None = None
     clip: Box | None = None
     weighted: WeightedSum | None = None
 
@@ -67,6 +67,8 @@ class SplatSet:
             )
         if self.degree is not None and not 0 <= self.degree <= MAX_DEGREE:
             raise SceneInvalid(f"is {self.degree}, expected 0 to {MAX_DEGREE}", where="degree")
+        if self.antialias is None:
+            object.__setattr__(self, "antialias", self.data.antialias)
         if self.antialias not in ("classic", "mip"):
             raise SceneInvalid(f"is {self.antialias!r}, expected classic or mip", where="antialias")
         if self.weighted is not None:
@@ -110,10 +112,14 @@ class Scene:
 
     Attributes:
         sets: Splat sets; of Gaussians at the same depth, those of the earlier set are in front.
-        color_space: Colour space of all sets, in which they are blended.
+        color_space: Colour space of all sets, in which they are blended; that of their data by
+            default.
         meshes: Opaque surfaces, whose colours are converted to this space; of two at the same
             depth, the earlier is in front.
         pools: Pools, whose tiles may change between frames; they count as sets after ``sets``.
+
+    Raises:
+        SceneInvalid: The sets have different colour spaces, and ``color_space`` is None.
     """
 
     sets: tuple[SplatSet, ...]
@@ -124,7 +130,7 @@ class Scene:
     def __init__(
         self,
         sets: Iterable[SplatSet | SplatData],
-        color_space: Literal["srgb", "linear"] = "srgb",
+        color_space: Literal["srgb", "linear"] | None = None,
         meshes: Iterable[Mesh | MeshData] = (),
         pools: Iterable[PooledSet | SplatPool] = (),
     ) -> None:
@@ -133,7 +139,7 @@ class Scene:
             for splat_set in sets
         )
         object.__setattr__(self, "sets", splat_sets)
-        object.__setattr__(self, "color_space", color_space)
+        object.__setattr__(self, "color_space", color_space or _common_space(splat_sets))
         stood = tuple(mesh if isinstance(mesh, Mesh) else Mesh(mesh) for mesh in meshes)
         object.__setattr__(self, "meshes", stood)
         pooled_sets = tuple(
@@ -161,3 +167,14 @@ class Scene:
     def __len__(self) -> int:
         own = sum(len(splat_set.data) for splat_set in self.sets)
         return own + sum(len(pooled.pool) for pooled in self.pools)
+
+
+def _common_space(sets: Iterable[SplatSet]) -> Literal["srgb", "linear"]:
+    spaces = {splat_set.data.color_space for splat_set in sets}
+    if len(spaces) > 1:
+        raise SceneInvalid(
+            "one set has linear colours, another sRGB: they cannot be blended",
+            where="sets",
+            hint="Draw them as two scenes, or pass color_space.",
+        )
+    return spaces.pop() if spaces else "srgb"

@@ -31,6 +31,9 @@ class SplatData:
             place of the opacity; None without cells.
         per_cell: Gaussians per cell: row r belongs to cell r // per_cell.
         cells_version: Grows when the cells change.
+        antialias: The default of the sets that draw it: ``mip`` if training used the filter of
+            Mip-Splatting (Yu et al. 2023).
+        color_space: The default of the scenes that draw it.
     """
 
     def __init__(
@@ -42,7 +45,11 @@ class SplatData:
         count: int | None = None,
         cells: Float[np.ndarray, "c 10"] | None = None,
         per_cell: int = 1,
+        antialias: Literal["classic", "mip"] = "classic",
+        color_space: Literal["srgb", "linear"] = "srgb",
     ) -> None:
+        self.antialias: Literal["classic", "mip"] = antialias
+        self.color_space: Literal["srgb", "linear"] = color_space
         self.space: Literal["sh", "rgb"] = space
         self.rows_version = self.appearance_version = self.cells_version = 0
         self.rows, self.appearance, self.count = _checked(rows, appearance, space, count)
@@ -65,7 +72,12 @@ class SplatData:
             covariance=covariance_upper(scale, splats.rotation),
             sh=splats.sh[:, : coefficients(MAX_DEGREE)],
         )
-        return cls(*layout.encode(gaussians), "sh")
+        return cls(
+            *layout.encode(gaussians),
+            "sh",
+            antialias="mip" if splats.antialiased else "classic",
+            color_space=splats.color_space,
+        )
 
     @classmethod
     def from_packed(

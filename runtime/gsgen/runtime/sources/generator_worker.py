@@ -54,18 +54,9 @@ class GeneratorWorker:
     rows are unchanged, bit by bit, is neither copied nor passed on. The model does not run if no
     input has changed that an output depends on, according to the manifest.
 
-    Args:
-        path: The model.
-        provider: ONNX Runtime's execution provider.
-        sizes: Symbol → size of an open dimension of the model.
-
     Attributes:
         session: The session, which only :meth:`start` may run.
         manifest: Manifest of the model.
-
-    Raises:
-        SceneInvalid: The model is not a generator, or declares no Gaussians.
-        GsgenError: See ``FrameSession``.
     """
 
     def __init__(self, path: Path, provider: str, sizes: Mapping[str, int] | None = None) -> None:
@@ -104,9 +95,6 @@ class GeneratorWorker:
         Args:
             camera: Camera of the frame; None leaves the camera inputs unchanged.
             values: Tensor name or role → value; absent inputs keep their value.
-
-        Raises:
-            SessionClosed: :meth:`close` was called.
         """
         if self.session.closed:
             from gsgen.sdk.binding import SessionClosed

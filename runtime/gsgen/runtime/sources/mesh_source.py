@@ -17,12 +17,7 @@ from gsgen.runtime.sources.source import StaticSource
 
 @final
 class MeshSource(StaticSource):
-    """The triangles of a mesh file, or of given meshes; a source without Gaussians.
-
-    Args:
-        path: A file that ``read_mesh`` reads.
-        meshes: Meshes that are drawn in place of reading the file.
-    """
+    """The triangles of a mesh file, or of given meshes; a source without Gaussians."""
 
     def __init__(self, path: Path, meshes: Sequence[Mesh] | None = None) -> None:
         self.name = str(path)

@@ -47,10 +47,6 @@ class PlacedSource(Source):
         settings: Drawing settings.
         values: Inputs with a fixed value: tensor name or role → value.
         where: Location of ``values`` in error messages.
-
-    Raises:
-        UnknownName: The source has no such input.
-        SceneInvalid: The transform or the settings are invalid.
     """
 
     def __init__(

@@ -28,13 +28,7 @@ def fields_of(document: Mapping[str, object], where: str) -> "Fields":
 
 @final
 class Fields:
-    """Reads the fields of one JSON object of a scene file.
-
-    Args:
-        document: The object.
-        where: Location of the object in error messages.
-        separator: Text between the location and the name of a field.
-    """
+    """Reads the fields of one JSON object of a scene file."""
 
     def __init__(self, document: Mapping[str, object], where: str, separator: str = ".") -> None:
         self._document, self.where, self._separator = document, where, separator

@@ -38,15 +38,7 @@ _MAX_BYTES: Final = 64 << 20  # inputs such as poses may be in the file
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SceneModel:
-    """A splat file or a generator of a scene file.
-
-    Attributes:
-        path: The file.
-        transform: Local → world, [4, 4].
-        settings: Drawing settings of its Gaussians.
-        inputs: Tensor name or role → value, for generators.
-        where: Location in the scene file, for error messages.
-    """
+    """A splat file or a generator of a scene file, with its transform to world, [4, 4]."""
 
     path: Path
     transform: Float[np.ndarray, "4 4"]
@@ -58,14 +50,7 @@ class SceneModel:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneMesh:
-    """A mesh of a scene file.
-
-    Attributes:
-        path: The file.
-        transform: Local → world, [4, 4].
-        shading: Shading; None for that of the file.
-        where: Location in the scene file, for error messages.
-    """
+    """A mesh file of a scene file; a shading of None is that of the mesh file."""
 
     path: Path
     transform: Float[np.ndarray, "4 4"]
@@ -119,12 +104,7 @@ def is_scene_file(path: Path) -> bool:
 
 
 def read_scene(path: str | Path) -> SceneFile:
-    """Read and check a scene file, without opening the files that it names.
-
-    Raises:
-        SceneUnreadable: The file is not JSON.
-        SceneInvalid: A field is unknown, missing or invalid; the message names it.
-    """
+    """Read and check a scene file, without opening the files that it names."""
     file = Path(path)
     fields = fields_of(_document(file), str(file))
     version = fields.text(_VERSION_FIELD)

@@ -20,18 +20,14 @@ from gsgen.runtime.sources.source import Source, StaticSource
 
 @final
 class SceneSource(StaticSource):
-    """A set of Gaussians in memory, which its owner may change.
-
-    Args:
-        splat_set: The set.
-        color_space: Colour space of the set.
-    """
+    """A set of Gaussians in memory, which its owner may change."""
 
     def __init__(
         self, splat_set: SplatSet, color_space: Literal["srgb", "linear"] = "srgb"
     ) -> None:
         self._set = splat_set
-        self.name, self.data, self.antialias = "scene", splat_set.data, splat_set.antialias
+        self.name, self.data = "scene", splat_set.data
+        self.antialias = splat_set.antialias or "classic"
         self.color_space, self.weighted = color_space, splat_set.weighted
 
     def splats(
@@ -50,14 +46,7 @@ class SceneSource(StaticSource):
 
 
 def sources_of(scene: Scene | SplatData | str | Path | Sequence[str | Path]) -> list[Source]:
-    """Return the sources of a scene in memory, or of files.
-
-    Args:
-        scene: A scene, Gaussians, or splat files, meshes, generators and scene files.
-
-    Raises:
-        GsgenError: A file cannot be read.
-    """
+    """Return the sources of a scene in memory, or of files."""
     if isinstance(scene, SplatData):
         scene = Scene([scene])
     if isinstance(scene, Scene):

@@ -102,12 +102,7 @@ class Source(ABC):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the source's Gaussians as a splat set with drawing settings.
-
-        Args:
-            sh_degree: Highest degree of spherical harmonics; None for the source's own, or all.
-            antialias: Antialiasing of the training; None for the source's own setting.
-        """
+        """Return the source's Gaussians as a splat set with drawing settings."""
         return SplatSet(
             self.data,
             degree=sh_degree,
@@ -203,11 +198,7 @@ class StaticSource(Source):
 
 @final
 class StillSource(StaticSource):
-    """The Gaussians of a splat file, which stay the same in every frame.
-
-    Args:
-        path: A file that ``gsgen.formats.open_splats`` reads, such as PLY or NPZ.
-    """
+    """The Gaussians of a splat file, as ``open_splats`` reads it, the same in every frame."""
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)
@@ -223,13 +214,7 @@ class StillSource(StaticSource):
 
 @final
 class GeneratorSource(Source):
-    """An ONNX model that computes Gaussians in every frame; see :class:`GeneratorWorker`.
-
-    Args:
-        path: The model.
-        provider: ONNX Runtime's execution provider: cpu, webgpu, cuda or auto.
-        sizes: Symbol → size of an open dimension of the model.
-    """
+    """An ONNX model that computes Gaussians in every frame; see :class:`GeneratorWorker`."""
 
     def __init__(
         self, path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None

@@ -39,15 +39,6 @@ class Controls:
 
     The camera turns about a pivot in front of it, which moves with a flying camera. Its orientation
     is a rotation matrix, not two angles, so that tilted cameras of files keep their tilt.
-
-    Args:
-        home: The first camera.
-        up: The world's upward direction.
-        center: Centre of the scene.
-        reach: Radius of the scene around its centre.
-
-    Attributes:
-        pivot: The point that the camera turns about, in the world.
     """
 
     def __init__(self, home: Camera, up: Vector, center: Vector, reach: float) -> None:

@@ -42,11 +42,7 @@ _CHARACTER: Final = 8.5  # pixels of a character, on average
 
 @final
 class Statistics:
-    """The viewer's statistics of the last frames, updated slowly enough to be read.
-
-    Attributes:
-        rows: Name and value of each line.
-    """
+    """The viewer's statistics of the last frames, updated slowly enough to be read."""
 
     def __init__(self) -> None:
         self.rows: tuple[tuple[str, str], ...] = ()

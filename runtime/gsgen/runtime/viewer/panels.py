@@ -44,13 +44,7 @@ def paragraph(rows: Sequence[tuple[str, str]], ratio: float = 1.0) -> UInt8[np.n
 @final
 @dataclass(frozen=True, slots=True)
 class Slider:
-    """The layout of the time slider on a surface, in pixels of the surface.
-
-    Attributes:
-        width: Width of the surface.
-        height: Height of the surface.
-        ratio: Pixels of the surface per logical pixel.
-    """
+    """The layout of the time slider; ``ratio`` is surface pixels per logical pixel."""
 
     width: int
     height: int

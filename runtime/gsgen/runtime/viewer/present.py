@@ -60,15 +60,7 @@ class Panel:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class View:
-    """A drawn image in GPU memory, and how it is shown.
-
-    Attributes:
-        drawn: The image.
-        camera: Camera of the image.
-        mode: The output that is shown; the image must contain it.
-        depths: The depths that become white and nearly black.
-        color_space: Colour space of the image.
-    """
+    """A drawn image in GPU memory, and how it is shown."""
 
     drawn: Drawn
     camera: Camera

@@ -45,21 +45,7 @@ class ViewRequest:
 
 @final
 class SurfaceRenderer:
-    """Draws playbacks on the surface of a window, and recovers from a lost device.
-
-    Args:
-        open_device: Opens a device, at first and after a loss.
-        rasteriser: See :class:`Renderer`.
-        compact: See :class:`Renderer`.
-
-    Attributes:
-        renderer: Draws the images.
-        seconds: Seconds that the last picture took to draw.
-        drawn: The last picture on the device.
-
-    Raises:
-        DeviceUnavailable: No graphics device can be opened.
-    """
+    """Draws playbacks on the surface of a window, and recovers from a lost device."""
 
     def __init__(
         self,
@@ -83,13 +69,7 @@ class SurfaceRenderer:
         self.drawn: Drawn | None = None
 
     def view(self, playback: LivePlayback, request: ViewRequest) -> View:
-        """Draw a picture of a playback, or return the last one if nothing has changed.
-
-        Raises:
-            CapacityExceeded: The scene or the picture exceeds the device's memory or limits.
-            DeviceLost: The device was lost.
-            GsgenError: The scene cannot be drawn, or a post-process model fails.
-        """
+        """Draw a picture of a playback, or return the last one if nothing has changed."""
         if self._last_view is not None and self._last_view[0] == request.key(playback):
             return self._last_view[1]
         started = time.perf_counter()

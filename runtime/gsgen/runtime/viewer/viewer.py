@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypeVar, final
 import numpy as np
 
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.runtime.errors import DeviceLost, DeviceUnavailable
 from gsgen.runtime.media import pictures
@@ -24,7 +25,6 @@ from gsgen.runtime.viewer.overlay import Overlay, SliderState
 from gsgen.runtime.viewer.panels import Slider
 from gsgen.runtime.viewer.present import View
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer, ViewRequest
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 
 if TYPE_CHECKING:
     from rendercanvas.contexts import WgpuContext
@@ -66,9 +66,6 @@ class Viewer:
         mode: The output that is shown.
         message: A message for the user, until the next key or click.
         closed: Whether the user has asked to close the window.
-
-    Raises:
-        DeviceUnavailable: No graphics device can be opened.
     """
 
     def __init__(
@@ -107,11 +104,7 @@ class Viewer:
     # ----- drawing
 
     def draw(self, context: "WgpuContext") -> bool:
-        """Draw the current frame on a surface, and return whether another one will be needed.
-
-        Raises:
-            DeviceUnavailable: The device was lost and cannot be opened again.
-        """
+        """Draw the current frame on a surface, and return whether another one will be needed."""
         try:
             return self._draw(context)
         except DeviceLost:
@@ -301,7 +294,7 @@ class Viewer:
         self._pointer = (event["x"], event["y"])
         x, y = self._surface_position()
         if self.slider is None or not self.slider.contains(x, y):
-            self._focus()
+            self._show_errors(self._look_at_pointer)
 
     def _wheel(self, event: Event) -> None:
         self.controls.wheel(float(event["dy"]))
@@ -326,9 +319,6 @@ class Viewer:
         self.playback.playing = False
         self.playback.seek(self.playback.number + frames)
 
-    def _focus(self) -> None:
-        self._show_errors(self._look_at_pointer)
-
     def _look_at_pointer(self) -> None:
         camera = self.camera()
         request = ViewRequest(camera, "depth", (0, 0, 0, 0))
@@ -344,9 +334,6 @@ class Viewer:
             self.controls.focus(unproject(camera, x + 0.5, y + 0.5, depth))
         else:
             self.controls.frame()
-
-    def _save(self) -> None:
-        self._show_errors(self._save_picture)
 
     def _save_picture(self) -> None:
         """Save the picture at full resolution, and the camera under the same name."""
@@ -383,12 +370,12 @@ class Viewer:
         "ArrowRight": lambda self: self._step(1),
         "ArrowLeft": lambda self: self._step(-1),
         "Home": lambda self: self.playback.seek(0),
-        "f": _focus,
+        "f": lambda self: self._show_errors(self._look_at_pointer),
         "r": lambda self: self.controls.reset(),
         "g": _next_degree,
         "x": _next_antialias,
         "b": _next_background,
-        "p": _save,
+        "p": lambda self: self._show_errors(self._save_picture),
         "i": _toggle_statistics,
         "h": _toggle_help,
     }

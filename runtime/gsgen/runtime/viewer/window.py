@@ -61,11 +61,7 @@ def attach(viewer: Viewer, canvas: "BaseRenderCanvas") -> Callable[[], Exception
 
 
 def require_display() -> None:
-    """Raise if no window can be opened on this machine.
-
-    Raises:
-        DisplayUnavailable: There is no screen, or glfw or rendercanvas is not installed.
-    """
+    """Raise if no window can be opened on this machine."""
     try:
         import glfw
         import rendercanvas  # noqa: F401
@@ -86,12 +82,7 @@ def require_display() -> None:
 
 
 def open_window(viewer: Viewer, title: str, size: tuple[int, int]) -> None:
-    """Show a viewer in a new window of ``size`` desktop pixels, until it is closed.
-
-    Raises:
-        DisplayUnavailable: No window can be opened.
-        GsgenError: See :meth:`Viewer.draw`.
-    """
+    """Show a viewer in a new window of ``size`` desktop pixels, until it is closed."""
     require_display()
     from rendercanvas.glfw import GlfwRenderCanvas, loop
 

@@ -18,7 +18,7 @@ from jaxtyping import Float64
 
 from gsgen.formats.glb.accessors import view_range
 from gsgen.formats.glb.container import Container, object_member
-from gsgen.formats.glb.glb import _primitives as scene_primitives
+from gsgen.formats.glb.glb import scene_primitives
 from gsgen.formats.glb.splats import NAME, is_splats, read_primitive
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import Splats

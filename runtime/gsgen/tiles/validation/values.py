@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64
 from gsgen.contract.spec.geometry import covariance_upper, symmetric
 from gsgen.formats.glb.accessors import read_accessor
 from gsgen.formats.glb.container import Container
-from gsgen.formats.glb.glb import _primitives as scene_primitives
+from gsgen.formats.glb.glb import scene_primitives
 from gsgen.formats.glb.splats import NAME
 from gsgen.formats.shared.errors import FormatError
 from gsgen.formats.shared.splat_values import require_drawable

@@ -23,7 +23,7 @@ from gsgen.formats.shared.splat_values import linear_scale, require_drawable
 from gsgen.formats.shared.splats import Splats
 from gsgen.formats.shared.values import require_rows
 
-__all__ = ["read_glb", "write_glb"]
+__all__ = ["decode_glb", "read_glb", "scene_primitives", "write_glb"]
 
 _LARGEST = 2**32 - 1
 _HEADER_ROOM = 1 << 16
@@ -62,7 +62,7 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
     glb = parse(data)
     parts: list[Splats] = []
     used_bytes = 0
-    for primitive, matrix, where in _primitives(glb):
+    for primitive, matrix, where in scene_primitives(glb):
         splats = read_primitive(glb, primitive, where, max_bytes - used_bytes)
         require_rows(len(splats), where)
         used_bytes += len(splats) * (_BYTES_EACH + 12 * splats.sh.shape[1])
@@ -83,7 +83,8 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
     return flip(joined(parts), RDF_LUF)
 
 
-def _primitives(glb: Container) -> Iterator[tuple[dict[str, Any], Matrix, str]]:
+def scene_primitives(glb: Container) -> Iterator[tuple[dict[str, Any], Matrix, str]]:
+    """Yield each splat primitive of the scene, its node's transform, and its location."""
     for mesh, matrix in meshes(glb):
         primitives = array_member(
             glb.item("meshes", mesh, "nodes"), "primitives", f"meshes[{mesh}]"

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from gsgen.formats.ply import packed_rows as rows
+from gsgen.formats.ply.header import ANTIALIASED_COMMENT
 from gsgen.formats.shared.files import FilePath, naming, replacing
 from gsgen.formats.shared.morton import morton_order
 from gsgen.formats.shared.splat_values import require_drawable
@@ -41,7 +42,7 @@ def write_compressed_ply(path: FilePath, splats: Splats) -> None:
     higher_count = 3 * (splats.sh.shape[1] - 1)
     with replacing(path) as file:
         boxes, words = _packed(ordered)
-        file.write(_header(len(boxes), len(splats), higher_count))
+        file.write(_header(len(boxes), splats, higher_count))
         file.write(boxes.astype("<f4").tobytes())
         file.write(words.astype("<u4").tobytes())
         channels = ordered.sh[:, 1:].swapaxes(1, 2).reshape(len(splats), higher_count)
@@ -88,12 +89,14 @@ def _box(
     return low.astype(np.float32), high.astype(np.float32)
 
 
-def _header(boxes: int, count: int, higher_count: int) -> bytes:
+def _header(boxes: int, splats: Splats, higher_count: int) -> bytes:
+    count = len(splats)
     elements = [("chunk", boxes, "float", rows.BOX), ("vertex", count, "uint", rows.WORDS)]
     if higher_count:
         names = tuple(f"f_rest_{index}" for index in range(higher_count))
         elements.append(("sh", count, "uchar", names))
     lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [ANTIALIASED_COMMENT] if splats.antialiased else []
     for name, size, kind, properties in elements:
         lines.append(f"element {name} {size}")
         lines += [f"property {kind} {item}" for item in properties]

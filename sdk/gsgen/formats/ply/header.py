@@ -18,6 +18,9 @@ MAGIC: Final = (b"ply\n", b"ply\r\n")
 """The first line of a PLY file, with either line end."""
 
 ENCODINGS: Final[tuple[Encoding, ...]] = get_args(Encoding)
+ANTIALIASED_COMMENT: Final = "comment SplatRenderMode: mip"
+"""The header line of antialiased splats, in the words of Brush."""
+_RENDER_MODE = re.compile(r"SplatRenderMode:\s*(\S+)|antialiased\s+(\d+)", re.IGNORECASE)
 MAX_HEADER = 1 << 20
 """The largest header that is read, in bytes; a splat file needs about 2000."""
 MAX_COUNT_DIGITS = 18
@@ -92,6 +95,13 @@ class Header:
     encoding: Encoding
     elements: tuple[Element, ...]
     body: int
+    comments: tuple[str, ...] = ()
+
+    @property
+    def antialiased(self) -> bool:
+        """Whether the last comment of Brush or Postshot about it says that splats are antialiased."""
+        matches = [match for line in self.comments if (match := _RENDER_MODE.fullmatch(line))]
+        return bool(matches) and (matches[-1][1] or matches[-1][2]).lower() in ("mip", "1")
 
     @property
     def byte_order(self) -> Literal["little", "big"]:
@@ -114,9 +124,12 @@ def parse_header(data: mmap.mmap) -> Header:
     lines, body = _split(data)
     encoding: Encoding | None = None
     tables: dict[str, tuple[int, dict[str, Property]]] = {}
+    comments: list[str] = []
     for number, line in enumerate(lines, start=2):
         match line.split():
-            case [] | ["comment", *_] | ["obj_info", *_]:
+            case ["comment", *_]:
+                comments.append(line.strip().removeprefix("comment").strip())
+            case [] | ["obj_info", *_]:
                 continue
             case ["format", name, "1.0"] if encoding is None and name in ENCODINGS:
                 encoding = ENCODINGS[ENCODINGS.index(name)]  # for the type checker
@@ -135,7 +148,7 @@ def parse_header(data: mmap.mmap) -> Header:
         Element(name, count, tuple(properties.values()))
         for name, (count, properties) in tables.items()
     )
-    return Header(encoding, tuple(elements), body)
+    return Header(encoding, tuple(elements), body, tuple(comments))
 
 
 def _split(data: mmap.mmap) -> tuple[list[str], int]:

@@ -45,6 +45,7 @@ def read_packed(data: mmap.mmap, header: Header) -> Splats:
         log_scale=rows.unpack_in_box(words[2], box[:, 6:9], box[:, 9:12]),
         logit_opacity=logit_opacity,
         sh=np.concatenate([constant[:, None], _higher(data, header, vertex.count)], axis=1),
+        antialiased=header.antialiased,
     )
     require_drawable(splats)
     return splats

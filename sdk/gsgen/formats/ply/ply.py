@@ -13,6 +13,13 @@ from gsgen.formats.ply.layout import (
     is_splat,
     splat_degree,
     splat_groups,
+    splat_names,
+)
+from gsgen.formats.ply.methods import (
+    FILTER,
+    require_still_splats,
+    warn_of_unknown,
+    with_smoothing_filter,
 )
 from gsgen.formats.ply.packed import is_packed, read_packed
 from gsgen.formats.ply.values import only_drawable, only_finite, require_cloud, require_splats
@@ -33,8 +40,8 @@ def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointClo
     A file with any property of splats (``f_dc_0``, ``opacity``, ``scale_0``, ``rot_0``, …) must
     have all of them. Otherwise it holds points: x, y, z and a colour in bytes or in floats from
     0 to 1. Properties are found by name. Numbers may be text or binary, of either byte order and
-    any type; all become float32. Other properties and elements are ignored. A compressed PLY
-    file is unpacked.
+    any type; all become float32. A compressed PLY file is unpacked. ``filter_3D`` of
+    Mip-Splatting is applied; other properties have no effect, and are named in a FormatWarning.
 
     Args:
         path: The file.
@@ -59,26 +66,39 @@ def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointClo
         if is_packed(header):
             return read_packed(data, header)
         vertex = find_vertex(header)
+        require_still_splats(vertex.types)
         read = _read_splats if is_splat(vertex.types) else _read_cloud
         try:
-            return read(data, header, vertex, path if drop_invalid else None)
+            content = read(data, header, vertex, path if drop_invalid else None)
         except ValueInvalid as error:
             error.hint = error.hint or ("" if drop_invalid else _DROP_HINT)
             raise
+        if isinstance(content, Splats):
+            warn_of_unknown(vertex.types, (*splat_names(content.degree), FILTER), path)
+        return content
 
 
 def _read_splats(
     data: mmap.mmap, header: Header, vertex: Element, dropping: FilePath | None
 ) -> Splats:
-    groups = splat_groups(splat_degree(vertex.types))
+    groups: dict[str, tuple[str, ...]] = splat_groups(splat_degree(vertex.types))
+    has_filter = FILTER in vertex.types
+    if has_filter:
+        groups |= {FILTER: (FILTER,)}
     require_rows(vertex.count, "element 'vertex'")
     tables = read_columns(data, header, vertex, groups)
+    log_scale, logit_opacity = tables["log_scale"], tables["logit_opacity"].reshape(-1)
+    if has_filter:
+        log_scale, logit_opacity = with_smoothing_filter(
+            log_scale, logit_opacity, tables[FILTER].reshape(-1)
+        )
     splats = Splats(
         position=tables["position"],
         rotation=tables["rotation"],
-        log_scale=tables["log_scale"],
-        logit_opacity=tables["logit_opacity"].reshape(-1),
+        log_scale=log_scale,
+        logit_opacity=logit_opacity,
         sh=tables["sh"].reshape(vertex.count, -1, 3),
+        antialiased=header.antialiased or has_filter,
     )
     if dropping is not None:
         return only_drawable(splats, dropping)

@@ -6,7 +6,7 @@ from typing import BinaryIO
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.ply.header import ENCODINGS, Encoding
+from gsgen.formats.ply.header import ANTIALIASED_COMMENT, ENCODINGS, Encoding
 from gsgen.formats.ply.layout import COLORS, XYZ, splat_groups, splat_names
 from gsgen.formats.ply.values import require_cloud, require_splats
 from gsgen.formats.shared.errors import ValueInvalid, shown
@@ -38,7 +38,7 @@ def write_ply(
             raise ValueInvalid(shown(str(format)), where="format", expected=", ".join(ENCODINGS))
         columns = _splat_columns(content) if isinstance(content, Splats) else _points(content)
     with replacing(path) as file:
-        file.write(_header(columns, len(content), format))
+        file.write(_header(columns, content, format))
         for chunk in _chunks(columns, len(content)):
             _write_rows(file, chunk, format)
 
@@ -59,12 +59,14 @@ def _points(cloud: PointCloud) -> Columns:
     return properties | {name: ("u1", color[:, i]) for i, name in enumerate(COLORS[0])}
 
 
-def _header(columns: Columns, count: int, encoding: Encoding) -> bytes:
+def _header(columns: Columns, content: Splats | PointCloud, encoding: Encoding) -> bytes:
     words = {"f4": "float", "u1": "uchar"}
+    is_antialiased = isinstance(content, Splats) and content.antialiased
     lines = [
         "ply",
         f"format {encoding} 1.0",
-        f"element vertex {count}",
+        *([ANTIALIASED_COMMENT] if is_antialiased else []),
+        f"element vertex {len(content)}",
         *(f"property {words[code]} {name}" for name, (code, _) in columns.items()),
         "end_header\n",
     ]

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32
 
+from gsgen.formats.shared.errors import ValueInvalid, shown
 from gsgen.formats.shared.splats import Splats
 
 Signs = tuple[int, int, int]
@@ -19,6 +20,23 @@ RDF_RUB: Final[Signs] = (1, -1, -1)
 """Converts between x right, y down, z forward (PLY) and x right, y up, z back (SPZ)."""
 RDF_LUF: Final[Signs] = (-1, -1, 1)
 """Converts between x right, y down, z forward (PLY) and x left, y up, z forward (glTF)."""
+
+
+def axis_signs(axes: str) -> Signs:
+    """Return the factors between PLY axes and ``axes``, such as ``RUB``: right, up, back.
+
+    Raises:
+        ValueInvalid: ``axes`` is not R or L, then U or D, then F or B.
+    """
+    letters = axes.upper()
+    if len(letters) != 3 or any(
+        letter not in pair for letter, pair in zip(letters, ("RL", "DU", "FB"), strict=True)
+    ):
+        raise ValueInvalid(
+            shown(axes), where="axes", expected="R or L, U or D, F or B, such as RUB or RDF"
+        )
+    x, y, z = (1 if letter in "RDF" else -1 for letter in letters)
+    return x, y, z
 
 
 def flip(splats: Splats, signs: Signs) -> Splats:

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from gsgen.formats.shared.axes import RDF_RUB, Signs, flip
+from gsgen.formats.shared.axes import Signs, axis_signs, flip
 from gsgen.formats.shared.bytes import MAX_BYTES, Data, contents
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.files import FilePath, naming, replacing
@@ -25,10 +25,13 @@ FRACTIONAL_BITS = 12
 SH_BITS = (5, 4)
 """The kept bits of eight for harmonics of degree 1, and of higher degrees."""
 
+AXES = "RUB"
+"""The axes of the format: x right, y up, z back."""
+
 _LARGEST_HALF = 65504.0
 
 
-def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
+def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES, axes: str | None = None) -> Splats:
     """Read the SPZ file at ``path``, of version 1, 2, 3 or 4.
 
     Axes are converted from x right, y up, z back, or from the declared system, to those of a PLY.
@@ -36,6 +39,8 @@ def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
     Args:
         path: The file.
         max_bytes: The limit of the unpacked attributes, in bytes.
+        axes: The axes of the file, such as ``RDF``, which some programs write without declaring
+            it; None for those of the format.
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
@@ -49,10 +54,10 @@ def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
         ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
     with contents(path) as data:
-        return decode_spz(data, max_bytes)
+        return decode_spz(data, max_bytes, None if axes is None else axis_signs(axes))
 
 
-def decode_spz(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
+def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: Signs | None = None) -> Splats:
     """Return the splats of the SPZ file ``data``, with the axes of a PLY file."""
     frame = container.unpack(data, max_bytes)
     splats = streams.decode(
@@ -63,7 +68,7 @@ def decode_spz(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
         antialiased=frame.antialiased,
     )
     require_drawable(splats)
-    return _turned(splats, frame.signs)
+    return _turned(splats, frame.signs if signs is None else signs)
 
 
 def _turned(splats: Splats, signs: Signs) -> Splats:
@@ -79,7 +84,12 @@ def _turned(splats: Splats, signs: Signs) -> Splats:
 
 
 def write_spz(
-    path: FilePath, splats: Splats, *, version: int = VERSION, sh_bits: tuple[int, int] = SH_BITS
+    path: FilePath,
+    splats: Splats,
+    *,
+    version: int = VERSION,
+    sh_bits: tuple[int, int] = SH_BITS,
+    axes: str = AXES,
 ) -> None:
     """Write ``splats`` to ``path`` as an SPZ file.
 
@@ -94,6 +104,7 @@ def write_spz(
         splats: The splats.
         version: The version, 1 to 4; 4 needs the package zstandard.
         sh_bits: The kept bits of eight for harmonics of degree 1, and of higher degrees.
+        axes: The axes of the file. Others than those of the format are not declared in it.
 
     Raises:
         ValueInvalid: ``splats`` is empty, holds values that cannot be drawn or exceeds
@@ -108,7 +119,10 @@ def write_spz(
         require_drawable(splats)
         fraction = _fractional_bits(splats, version)
         content = streams.encode(
-            _turned(splats, RDF_RUB), version=version, fractional_bits=fraction, sh_bits=sh_bits
+            _turned(splats, axis_signs(axes)),
+            version=version,
+            fractional_bits=fraction,
+            sh_bits=sh_bits,
         )
         frame = container.Frame(
             version=version,

@@ -62,9 +62,8 @@ class Gaussians:
         self._expect("sh", *((n, k, 3) for k in COEFFICIENTS))
         if self.count is not None and self.count.numel() != 1:
             count_shape = list(self.count.shape)
-            raise GeneratorInvalid(
-                f"shape is {count_shape}, expected one element", where="Gaussians.count"
-            )
+            message = f"shape is {count_shape}, expected one element"
+            raise GeneratorInvalid(message, where="Gaussians.count")
         cells = 0 if self.cells is None else self.cells.position.shape[0]
         if self.cells is not None and (not cells or n % cells):
             message = f"{n} Gaussians do not fill {cells} cells equally"

@@ -4,25 +4,10 @@ The Visionary viewer binds the default names to the correct role.
 """
 
 __all__ = [
-    "appearance_id",
-    "audio",
-    "camera_position",
-    "condition",
-    "conditioning",
-    "control",
-    "expression",
-    "frame_index",
-    "image",
-    "pose",
-    "projection",
-    "root_rotation",
-    "root_translation",
-    "shape",
-    "time",
-    "timestep",
-    "view",
-    "viewport",
-]
+    "appearance_id", "audio", "camera_position", "condition", "conditioning", "control",
+    "expression", "frame_index", "image", "pose", "projection", "root_rotation", "root_translation",
+    "shape", "time", "timestep", "view", "viewport",
+]  # fmt: skip
 
 from collections.abc import Sequence
 from typing import Literal

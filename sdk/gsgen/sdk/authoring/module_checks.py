@@ -36,7 +36,9 @@ def validate_module(module: Any) -> None:
 def _require_inputs(declared: Any, where: str) -> None:
     if isinstance(declared, Input):
         hint = "A tuple of one has a comma: inputs = (inputs.time(),)"
-        raise GeneratorInvalid("is one input, expected a tuple", where=where, hint=hint)
+        raise GeneratorInvalid(
+            "is a single input, expected a tuple of inputs", where=where, hint=hint
+        )
     if isinstance(declared, str) or not isinstance(declared, tuple | list):
         message = f"is {type(declared).__name__}, expected a tuple of inputs"
         raise GeneratorInvalid(message, where=where, hint=_INPUTS_HINT)

@@ -1,16 +1,9 @@
 """Packs, casts, pads and names the outputs of an author's module as the contract requires."""
 
 __all__ = [
-    "APPEARANCE_RGB",
-    "APPEARANCE_SH",
-    "CELLS",
-    "COUNT",
-    "GAUSSIANS",
-    "Packed",
-    "PackedGenerator",
-    "check_whole_cells",
-    "output_names",
-]
+    "APPEARANCE_RGB", "APPEARANCE_SH", "CELLS", "COUNT", "GAUSSIANS", "Packed", "PackedGenerator",
+    "check_whole_cells", "output_names",
+]  # fmt: skip
 
 from dataclasses import dataclass
 
@@ -44,11 +37,9 @@ def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
 def check_whole_cells(capacity: int, per_cell: int) -> None:
     """Raise if a capacity in rows is not a multiple of ``per_cell``, the rows of each cell."""
     if capacity % per_cell:
-        raise GeneratorInvalid(
-            f"{capacity} rows are not a multiple of {per_cell}, the rows of a cell",
-            where="capacity",
-            hint=f"Export with a capacity that {per_cell} divides.",
-        )
+        message = f"{capacity} rows are not a multiple of {per_cell}, the rows of a cell"
+        hint = f"Export with a capacity that {per_cell} divides."
+        raise GeneratorInvalid(message, where="capacity", hint=hint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,20 +67,16 @@ class PackedGenerator(nn.Module):
         rows = self._padded(self._rows(gaussians))
         color = self._padded(self._color(gaussians))
         outputs = (rows, color, self._count(gaussians))
-        return (
-            outputs
-            if gaussians.cells is None
-            else (*outputs, self._cells(gaussians, gaussians.cells))
-        )
+        if gaussians.cells is None:
+            return outputs
+        return (*outputs, self._cells(gaussians, gaussians.cells))
 
     def _rows(self, gaussians: Gaussians) -> Tensor:
         n = gaussians.position.shape[0]
         if n > self.packed.capacity:
-            raise GeneratorInvalid(
-                f"{n} Gaussians do not fit the capacity {self.packed.capacity}",
-                where="capacity",
-                hint=f"Export with a capacity of {n} or more.",
-            )
+            message = f"{n} Gaussians do not fit the capacity {self.packed.capacity}"
+            hint = f"Export with a capacity of {n} or more."
+            raise GeneratorInvalid(message, where="capacity", hint=hint)
         opacity = gaussians.opacity.reshape(n, 1)
         if gaussians.count is not None:
             live = torch.arange(n, device=opacity.device) < gaussians.count.reshape(1)

@@ -24,19 +24,8 @@ if TYPE_CHECKING:
     from gsgen.sdk.binding.session import FrameSession
 
 __all__ = [
-    "CameraLike",
-    "CaptureOff",
-    "Frame",
-    "FrameGone",
-    "FrameSession",
-    "InputInvalid",
-    "NodesOnCpu",
-    "Pinhole",
-    "ProviderUnavailable",
-    "RunFailed",
-    "SessionClosed",
-    "SizeUnknown",
-    "Stop",
-]
+    "CameraLike", "CaptureOff", "Frame", "FrameGone", "FrameSession", "InputInvalid", "NodesOnCpu",
+    "Pinhole", "ProviderUnavailable", "RunFailed", "SessionClosed", "SizeUnknown", "Stop",
+]  # fmt: skip
 
 __getattr__ = lazy_getattr(__name__)

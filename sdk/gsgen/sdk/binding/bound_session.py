@@ -28,34 +28,20 @@ _OTHER_SIZE = re.compile(
     r"run is \{([\d,]*)\}"
 )
 _DTYPES = {
-    "tensor(bool)": "bool",
-    "tensor(double)": "float64",
-    "tensor(float)": "float32",
-    "tensor(float16)": "float16",
-    "tensor(int16)": "int16",
-    "tensor(int32)": "int32",
-    "tensor(int64)": "int64",
-    "tensor(int8)": "int8",
-    "tensor(uint16)": "uint16",
-    "tensor(uint32)": "uint32",
-    "tensor(uint64)": "uint64",
-    "tensor(uint8)": "uint8",
-}
+    "tensor(bool)": "bool", "tensor(double)": "float64", "tensor(float)": "float32",
+    "tensor(float16)": "float16", "tensor(int16)": "int16", "tensor(int32)": "int32",
+    "tensor(int64)": "int64", "tensor(int8)": "int8", "tensor(uint16)": "uint16",
+    "tensor(uint32)": "uint32", "tensor(uint64)": "uint64", "tensor(uint8)": "uint8",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class TensorSpec:
-    """Name, dtype and dimensions of an input or output of an ONNX Runtime session.
+    """Name, dtype and dimensions of an input or output of an ONNX Runtime session."""
 
-    Attributes:
-        name: The tensor's name.
-        dtype: The tensor's dtype.
-        dims: Sizes; a symbol or None for an open dimension.
-    """
-
-    name: str
-    dtype: np.dtype[Any]
-    dims: tuple[int | str | None, ...]
+    name: str  # the tensor's name
+    dtype: np.dtype[Any]  # the tensor's dtype
+    dims: tuple[int | str | None, ...]  # sizes; a symbol or None for an open dimension
 
     def shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
         """Return the static shape of the tensor; ``sizes`` resolves symbolic dimensions.

@@ -114,7 +114,8 @@ def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
     """
     default = declared.default
     if default is None:
-        default = "identity" if declared.role in _MATRICES else _low(declared)
+        low = declared.range[0] if declared.range else 0.0
+        default = "identity" if declared.role in _MATRICES else low
     if default == "zeros":
         return np.zeros(shape)
     if default == "identity":
@@ -124,10 +125,6 @@ def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
         message = f"default has {values.size} numbers, expected {int(np.prod(shape))}"
         raise InputInvalid(message, where=f"input {declared.name}")
     return values.reshape(shape) if values.ndim else np.full(shape, values)
-
-
-def _low(declared: Input) -> float:
-    return declared.range[0] if declared.range else 0.0
 
 
 def _identity(role: str, shape: tuple[int, ...]) -> np.ndarray:

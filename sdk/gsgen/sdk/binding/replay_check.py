@@ -16,22 +16,10 @@ Outputs = Mapping[str, np.ndarray]
 # Two runs on one adapter use the same kernels, so they agree to the last bits.
 _SAME = {"float32": 1e-5, "float16": 2e-3}
 # Operators that are buffer copies, which capture does not record, or that update in place.
-_CULPRITS = frozenset(
-    {
-        "Flatten",
-        "Identity",
-        "ReduceMax",
-        "ReduceMean",
-        "ReduceMin",
-        "ReduceProd",
-        "ReduceSum",
-        "Reshape",
-        "ScatterElements",
-        "ScatterND",
-        "Squeeze",
-        "Unsqueeze",
-    }
-)
+_CULPRITS = frozenset({
+    "Flatten", "Identity", "ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum",
+    "Reshape", "ScatterElements", "ScatterND", "Squeeze", "Unsqueeze",
+})  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +35,8 @@ def wrong_outputs(
 ) -> Iterator[WrongReplay]:
     """Yield every output whose replayed frames are wrong.
 
-    Args:
-        uncaptured: Outputs of each frame, computed without capture.
-        replayed: Outputs of the same frames; the first was captured, the others replayed.
-        origin: Describes the operator that an output, given by name, comes from.
+    ``replayed`` holds the frames of ``uncaptured``: the first was captured, the others replayed.
+    ``origin`` describes the operator that an output, given by name, comes from.
     """
     for name in uncaptured[0] if uncaptured else ():
         expected = [np.asarray(outputs[name]) for outputs in uncaptured]

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.contract.errors import ExitCode, ModelUnreadable
+from gsgen.contract.errors import ExitCode
+from gsgen.sdk.commands.options import AsJson, Sizes, exit_at_error, sizes_of
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.benchmark import BenchmarkResult
@@ -33,17 +34,14 @@ def bench(
         typer.Option(help="Measure this provider only; repeatable. [default: all available ones]"),
     ] = None,
     frames: Annotated[int, typer.Option(help="Number of measured frames.", min=1)] = 100,
-    size: Annotated[
-        list[str] | None,
-        typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension; repeatable."),
-    ] = None,
+    size: Sizes = None,
     capture: Annotated[
         bool, typer.Option("--capture/--no-capture", help="Record a frame once and replay it.")
     ] = True,
     timeout: Annotated[
         float, typer.Option(help="Time limit in seconds for one model on one provider.", min=1)
     ] = 300,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: AsJson = False,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Also write the JSON to this file.")
     ] = None,
@@ -59,7 +57,6 @@ def bench(
     from gsgen.contract.commands.output import write_text
     from gsgen.contract.process.atomic_files import refuse_model
     from gsgen.sdk.binding.providers.selection import installed_providers
-    from gsgen.sdk.commands.sizes import sizes_of
 
     if output is not None:
         refuse_model(output, models)
@@ -76,23 +73,17 @@ def bench(
     else:
         _show(results)
     failure_states = {"failed", "crashed"} | ({"unavailable"} if provider else set())
-    raise typer.Exit(
-        ExitCode.FAILURE
-        if any(result.state in failure_states for result in results)
-        else ExitCode.SUCCESS
-    )
+    failed = any(result.state in failure_states for result in results)
+    raise typer.Exit(ExitCode.FAILURE if failed else ExitCode.SUCCESS)
 
 
 def _need_models(models: list[Path]) -> None:
     """Exit with an error if a file is not a model, before minutes are spent on the others."""
     from gsgen.contract.model.model_file import open_model
 
-    try:
+    with exit_at_error():
         for model in models:
             open_model(model)
-    except ModelUnreadable as error:
-        typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(ExitCode.UNREADABLE) from error
 
 
 def _measure(
@@ -172,7 +163,6 @@ def _cells(result: "BenchmarkResult") -> list[str]:
 
 
 def _decimal_size(count: int) -> str:
-    """Return a size with three digits and a decimal unit."""
     size, units = float(count), ["B", "kB", "MB", "GB", "TB"]
     while size >= 1000 and len(units) > 1:
         size, units = size / 1000, units[1:]

@@ -2,13 +2,22 @@
 
 __all__ = ["fix"]
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, ModelUnreadable
+from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError
+from gsgen.sdk.commands.options import (
+    AsJson,
+    DryRun,
+    ModelFile,
+    Sizes,
+    copy_of,
+    echo_json,
+    exit_at_error,
+    sizes_of,
+)
 
 if TYPE_CHECKING:
     from gsgen.contract.spec.manifest import GeneratorManifest
@@ -16,14 +25,11 @@ if TYPE_CHECKING:
 
 
 def fix(
-    model: Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)],
+    model: ModelFile,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="The repaired copy.")
     ] = None,
-    size: Annotated[
-        list[str] | None,
-        typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension; repeatable."),
-    ] = None,
+    size: Sizes = None,
     pin: Annotated[
         list[str] | None, typer.Option(hidden=True, help="Former name of --size.")
     ] = None,
@@ -37,10 +43,8 @@ def fix(
         Literal["channel-major"] | None,
         typer.Option(help="Actual order of the SH, which are then reordered; never guessed."),
     ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Write nothing; list the changes.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write a repaired copy of MODEL, and list the changes.
 
@@ -49,8 +53,6 @@ def fix(
     """
     from gsgen.contract.commands.output import show
     from gsgen.contract.reporters.text import render
-    from gsgen.sdk.commands.copies import copy_of
-    from gsgen.sdk.commands.sizes import sizes_of
     from gsgen.sdk.exporting.repair import RepairRequest, repair
 
     output = copy_of(output, dry_run=dry_run)
@@ -60,18 +62,10 @@ def fix(
         rename=rename,
         channel_major=sh_order is not None,
     )
-    try:
+    with exit_at_error():
         result = repair(model, output, request)
-    except ModelUnreadable as error:
-        typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(ExitCode.UNREADABLE) from error
-    except ConfigInvalid:
-        raise
-    except GsgenError as error:
-        typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(ExitCode.FAILURE) from error
     if as_json:
-        typer.echo(json.dumps(_document(result, output), indent=2, ensure_ascii=False))
+        echo_json(_document(result, output))
     else:
         for applied in result.repairs:
             typer.echo(f"{applied.rule}: {applied.description}")

@@ -2,15 +2,21 @@
 
 __all__ = ["float16"]
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.contract.commands.progress import clear, progress
-from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, ModelUnreadable
+from gsgen.contract.commands.progress import progress
+from gsgen.sdk.commands.options import (
+    AsJson,
+    DryRun,
+    copy_of,
+    echo_json,
+    exit_at_error,
+    first_names,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,10 +42,8 @@ def float16(
     timeout: Annotated[
         float, typer.Option(help="Time limit in seconds for running the copy.", min=0.1)
     ] = 120.0,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Write nothing; list the changes.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write a float16 copy of MODEL; nodes whose rounding error is measured as too large stay float32.
 
@@ -47,11 +51,10 @@ def float16(
     MODEL is not a model.
     """
     from gsgen.contract.process.limits import Limits
-    from gsgen.sdk.commands.copies import copy_of
     from gsgen.sdk.float16.convert_model import write_float16
 
     output = copy_of(output, dry_run=dry_run)
-    try:
+    with exit_at_error():
         result = write_float16(
             model,
             output,
@@ -60,16 +63,8 @@ def float16(
             limits=Limits(seconds=timeout),
             progress=progress,
         )
-    except ConfigInvalid:
-        raise
-    except GsgenError as error:
-        clear()
-        typer.echo(f"gsgen: {error}", err=True)
-        code = ExitCode.UNREADABLE if isinstance(error, ModelUnreadable) else ExitCode.FAILURE
-        raise typer.Exit(code) from error
-    clear()
     if as_json:
-        typer.echo(json.dumps(_document(result), indent=2, ensure_ascii=False))
+        echo_json(_document(result))
         return
     for line in _report(result):
         typer.echo(line)
@@ -82,12 +77,10 @@ def _report(result: "Float16Result") -> "Iterator[str]":
     for entry in result.retained:
         reasons.setdefault(entry.reason, []).append(entry.node)
     for reason, names in reasons.items():
-        suffix = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-        yield f"  float32 for {reason}: {', '.join(names[:_MAX_NAMES])}{suffix}"
+        yield f"  float32 for {reason}: {first_names(names, _MAX_NAMES)}"
     if result.retained_weights:
         names = [entry.node for entry in result.retained_weights]
-        suffix = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-        yield f"  stored in float32: {', '.join(names[:_MAX_NAMES])}{suffix}"
+        yield f"  stored in float32: {first_names(names, _MAX_NAMES)}"
     yield f"weights {result.bytes_before} → {result.bytes_after} bytes"
     yield f"outputs {result.outputs_before} → {result.outputs_after} bytes per frame"
     yield f"largest errors: {result.parity.describe()}"

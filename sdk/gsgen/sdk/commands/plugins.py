@@ -2,13 +2,13 @@
 
 __all__ = ["plugins"]
 
-import json
 from typing import Annotated, Any
 
 import typer
 
 from gsgen.contract._extensions import Command
 from gsgen.contract.errors import UnknownName
+from gsgen.sdk.commands.options import AsJson, echo_json
 from gsgen.sdk.plugins.plugin import Plugin, find_plugins
 
 
@@ -17,7 +17,7 @@ def plugins(
         list[str] | None,
         typer.Argument(metavar="[NAMES]…", help="List these plugins only.", show_default="all"),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List the installed plugins: what each exports, its inputs, and the files it reads.
 
@@ -29,7 +29,7 @@ def plugins(
             raise UnknownName.among("plugin", name, commands)
     entries = [_facts(command) for name, command in commands.items() if not names or name in names]
     if as_json:
-        typer.echo(json.dumps(entries, indent=2, ensure_ascii=False))
+        echo_json(entries)
         return
     typer.echo("\n\n".join(_text(entry) for entry in entries))
 

@@ -2,20 +2,29 @@
 
 __all__ = ["rewrite"]
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.contract.commands.progress import clear, progress
-from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, ModelUnreadable
+from gsgen.contract.commands.progress import progress
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.sdk.commands.options import (
+    AsJson,
+    DryRun,
+    Sizes,
+    copy_of,
+    echo_json,
+    exit_at_error,
+    first_names,
+    sizes_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from gsgen.sdk.rewriting.rewrite import Change, Rewritten
+    from gsgen.sdk.rewriting.rewrite import Rewritten
 
 _MAX_NAMES = 4
 
@@ -39,28 +48,21 @@ def rewrite(
         int | None,
         typer.Option(help="Operator set of the copy; the kernels decide by default.", min=7),
     ] = None,
-    size: Annotated[
-        list[str] | None,
-        typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension; repeatable."),
-    ] = None,
+    size: Sizes = None,
     freeze: Annotated[
         list[str] | None, typer.Option(hidden=True, help="Former name of --size.")
     ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Write nothing; list the changes.")
-    ] = False,
+    dry_run: DryRun = False,
     listed: Annotated[
         bool, typer.Option("--list", help="List the passes in the order in which they run.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Rewrite MODEL's graph for a consumer's GPU, and verify that it computes the same outputs.
 
     Exits 0 if it does, 1 if it does not (then nothing is written), 4 if MODEL is not a model.
     """
     from gsgen.contract.spec.targets import load_target
-    from gsgen.sdk.commands.copies import copy_of
-    from gsgen.sdk.commands.sizes import sizes_of
     from gsgen.sdk.rewriting.rewrite import rewrite_file
 
     consumer = load_target(target)
@@ -71,7 +73,7 @@ def rewrite(
         raise ConfigInvalid("MODEL is missing, expected an ONNX file", where="gsgen rewrite")
     output = copy_of(output, dry_run=dry_run)
     sizes = sizes_of(size, "--size") | sizes_of(freeze, "--freeze")
-    try:
+    with exit_at_error():
         result = rewrite_file(
             model,
             output,
@@ -82,15 +84,8 @@ def rewrite(
             sizes=sizes,
             progress=progress,
         )
-    except ConfigInvalid:
-        raise
-    except GsgenError as error:
-        clear()
-        typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(_exit_code(error)) from error
-    clear()
     if as_json:
-        typer.echo(json.dumps(_document(result), indent=2, ensure_ascii=False))
+        echo_json(_document(result))
         return
     _show(result)
 
@@ -105,10 +100,6 @@ def _show(result: "Rewritten") -> None:
             f"no finite number at any of {result.probes} probes, so the rewrite is not verified"
         )
         typer.echo(f"gsgen: {names}: {message}", err=True)
-
-
-def _exit_code(error: GsgenError) -> ExitCode:
-    return ExitCode.UNREADABLE if isinstance(error, ModelUnreadable) else ExitCode.FAILURE
 
 
 def _split(names: list[str] | None) -> list[str]:
@@ -132,7 +123,7 @@ def _list(target: str, *, as_json: bool) -> None:
         for rewrite_class in REWRITES
     ]
     if as_json:
-        typer.echo(json.dumps(rows, indent=2, ensure_ascii=False))
+        echo_json(rows)
         return
     width = max(len(str(row["name"])) for row in rows)
     for row in rows:
@@ -144,7 +135,8 @@ def _list(target: str, *, as_json: bool) -> None:
 
 def _report(result: "Rewritten") -> "Iterator[str]":
     for change in result.changes:
-        yield f"{change.rewrite}: {_counted(change)}"
+        names = first_names(change.nodes, _MAX_NAMES)
+        yield f"{change.rewrite}: {len(change.nodes)}× {names}"
     before, after = result.before, result.after
     if not result.changes:
         yield "nothing to rewrite"
@@ -161,14 +153,6 @@ def _report(result: "Rewritten") -> "Iterator[str]":
         yield f"outputs were compared at {result.probes} probes: {_compared(result)}"
     if result.path is not None:
         yield f"wrote {result.path}"
-
-
-def _counted(change: "Change") -> str:
-    names = ", ".join(change.nodes[:_MAX_NAMES])
-    remaining_count = len(change.nodes) - _MAX_NAMES
-    return f"{len(change.nodes)}× {names}" + (
-        f" and {remaining_count} more" if remaining_count > 0 else ""
-    )
 
 
 def _compared(result: "Rewritten") -> str:

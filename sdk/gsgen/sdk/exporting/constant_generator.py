@@ -5,13 +5,9 @@ kernel to record.
 """
 
 __all__ = [
-    "ConstantRows",
-    "ConstantSource",
-    "ExportedConstant",
-    "constant_manifest",
-    "export_constant",
+    "ConstantRows", "ConstantSource", "ExportedConstant", "constant_manifest", "export_constant",
     "write_constant",
-]
+]  # fmt: skip
 
 import os
 from abc import ABC, abstractmethod
@@ -29,6 +25,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import execute
+from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import (
@@ -49,7 +46,6 @@ from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
-from gsgen.sdk.rewriting.atomic_model_files import refuse_folder
 
 _IR_VERSION = 8
 _BOUNDS_MARGIN = 1e-3
@@ -127,22 +123,9 @@ def export_constant(
 ) -> ExportedConstant:
     """Write ``source`` as a generator that emits the same rows, bit for bit, at every frame.
 
-    Args:
-        source: The scene.
-        path: The model file; it is replaced only by a model that passed every check.
-        name: Name in the manifest; the file's stem if absent.
-        dtype: The dtype of the outputs; the source's own if absent.
-        capacity: Rows of the outputs; rows after those of the scene are zero. As many as the
-            scene has if absent.
-        opset: ONNX operator set.
-        target: The consumer to validate for. The graph needs no rewrites.
-        settings: Level, limits and severities of the validation.
-        progress: Called with a message when a step begins.
-
-    Raises:
-        ConfigInvalid: The capacity is smaller than the number of rows.
-        ParityFailed: ONNX Runtime does not return the same bits.
-        ExportRejected: The model breaks a rule; the error carries the report.
+    Options are those of :func:`gsgen.sdk.export`; the graph needs no rewrites. ``dtype`` is the
+    source's own by default. Rows up to ``capacity`` are zero. The bits of the outputs are compared,
+    and the file is replaced only by a model that passed every check.
     """
     path = Path(path)
     refuse_folder(path)
@@ -172,11 +155,9 @@ def constant_manifest(
     count = len(packed.rows)
     total = count if capacity is None else capacity
     if total < count:
-        raise ConfigInvalid(
-            f"{total} is less than the {count} rows",
-            where="--capacity",
-            hint=f"Give {count} or more, or leave it out.",
-        )
+        message = f"{total} is less than the {count} rows"
+        hint = f"Give {count} or more, or leave it out."
+        raise ConfigInvalid(message, where="--capacity", hint=hint)
     return GeneratorManifest(
         name=name,
         family=family,
@@ -206,18 +187,9 @@ def write_constant(
 ) -> None:
     """Write a generator that emits ``rows`` and ``appearance``, bit for bit, at every frame.
 
-    Args:
-        rows: Packed Gaussians, float32 or float16. Zeros are added up to the manifest's capacity.
-        appearance: SH or RGB, float32 or float16.
-        manifest: Names the outputs; embedded.
-        path: The model file. Write to the draft of
-            :func:`gsgen.sdk.rewriting.atomic_model_files.atomic_write` to replace a model.
-        count: Number of live rows, the first ones; all if absent.
-        opset: ONNX operator set.
-
-    Raises:
-        GeneratorInvalid: The arrays do not fit each other or the manifest.
-        ParityFailed: ONNX Runtime does not return the same bits.
+    ``manifest`` names the outputs; rows up to its capacity are zero, and the first ``count`` rows
+    are live, by default all. Write to the draft of
+    :func:`gsgen.contract.process.atomic_files.atomic_write` to replace a model.
     """
     outputs = _outputs(rows, appearance, manifest, len(rows) if count is None else count)
     _save(_model(outputs, manifest, opset), path)
@@ -229,7 +201,9 @@ def _outputs(
 ) -> dict[str, np.ndarray]:
     declared = manifest.outputs
     if declared.gaussians is None or declared.appearance is None or declared.count is None:
-        raise GeneratorInvalid("names no gaussians, appearance or count", where="manifest.outputs")
+        raise GeneratorInvalid(
+            "names no gaussians, appearance or count, expected all three", where="manifest.outputs"
+        )
     if declared.cells is not None:
         message = "declares cells, but constant rows are written without cells"
         raise GeneratorInvalid(message, where="manifest.outputs")
@@ -299,4 +273,4 @@ def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
                 raise ParityFailed(message, where=where)
             # NaN equals NaN: its payload does not change what is drawn.
             if not np.array_equal(actual, expected, equal_nan=actual.dtype.kind == "f"):
-                raise ParityFailed("output has other values than the rows", where=where)
+                raise ParityFailed("output differs from the packed rows of the source", where=where)

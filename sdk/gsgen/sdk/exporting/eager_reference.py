@@ -183,11 +183,9 @@ def measure_bounds(references: Iterable[Reference]) -> Bounds:
     points = np.array(corners) if corners else np.zeros((0, 3))
     bounds = Bounds.around(points, _MARGIN)
     if bounds is None:
-        raise GeneratorInvalid(
-            "no probe gives a single finite, visible Gaussian",
-            where="forward",
-            hint="Check that opacity is activated and that positions are finite.",
-        )
+        message = "no probe gives a single finite, visible Gaussian"
+        hint = "Check that opacity is activated and that positions are finite."
+        raise GeneratorInvalid(message, where="forward", hint=hint)
     return bounds
 
 

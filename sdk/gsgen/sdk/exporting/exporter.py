@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from gsgen.contract.probing.probes import Probe, default_probes
+from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.contract.spec.manifest import (
     AppearanceOutput,
     Bounds,
@@ -60,7 +61,6 @@ from gsgen.sdk.exporting.tracing import trace_generator
 from gsgen.sdk.exporting.verification import check_memory, check_parity
 from gsgen.sdk.float16.convert_model import Float16Result, float16_manifest, to_float16
 from gsgen.sdk.parity import Parity
-from gsgen.sdk.rewriting.atomic_model_files import refuse_folder
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.rewriting.rewrite import prepare
 
@@ -109,8 +109,6 @@ class Exported(ExportResult):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Options:
-    """Options of :func:`export`, which writes a generator as an ONNX model."""
-
     name: str
     dtype: Dtype
     capacity: int | None
@@ -274,7 +272,7 @@ class _Description:
 def _describe(
     generator: GaussianGenerator, options: _Options, dtype: Dtype, progress: Progress
 ) -> _Description:
-    """Build the manifest from the module's declarations and its outputs."""
+    """Build the manifest from the generator's declarations and its outputs in eager torch."""
     _check_inputs(generator)
     # The bounds are not known yet, so the first probes lie around the default bounds.
     draft = _manifest(generator, options.name, dtype, None, 1, None)
@@ -286,11 +284,9 @@ def _describe(
     gaussians = start.gaussians
     rows = options.capacity if options.capacity is not None else len(gaussians)
     if rows < len(gaussians):
-        raise GeneratorInvalid(
-            f"capacity {rows} is less than the {len(gaussians)} Gaussians",
-            where="capacity",
-            hint=f"Give {len(gaussians)} or more.",
-        )
+        message = f"capacity {rows} is less than the {len(gaussians)} Gaussians"
+        hint = f"Give {len(gaussians)} or more."
+        raise GeneratorInvalid(message, where="capacity", hint=hint)
     draft = _manifest(generator, options.name, dtype, gaussians.degree, rows, None)
     stored = float16_manifest(draft) if options.searches_float16 else draft
     check_fits(generator, stored, options.target)

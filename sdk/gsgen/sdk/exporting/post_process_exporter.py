@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.contract.probing.probes import Probe, default_probes
+from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.contract.spec.manifest import (
     ImageOutput,
     Input,
@@ -37,7 +38,6 @@ from gsgen.sdk.exporting.tracing import TensorNames, trace_module
 from gsgen.sdk.exporting.verification import run_exported
 from gsgen.sdk.float16.convert_image_model import Float16ImageResult, image_to_float16
 from gsgen.sdk.parity import FieldParity, Parity
-from gsgen.sdk.rewriting.atomic_model_files import refuse_folder
 from gsgen.sdk.rewriting.model_io import save_model
 
 OUTPUT = "result"
@@ -163,7 +163,6 @@ def _trace(model: PostProcess, example: Probe, opset: int, *, half: bool) -> ir.
 
 
 def _widened(probe: Probe) -> Probe:
-    """Copy a set of test inputs, with the image converted to float32."""
     inputs = {
         name: value.astype(np.float32) if value.dtype == np.float16 else value
         for name, value in probe.inputs.items()
@@ -184,7 +183,6 @@ class _Positional(nn.Module):
 
 
 def _image(inputs: Any) -> Input:
-    """Return the manifest's entry for the image input of a post-process model."""
     image: Input = next(entry for entry in inputs if entry.role == "image")
     return image
 

@@ -15,6 +15,7 @@ from onnx_ir.passes.common import NameFixPass
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_model
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.validation.report import Report
@@ -30,7 +31,6 @@ from gsgen.sdk.passes import (
     ReorderHarmonics,
     SilencePadding,
 )
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 from gsgen.sdk.rewriting.model_io import has_external_weights, refuse_overwriting, save_model
 from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
@@ -71,11 +71,7 @@ def repair(
 ) -> RepairResult:
     """Write a repaired copy of ``source`` to ``target``, without guessing anything ambiguous.
 
-    Args:
-        source: The model.
-        target: The copy's path; if None, the copy is repaired and validated, but not written.
-        request: Facts that the model does not contain, and optional repairs.
-        settings: Settings of both validations.
+    Without ``target``, the copy is repaired and validated, but not written.
     """
     request, settings = request or RepairRequest(), settings or Settings()
     before = validate(source, settings)
@@ -86,9 +82,9 @@ def repair(
     manifest = request.manifest or _own_manifest(subject)
     steps, manifest = _steps(subject, manifest, broken, request)
     if request.manifest is not None:
-        steps.append((Repair("embedded the given manifest", "GM001"), _keep))
+        steps.append((Repair("embedded the given manifest", "GM001"), lambda _: None))
     if not steps:
-        raise GsgenError("has no fault with one right answer", where=str(source))
+        raise GsgenError("has no fault that gsgen can repair without guessing", where=str(source))
     model = ir.load(source)
     _check_symbols(model, request.sizes)
     external_weights = has_external_weights(model)
@@ -129,10 +125,6 @@ def _check_symbols(model: ir.Model, sizes: Mapping[str, int]) -> None:
 
 Change = Callable[[ir.Model], passes.PassResult | None]
 Steps = list[tuple[Repair, Change]]
-
-
-def _keep(_: ir.Model) -> None:
-    return
 
 
 def _own_manifest(subject: InspectedModel) -> GeneratorManifest:

@@ -200,7 +200,7 @@ class Watch(TorchFunctionMode):
                 elif known:
                     self._undo.append(lambda: module.__dict__.update({name: before}))
                 else:
-                    self._undo.append(lambda: _forget(module, name))
+                    self._undo.append(lambda: module.__dict__.pop(name, None))
             original_setattr(module, name, value)
 
         return note
@@ -214,7 +214,3 @@ def _is_mask(index: Any) -> bool:
 def _copy(tensor: Tensor, before: Tensor) -> None:
     with torch.no_grad():
         tensor.copy_(before)
-
-
-def _forget(module: nn.Module, name: str) -> None:
-    module.__dict__.pop(name, None)

@@ -17,6 +17,7 @@ import onnx_ir as ir
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY, open_model
 from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.contract.spec.manifest_io import dumps
@@ -35,7 +36,6 @@ from gsgen.sdk.float16.to_float16 import Boundary, ToFloat16, can_compute_in_flo
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.passes.framework.base import opset_of
 from gsgen.sdk.passes.repairs import PadColor
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
 from gsgen.sdk.rewriting.model_io import (
     has_external_weights,
@@ -162,21 +162,9 @@ def to_float16(
 ) -> tuple[ir.Model, Float16Result]:
     """Return a float16 copy of ``model``, and the nodes and tables that stay float32.
 
-    Args:
-        model: A prepared graph in float32.
-        manifest: Its manifest.
-        probes: Inputs to measure at.
-        outputs: Whether the outputs become float16, too.
-        tolerances: Allowed errors; the manifest's, or the contract's defaults, if absent.
-        arithmetic: Whether nodes compute in float16. If not, every node computes in float32, and
-            only weights and outputs are stored in 16 bits.
-        roundings: How often the rounding of stored outputs is added to the tolerances.
-        budget: Largest number of choices of nodes to measure.
-        limits: Time and memory for running the result.
-        progress: Called with a message when a step begins.
-
-    Raises:
-        RewriteFailed: Every choice of nodes exceeds the tolerances.
+    Without ``arithmetic``, every node computes in float32, and only weights and outputs are stored
+    in 16 bits. The rounding of stored outputs is added to the tolerances ``roundings`` times. All
+    other options are those of :func:`write_float16`.
     """
     if outputs:
         _refuse_half_words(model, manifest)
@@ -187,7 +175,9 @@ def to_float16(
     )
     search = _Search(model, measure, arithmetic=arithmetic, budget=budget)
     if not search.nodes and not measure.weights:
-        raise RewriteFailed("computes nothing in float32", where="model")
+        raise RewriteFailed(
+            "has no node that computes in float32, and no large float32 weight", where="model"
+        )
     if not measure.rounded.holds:
         raise RewriteFailed(
             f"float16 outputs alone are too coarse: {measure.rounded.describe()}",
@@ -204,11 +194,9 @@ def to_float16(
         if parity.holds:
             break
     else:
-        raise RewriteFailed(
-            f"its float16 kernels differ by more than rounding: {parity.describe()}",
-            where="model",
-            hint="Raise the tolerances in the manifest, or leave the model in float32.",
-        )
+        message = f"its float16 kernels differ by more than rounding: {parity.describe()}"
+        hint = "Raise the tolerances in the manifest, or leave the model in float32."
+        raise RewriteFailed(message, where="model", hint=hint)
     frame = measure.frame_bytes
     return converted, Float16Result(
         path=None,
@@ -236,7 +224,6 @@ class _Choice:
 
     @property
     def retained_names(self) -> set[str]:
-        """The names of the nodes that compute in float32."""
         return {entry.node for entry in self.retained}
 
 
@@ -283,7 +270,8 @@ class _Search:
             retained = retained_nodes(nodes, self._guards, node_search.retained)
         else:
             retained = [
-                RetainedFloat32(node_key(node), "weights alone are halved") for node in nodes
+                RetainedFloat32(node_key(node), "only weights are stored in 16 bits")
+                for node in nodes
             ]
         retained += merge_islands(self.boundary, nodes, retained)
         return _Choice(
@@ -319,7 +307,6 @@ def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
 def _convert(
     model: ir.Model, manifest: GeneratorManifest, choice: _Choice, *, outputs: bool
 ) -> None:
-    """Convert a generator to float16 in place, and embed its new manifest."""
     ToFloat16(
         choice.retained_names, outputs=outputs, stored=choice.stored, unstepped=choice.unstepped
     )(model)

@@ -29,13 +29,8 @@ _UNSEEN = 12
 class ErrorProbe:
     """Measures the output error of rounding nodes or weights to float16, in the contract's units.
 
-    Args:
-        model: A graph in float32.
-        manifest: Names the outputs to compare.
-        probes: Inputs to measure at.
-        tolerances: Allowed errors.
-        half_outputs: Whether the outputs are stored in float16, too.
-        roundings: How often the rounding of stored outputs is added to the tolerances.
+    With ``half_outputs``, outputs are stored in float16, too; their rounding is added to the
+    tolerances ``roundings`` times.
 
     Attributes:
         weights: Name of each table that can be stored in 16 bits a number.
@@ -58,7 +53,9 @@ class ErrorProbe:
         declared = manifest.outputs
         assert declared.gaussians is not None
         if declared.appearance is None or declared.count is None:
-            raise RewriteFailed("names no appearance or count", where="manifest.outputs")
+            raise RewriteFailed(
+                "names no appearance or count, expected both", where="manifest.outputs"
+            )
         self.names = (
             declared.gaussians.name,
             declared.appearance.name,

@@ -23,6 +23,7 @@ from gsgen.sdk.float16.to_float16 import (
 from gsgen.sdk.float16.weight_tables import HalfTable, half_table
 from gsgen.sdk.passes.framework.base import is_op, opset_of
 from gsgen.sdk.passes.framework.graph_builder import new_node, weight
+from gsgen.sdk.passes.framework.value_facts import required
 from gsgen.sdk.rewriting.constant_subgraph import partition_constants
 from gsgen.sdk.rewriting.model_io import save_model
 
@@ -190,8 +191,7 @@ def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
         )
         graph.insert_before(node, flag)
         for index in inputs:
-            value = node.inputs[index]
-            assert value is not None
+            value = required(node.inputs[index])
             before = _rounded(value, f"float16_in_{number}_{index}")
             if not is_op(node, *_MOVES):
                 before += _flushed(before[-1].outputs[0], tiny, zero)

@@ -1,17 +1,11 @@
 """Convert a graph to float16, except for a list of nodes."""
 
 __all__ = [
-    "FLOAT",
-    "HALF",
-    "Boundary",
-    "ToFloat16",
-    "can_compute_in_float16",
-    "convertible_indices",
+    "FLOAT", "HALF", "Boundary", "ToFloat16", "can_compute_in_float16", "convertible_indices",
     "node_key",
-]
+]  # fmt: skip
 
 from collections.abc import Collection, Iterator
-from typing import ClassVar
 
 import numpy as np
 import onnx
@@ -47,9 +41,9 @@ class ToFloat16(CautiousRewrite):
     as do nodes that depend on weights alone, which are computed once.
     """
 
-    name: ClassVar[str] = "to-float16"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-2)
-    wanted_by: ClassVar[str] = "the user alone: `gsgen float16`"
+    name = "to-float16"
+    exactness = ErrorBudget(relative=1e-2)
+    wanted_by = "the user alone: `gsgen float16`"
 
     def __init__(
         self,

@@ -4,6 +4,7 @@ Registered in the entry point group ``gsgen.rules``; the module imports nothing 
 """
 
 from collections.abc import Iterator
+from functools import partial
 
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Level, Severity
@@ -16,16 +17,11 @@ from gsgen.sdk.live.level import Live, prepare_live
 RUNNER = LevelBackend(Level.LIVE, "replaying frames in WebGPU", prepare_live)
 
 _MOST_FRAMES = "every frame of several, with inputs that change"
+_live_rule = partial(rule, over="live", kinds=KINDS)
 
 
-@rule(
-    "GB011",
-    "ep-agreement",
-    Severity.ERROR,
-    over="live",
-    fixture="integers_of_64_bits",
-    needs=("GB017", "GV001"),
-    kinds=KINDS,
+@_live_rule(
+    "GB011", "ep-agreement", Severity.ERROR, fixture="integers_of_64_bits", needs=("GB017", "GV001")
 )
 def ep_agreement(live: Live) -> Iterator[Violation]:
     """The outputs of the WebGPU provider equal those of the CPU, within the model's tolerances.
@@ -44,14 +40,12 @@ def ep_agreement(live: Live) -> Iterator[Violation]:
         yield Violation.at(location, actual, expected)
 
 
-@rule(
+@_live_rule(
     "GB014",
     "capture-accepted",
     Severity.WARNING,
-    over="live",
     fixture="branches_by_if",
     needs=("GB017", "GB015"),
-    kinds=KINDS,
 )
 def capture_accepted(live: Live) -> Iterator[Violation]:
     """ONNX Runtime agrees to capture the graph.
@@ -67,14 +61,8 @@ def capture_accepted(live: Live) -> Iterator[Violation]:
         yield Violation.at("graph", live.refusal or live.state, "a session that captures")
 
 
-@rule(
-    "GB015",
-    "all-nodes-on-gpu",
-    Severity.WARNING,
-    over="live",
-    fixture="round_on_the_cpu",
-    needs=("GB017",),
-    kinds=KINDS,
+@_live_rule(
+    "GB015", "all-nodes-on-gpu", Severity.WARNING, fixture="round_on_the_cpu", needs=("GB017",)
 )
 def all_nodes_on_gpu(live: Live) -> Iterator[Violation]:
     """The WebGPU provider runs every node; no node runs on the CPU.
@@ -96,14 +84,8 @@ def all_nodes_on_gpu(live: Live) -> Iterator[Violation]:
         yield Violation.at(location, actual, "a kernel in the WebGPU provider")
 
 
-@rule(
-    "GB016",
-    "replay-not-stale",
-    Severity.ERROR,
-    over="live",
-    fixture="output_from_idle_sum",
-    needs=("GB014",),
-    kinds=KINDS,
+@_live_rule(
+    "GB016", "replay-not-stale", Severity.ERROR, fixture="output_from_idle_sum", needs=("GB014",)
 )
 def replay_not_stale(live: Live) -> Iterator[Violation]:
     """Replayed frames equal those of a session without capture for the same inputs.
@@ -125,15 +107,7 @@ def replay_not_stale(live: Live) -> Iterator[Violation]:
         )
 
 
-@rule(
-    "GB017",
-    "runs-on-webgpu",
-    Severity.ERROR,
-    over="live",
-    fixture="split_into_many",
-    needs=("GV025",),
-    kinds=KINDS,
-)
+@_live_rule("GB017", "runs-on-webgpu", Severity.ERROR, fixture="split_into_many", needs=("GV025",))
 def runs_on_webgpu(live: Live) -> Iterator[Violation]:
     """ONNX Runtime's WebGPU provider runs the model to the end.
 

@@ -8,30 +8,12 @@ fixed number of rows is gathered. Some operators have no GPU kernel, or one that
 """
 
 __all__ = [
-    "axis_angle_to_matrix",
-    "camera_centre",
-    "covariance_matrix",
-    "covariance_upper",
-    "frustum_mask",
-    "hex_plane",
-    "keep_rows",
-    "quaternion_multiply",
-    "quaternion_to_matrix",
-    "rotate_covariance",
-    "safe_normalize",
-    "sample_plane",
-    "sh_from_channel_major",
-    "sh_from_coefficient_major",
-    "sh_from_ply",
-    "sh_from_rgb",
-    "sh_of_degree",
-    "skin",
-    "skinning_transforms",
-    "to_unit_cube",
-    "top_rows",
-    "tri_plane",
-    "upper_triangle",
-]
+    "axis_angle_to_matrix", "camera_centre", "covariance_matrix", "covariance_upper",
+    "frustum_mask", "hex_plane", "keep_rows", "quaternion_multiply", "quaternion_to_matrix",
+    "rotate_covariance", "safe_normalize", "sample_plane", "sh_from_channel_major",
+    "sh_from_coefficient_major", "sh_from_ply", "sh_from_rgb", "sh_of_degree", "skin",
+    "skinning_transforms", "to_unit_cube", "top_rows", "tri_plane", "upper_triangle",
+]  # fmt: skip
 
 from gsgen.sdk.math.cameras import camera_centre, frustum_mask
 from gsgen.sdk.math.compaction import keep_rows, top_rows

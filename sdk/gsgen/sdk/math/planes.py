@@ -81,12 +81,8 @@ def _neighbours(
     index = torch.cat([low, low + 1], dim=1)
     shares = torch.cat([1 - share, share], dim=1)
     if padding == "zeros":
-        shares = shares * _is_inside(index, size)
+        shares = shares * ((index >= 0).to(index.dtype) * (index <= size - 1).to(index.dtype))
     return index.clamp(0, size - 1), shares
-
-
-def _is_inside(index: Tensor, size: int) -> Tensor:
-    return (index >= 0).to(index.dtype) * (index <= size - 1).to(index.dtype)
 
 
 def tri_plane(

@@ -1,16 +1,9 @@
 """Which graph rewrites exist, and which outputs can they repair?"""
 
 __all__ = [
-    "CastCount",
-    "EndOutputsOnCompute",
-    "MultiplyMatrices",
-    "PadColor",
-    "PinDimensions",
-    "RenameOutputs",
-    "ReorderHarmonics",
-    "RoundByFloor",
-    "SilencePadding",
-]
+    "CastCount", "EndOutputsOnCompute", "MultiplyMatrices", "PadColor", "PinDimensions",
+    "RenameOutputs", "ReorderHarmonics", "RoundByFloor", "SilencePadding",
+]  # fmt: skip
 
 from gsgen.sdk.passes.lowering.multiply_matrices import MultiplyMatrices
 from gsgen.sdk.passes.lowering.round_by_floor import RoundByFloor

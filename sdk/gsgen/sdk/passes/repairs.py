@@ -1,14 +1,10 @@
 """Repairs of model outputs that violate a rule, where only one repair is possible."""
 
 __all__ = [
-    "CastCount",
-    "PadColor",
-    "PinDimensions",
-    "RenameOutputs",
-    "ReorderHarmonics",
-    "SilencePadding",
-]
+    "CastCount", "PadColor", "PinDimensions", "RenameOutputs", "ReorderHarmonics", "SilencePadding",
+]  # fmt: skip
 
+from abc import abstractmethod
 from collections.abc import Mapping
 
 import numpy as np
@@ -17,11 +13,26 @@ from onnx_ir import passes
 
 from gsgen.contract.errors import GsgenError
 from gsgen.sdk.passes.framework.graph_builder import append_output, free_name, new_node, weight
+from gsgen.sdk.passes.framework.value_facts import numpy_dtype
 
 _RGB = 3
 
 
-class CastCount(passes.InPlacePass):
+class _Repair(passes.InPlacePass):
+    def call(self, model: ir.Model) -> passes.PassResult:
+        return passes.PassResult(model, modified=self.repair(model))
+
+    @abstractmethod
+    def repair(self, model: ir.Model) -> bool: ...
+
+
+class _OutputRepair(_Repair):
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
+
+
+class CastCount(_OutputRepair):
     """Cast the row count to int32 [1]: runtimes bind four bytes to it (rule GO011).
 
     ::
@@ -29,16 +40,12 @@ class CastCount(passes.InPlacePass):
         num_points int64 []   →   Reshape([1]) → Cast(int32) → num_points
     """
 
-    def __init__(self, name: str) -> None:
-        super().__init__()
-        self.name = name
-
-    def call(self, model: ir.Model) -> passes.PassResult:
+    def repair(self, model: ir.Model) -> bool:
         """Reshape and cast the row count; Cast comes last because graph capture records it."""
         graph, count = model.graph, _output(model, self.name)
         flat = count.shape is not None and list(count.shape) == [1]
         if flat and count.dtype == ir.DataType.INT32:
-            return passes.PassResult(model, modified=False)
+            return False
         vector_shape = weight(graph, f"{self.name}_one", np.array([1]))
         shaped = new_node("Reshape", [count, vector_shape], f"{self.name}_flat", dtype=count.dtype)
         cast = new_node(
@@ -50,10 +57,10 @@ class CastCount(passes.InPlacePass):
             to=ir.DataType.INT32.value,
         )
         append_output(graph, count, [shaped, cast])
-        return passes.PassResult(model, modified=True)
+        return True
 
 
-class PadColor(passes.InPlacePass):
+class PadColor(_OutputRepair):
     """Pad float16 RGB to four channels with ones: a row must fill whole words (rule GO015).
 
     ::
@@ -61,18 +68,14 @@ class PadColor(passes.InPlacePass):
         color_rgb [N, 3]   →   Concat(color_rgb, 1) → color_rgb [N, 4]
     """
 
-    def __init__(self, name: str) -> None:
-        super().__init__()
-        self.name = name
-
-    def call(self, model: ir.Model) -> passes.PassResult:
+    def repair(self, model: ir.Model) -> bool:
         """Append a column of ones to the colour output of a float16 model."""
         graph, color = model.graph, _output(model, self.name)
         if color.shape is None or len(color.shape) != 2 or color.shape[1] != _RGB:
-            return passes.PassResult(model, modified=False)
+            return False
         rows = color.shape[0]
         if not isinstance(rows, int) or color.dtype != ir.DataType.FLOAT16:
-            return passes.PassResult(model, modified=False)
+            return False
         # One number, expanded when the model is loaded: a whole column would be stored.
         unit = weight(graph, f"{self.name}_one", np.ones((1, 1), np.float16))
         size = weight(graph, f"{self.name}_rows", np.array([rows, 1], np.int64))
@@ -88,10 +91,10 @@ class PadColor(passes.InPlacePass):
             axis=1,
         )
         append_output(graph, color, [column, joined])
-        return passes.PassResult(model, modified=True)
+        return True
 
 
-class SilencePadding(passes.InPlacePass):
+class SilencePadding(_Repair):
     """Set every value of the rows after the count to zero (rules GV002 and GV018).
 
     Where selects, so a NaN after the count is removed; a product would keep it::
@@ -104,35 +107,34 @@ class SilencePadding(passes.InPlacePass):
         self.names = names
         self.count = count
 
-    def call(self, model: ir.Model) -> passes.PassResult:
+    def repair(self, model: ir.Model) -> bool:
         """Mask the rows after the count of each output, with the condition row number < count."""
         graph, count = model.graph, _output(model, self.count)
         outputs = [_output(model, name) for name in self.names]
         rows = outputs[0].shape[0] if outputs[0].shape is not None else None
         if not isinstance(rows, int):
-            return passes.PassResult(model, modified=False)
+            return False
         row_numbers = weight(graph, "row_numbers", np.arange(rows, dtype=np.int32)[:, None])
         live = new_node(
             "Less", [row_numbers, count], "live_rows", dtype=ir.DataType.BOOL, shape=[rows, 1]
         )
         graph.append(live)
         for value in outputs:
-            assert value.dtype is not None
-            zero = weight(graph, f"{value.name}_zero", np.zeros((), value.dtype.numpy()))
+            zero = weight(graph, f"{value.name}_zero", np.zeros((), numpy_dtype(value)))
             masked = new_node("Where", [live.outputs[0], value, zero], f"{value.name}_live")
             masked.outputs[0].type, masked.outputs[0].shape = value.type, value.shape
             append_output(graph, value, [masked])
-        return passes.PassResult(model, modified=True)
+        return True
 
 
-class RenameOutputs(passes.InPlacePass):
+class RenameOutputs(_Repair):
     """Rename outputs for viewers that find them by name (rules TV101 and TV102)."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
         super().__init__()
         self.names = names
 
-    def call(self, model: ir.Model) -> passes.PassResult:
+    def repair(self, model: ir.Model) -> bool:
         """Rename the outputs of a model; inner values with one of the new names get another one."""
         renames = {old: new for old, new in self.names.items() if old != new}
         graph = model.graph
@@ -140,26 +142,25 @@ class RenameOutputs(passes.InPlacePass):
         used_names = {value.name for value in ends}
         for old, new in renames.items():
             if new in used_names:
-                raise GsgenError(
-                    f"already exists, so output {old!r} cannot be renamed to it", where=new
-                )
+                message = f"already exists, so output {old!r} cannot be renamed to it"
+                raise GsgenError(message, where=new)
         inner = [value for node in graph for value in node.outputs]
         for value in (*inner, *graph.initializers.values()):
             if value.name in renames.values() and value not in graph.outputs:
                 value.name = free_name(graph, f"{value.name}_inner")
         for value in model.graph.outputs:
             value.name = renames.get(value.name or "", value.name)
-        return passes.PassResult(model, modified=bool(renames))
+        return bool(renames)
 
 
-class PinDimensions(passes.InPlacePass):
+class PinDimensions(_Repair):
     """Give symbolic dimensions of inputs and outputs a fixed size (rule GO004)."""
 
     def __init__(self, sizes: Mapping[str, int]) -> None:
         super().__init__()
         self.sizes = sizes
 
-    def call(self, model: ir.Model) -> passes.PassResult:
+    def repair(self, model: ir.Model) -> bool:
         """Replace every symbolic dimension for which the user passed a size."""
         modified = False
         for value in (*model.graph.inputs, *model.graph.outputs):
@@ -169,7 +170,7 @@ class PinDimensions(passes.InPlacePass):
             if dims != list(value.shape):
                 value.shape = ir.Shape(dims)
                 modified = True
-        return passes.PassResult(model, modified=modified)
+        return modified
 
     def _size(self, dim: int | ir.SymbolicDim) -> int | ir.SymbolicDim:
         symbol = None if isinstance(dim, int) else dim.value
@@ -180,7 +181,7 @@ def _output(model: ir.Model, name: str) -> ir.Value:
     return next(value for value in model.graph.outputs if value.name == name)
 
 
-class ReorderHarmonics(passes.InPlacePass):
+class ReorderHarmonics(_OutputRepair):
     """Reorder channel-major SH to coefficient-major, on request only (rule GV014 is a heuristic).
 
     ::
@@ -188,19 +189,15 @@ class ReorderHarmonics(passes.InPlacePass):
         color_sh [R… G… B…]   →   Gather(axis=1) → color_sh [RGB RGB …]
     """
 
-    def __init__(self, name: str) -> None:
-        super().__init__()
-        self.name = name
-
-    def call(self, model: ir.Model) -> passes.PassResult:
+    def repair(self, model: ir.Model) -> bool:
         """Gather the columns of the SH output in coefficient-major order."""
         graph, color = model.graph, _output(model, self.name)
         size = color.shape[1] if color.shape is not None and len(color.shape) == 2 else None
         if not isinstance(size, int) or size % _RGB:
-            return passes.PassResult(model, modified=False)
+            return False
         slots = np.arange(size).reshape(_RGB, -1).T.reshape(-1)
         order = weight(graph, f"{self.name}_order", slots)
         gathered = new_node("Gather", [color, order], f"{self.name}_reordered", axis=1)
         gathered.outputs[0].type, gathered.outputs[0].shape = color.type, color.shape
         append_output(graph, color, [gathered])
-        return passes.PassResult(model, modified=True)
+        return True

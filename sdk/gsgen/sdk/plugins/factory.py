@@ -118,9 +118,7 @@ def require_torch() -> None:
 def load_factory(target: str, folder: Path | None = None) -> Factory:
     """Import a factory ``module:name``; modules of ``folder`` take precedence.
 
-    Args:
-        target: ``package.module:factory``, or ``file.py:factory``.
-        folder: The folder to search first; the current folder if absent.
+    ``target`` is ``package.module:factory`` or ``file.py:factory``.
     """
     require_torch()
     search_folder = folder or Path.cwd()
@@ -130,9 +128,8 @@ def load_factory(target: str, folder: Path | None = None) -> Factory:
         raise ConfigInvalid(f"{target!r} is not a valid target", where="TARGET", hint=hint)
     if not module_name.endswith(".py") and (module_name[0] == "." or "/" in module_name):
         hint = f"Write {module_name}.py:{path}, or package.module:{path} with dots."
-        raise ConfigInvalid(
-            f"{module_name!r} is not the name of a module", where="TARGET", hint=hint
-        )
+        message = f"{module_name!r} is not the name of a module"
+        raise ConfigInvalid(message, where="TARGET", hint=hint)
     if module_name.endswith(".py"):
         file = (search_folder / module_name).resolve()
         search_folder, module_name = file.parent, file.stem

@@ -54,11 +54,8 @@ def refuse_overwriting(source: ModelFile, path: Path) -> None:
 def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -> None:
     """Write ``model`` to ``path``, with an external weight file where protobuf's limit needs it.
 
-    Args:
-        model: The model to write; it stays unchanged.
-        path: The model file.
-        external_weights: Whether large weights go to a second file, ``path`` with the suffix
-            ``.data``, even if they fit the model file.
+    ``model`` stays unchanged. ``external_weights`` stores large weights in a second file, ``path``
+    with the suffix ``.data``, even if they fit the model file.
     """
     sizes = _sizes(model)
     if (external_weights and max(sizes, default=0) > _SMALL_BYTES) or sum(sizes) > INLINE_LIMIT:

@@ -89,11 +89,9 @@ def _dtype(tensor: Tensor) -> str:
     try:
         return np.dtype(tensor.dtype or "float32").name
     except TypeError as error:
-        raise RewriteFailed(
-            f"is {tensor.dtype}, which numpy cannot feed",
-            where=f"input {tensor.name}",
-            hint="Only inputs of numbers and booleans can be compared.",
-        ) from error
+        message = f"is {tensor.dtype}, which numpy cannot feed"
+        hint = "Only inputs of numbers and booleans can be compared."
+        raise RewriteFailed(message, where=f"input {tensor.name}", hint=hint) from error
 
 
 def _sample_probe(
@@ -179,11 +177,9 @@ def _must_run(run: Execution, probes: Sequence[Probe], where: str, version: str)
     if fault is None:
         return
     probe = "" if fault.probe is None else f" at probe {probes[fault.probe].label!r}"
-    raise RewriteFailed(
-        f"the model {version} does not run in ONNX Runtime{probe}: {fault.message}",
-        where=where,
-        hint="Outputs cannot be compared, so nothing was written.",
-    )
+    message = f"the model {version} does not run in ONNX Runtime{probe}: {fault.message}"
+    hint = "Outputs cannot be compared, so nothing was written."
+    raise RewriteFailed(message, where=where, hint=hint)
 
 
 def _must_repeat(
@@ -194,11 +190,9 @@ def _must_repeat(
     with execute(model, outputs, twice, _room(model, limits)) as run:
         samples = [run.sample for run in run.runs]
     if samples[::2] != samples[1::2]:
-        raise RewriteFailed(
-            "the model gives other outputs for the same inputs, so nothing can be compared",
-            where=model.name,
-            hint="Draw random numbers before the export (rule GG010).",
-        )
+        message = "the model gives other outputs for the same inputs, so nothing can be compared"
+        hint = "Draw random numbers before the export (rule GG010)."
+        raise RewriteFailed(message, where=model.name, hint=hint)
 
 
 def _excess(difference: Difference) -> float:

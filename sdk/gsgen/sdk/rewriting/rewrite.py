@@ -6,14 +6,8 @@ declare, it is not written.
 """
 
 __all__ = [
-    "Change",
-    "GraphStats",
-    "Rewritten",
-    "graph_stats",
-    "prepare",
-    "rewrite_file",
-    "rewrite_graph",
-]
+    "Change", "GraphStats", "Rewritten", "graph_stats", "prepare", "rewrite_file", "rewrite_graph",
+]  # fmt: skip
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -39,6 +33,7 @@ from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.model.provider_placement import Placement, placements
 from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import FAILURES
@@ -51,7 +46,6 @@ from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.framework.base import BITS, ErrorBudget, Rewrite, RewriteTarget, opset_of
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite, Refusal
 from gsgen.sdk.passes.registry import find_rewrites
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 from gsgen.sdk.rewriting.model_io import has_external_weights, refuse_overwriting, save_model
 from gsgen.sdk.rewriting.output_equivalence import Difference, compare_files, probes_of
 from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
@@ -130,23 +124,9 @@ def rewrite_file(
     A model without a manifest gets probes from the shapes and dtypes of its inputs; a symbolic size
     counts as 3 unless ``sizes`` has it.
 
-    Args:
-        source: Any ONNX model.
-        path: The file of the result; if None, the result is compared but not written.
-        target: The consumer.
-        only: Names of the passes to run; all passes of the target if empty.
-        skip: Names of passes not to run.
-        opset: Operator set of the result; chosen by the target's kernels if absent.
-        sizes: Symbolic dimension → size.
-        limits: Time and memory for running the model.
-        progress: Called with a message when a step begins.
-
-    Raises:
-        ModelUnreadable: ``source`` is not a readable model.
-        UnknownName: A pass is unknown.
-        ConfigInvalid: ``opset`` is above that of the model, or ``path`` would replace its weights.
-        RewriteFailed: The model is unsafe or ill-formed, or the result is ill-formed, breaks a rule
-            that ``source`` keeps, or computes something else.
+    ``only`` and ``skip`` are names of passes; the target's kernels choose ``opset`` by default.
+    Without ``path``, the result is compared but not written. A result that is ill-formed, breaks a
+    rule that ``source`` keeps, or computes something else is refused.
     """
     limits, sizes = limits or Limits(), sizes or {}
     progress("reading the model")
@@ -240,21 +220,16 @@ def _refuse_broken(report: Report) -> None:
     for finding in report.findings:
         unsafe = finding.rule.startswith("GS") or finding.rule in _GRAPH_RULES
         if unsafe and finding.severity >= Severity.ERROR:
-            raise RewriteFailed(
-                f"{finding.rule}: {finding.where}: {finding.message}",
-                where=report.path,
-                hint=finding.hint,
-            )
+            message = f"{finding.rule}: {finding.where}: {finding.message}"
+            raise RewriteFailed(message, where=report.path, hint=finding.hint)
 
 
 def _refuse_higher(model: ir.Model, opset: int | None) -> None:
     now = opset_of(model)
     if opset is not None and opset > now:
-        raise ConfigInvalid(
-            f"{opset} is above the model's operator set {now}",
-            where="--opset",
-            hint="Rewrites only lower it; export the model again with a higher one.",
-        )
+        message = f"{opset} is above the model's operator set {now}"
+        hint = "Rewrites only lower it; export the model again with a higher one."
+        raise ConfigInvalid(message, where="--opset", hint=hint)
 
 
 def prepare(model: ir.Model) -> None:
@@ -311,11 +286,9 @@ def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
         if not changed:
             return _merged(changes)
     undoing = ", ".join(sorted({change.rewrite for change in changes}))
-    raise RewriteFailed(
-        f"still changes after {_MOST_ROUNDS} rounds of {undoing}",
-        where="rewrite",
-        hint="Leave one of them out with --skip, and please report it.",
-    )
+    message = f"still changes after {_MOST_ROUNDS} rounds of {undoing}"
+    hint = "Leave one of them out with --skip, and please report it."
+    raise RewriteFailed(message, where="rewrite", hint=hint)
 
 
 def _merged(changes: Sequence[Change]) -> list[Change]:
@@ -346,11 +319,9 @@ def _check_form(file: Path, changes: Sequence[Change]) -> None:
     try:
         onnx.checker.check_model(file, full_check=True)
     except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
-        raise RewriteFailed(
-            f"the result is not well formed: {str(error).strip().splitlines()[0]}",
-            where=_names(changes),
-            hint="Leave a pass out with --skip, and please report it.",
-        ) from error
+        message = f"the result is not well formed: {str(error).strip().splitlines()[0]}"
+        hint = "Leave a pass out with --skip, and please report it."
+        raise RewriteFailed(message, where=_names(changes), hint=hint) from error
 
 
 def graph_stats(file: Path, goal: RewriteTarget) -> GraphStats:

@@ -21,6 +21,5 @@ def refuse_new_violations(before: Report, after: Report, operation: str) -> None
     fresh = (errors(after) - errors(before)) & evaluated
     if fresh:
         listed = ", ".join(sorted(fresh))
-        raise GsgenError(
-            f"the {operation} model would break {listed}, which the source keeps", where=before.path
-        )
+        message = f"the {operation} model would break {listed}, which the source keeps"
+        raise GsgenError(message, where=before.path)

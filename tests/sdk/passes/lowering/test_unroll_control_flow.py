@@ -126,17 +126,17 @@ def sizes_of(text: str) -> tuple[int, ...]:
 
 
 REFUSED = {
-    "its end depends on data": (
+    "its end depends on data that differ between frames": (
         "g (float[2] x, bool go) => (float[2] y) <int64 n = {3}> { y = Loop (n, , x)"
         " <body = b (int64 i, bool c, float[2] v) => (bool on, float[2] w)"
         " { on = Identity (go)\n w = Neg (v) }> }"
     ),
-    "its trip count varies": (
+    "its trip count differs between frames": (
         "g (float[2] x, int64 n) => (float[2] y) { y = Loop (n, , x)"
         " <body = b (int64 i, bool c, float[2] v) => (bool on, float[2] w)"
         " { on = Identity (c)\n w = Neg (v) }> }"
     ),
-    "its condition varies": (
+    "its condition differs between frames": (
         "g (float[2] x, bool c) => (float[2] y) { y = If (c)"
         " <then_branch = t () => (float[2] u) { u = Neg (x) },"
         " else_branch = e () => (float[2] v) { v = Abs (x) }> }"

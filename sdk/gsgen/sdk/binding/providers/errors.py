@@ -1,16 +1,9 @@
 """Errors and warnings of sessions that run a model every frame."""
 
 __all__ = [
-    "CaptureOff",
-    "FellBack",
-    "FrameGone",
-    "InputInvalid",
-    "NodesOnCpu",
-    "ProviderUnavailable",
-    "RunFailed",
-    "SessionClosed",
-    "SizeUnknown",
-]
+    "CaptureOff", "FellBack", "FrameGone", "InputInvalid", "NodesOnCpu", "ProviderUnavailable",
+    "RunFailed", "SessionClosed", "SizeUnknown",
+]  # fmt: skip
 
 from gsgen.contract.errors import GsgenError
 

@@ -1,14 +1,9 @@
 """Chooses an execution provider, and opens ONNX Runtime sessions on it."""
 
 __all__ = [
-    "PROVIDERS",
-    "Choice",
-    "Provider",
-    "SessionOptions",
-    "choose_provider",
-    "installed_providers",
+    "PROVIDERS", "Choice", "Provider", "SessionOptions", "choose_provider", "installed_providers",
     "open_session",
-]
+]  # fmt: skip
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -6,21 +6,9 @@ the documentation page is generated from it. Rewrites are listed in
 """
 
 __all__ = [
-    "BITS",
-    "SAFE_WIDTH",
-    "ByTables",
-    "ErrorBudget",
-    "NodeRewrite",
-    "Rewrite",
-    "RewriteTarget",
-    "Substitute",
-    "WithinLimit",
-    "describe_item",
-    "every_node",
-    "is_op",
-    "kernel_dtype",
-    "opset_of",
-]
+    "BITS", "SAFE_WIDTH", "ByTables", "ErrorBudget", "NodeRewrite", "Rewrite", "RewriteTarget",
+    "Substitute", "WithinLimit", "describe_item", "every_node", "is_op", "kernel_dtype", "opset_of",
+]  # fmt: skip
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
@@ -45,7 +33,7 @@ class ErrorBudget:
 
     relative: float = 0.0  # allowed error, relative to the largest number in the output's tensor
     absolute: float = 0.0  # allowed error in addition
-    repairs_nonfinite: bool = False  # A value that was NaN or infinite may become any number
+    repairs_nonfinite: bool = False  # a value that was NaN or infinite may become any number
     pads: bool = False  # rows of zeros may follow the rows of an output
 
     @property

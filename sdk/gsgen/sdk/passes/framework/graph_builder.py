@@ -1,14 +1,9 @@
 """Functions that add weights and typed nodes to a graph, and replace values."""
 
 __all__ = [
-    "InsertionPoint",
-    "append_output",
-    "constant_array",
-    "free_name",
-    "new_node",
-    "replace_value",
+    "InsertionPoint", "append_output", "constant_array", "free_name", "new_node", "replace_value",
     "weight",
-]
+]  # fmt: skip
 
 from collections.abc import Sequence
 

@@ -72,11 +72,9 @@ def lower_bound(value: ir.Value | None, depth: int = 0) -> float:
     if is_op(node, "Add"):
         return input_bound(0) + input_bound(1)
     if is_op(node, "Mul"):
-        return (
-            input_bound(0) * input_bound(1)
-            if input_bound(0) >= 0 and input_bound(1) >= 0
-            else -math.inf
-        )
+        if input_bound(0) >= 0 and input_bound(1) >= 0:
+            return input_bound(0) * input_bound(1)
+        return -math.inf
     if is_op(node, "Sqrt"):
         return math.sqrt(max(0.0, input_bound(0)))
     if is_op(node, "ReduceSum"):

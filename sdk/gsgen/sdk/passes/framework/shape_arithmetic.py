@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.value_facts import int_attribute
+from gsgen.sdk.passes.framework.value_facts import int_attribute, required
 
 Arrays = Sequence[np.ndarray | None]
 
@@ -106,14 +106,12 @@ def _squeeze(node: ir.Node, inputs: Arrays) -> np.ndarray:
 
 
 def _unsqueeze(node: ir.Node, inputs: Arrays) -> np.ndarray:
-    axes = _axes(node, inputs)
-    assert axes is not None
+    axes = required(_axes(node, inputs))
     return np.expand_dims(_first(inputs), axes)
 
 
 def _reshape(node: ir.Node, inputs: Arrays) -> np.ndarray:
-    array, shape = _first(inputs), inputs[1]
-    assert shape is not None
+    array, shape = _first(inputs), required(inputs[1])
     sizes = [int(size) for size in shape]
     if not int_attribute(node, "allowzero", 0):
         sizes = [size or array.shape[axis] for axis, size in enumerate(sizes)]
@@ -121,8 +119,7 @@ def _reshape(node: ir.Node, inputs: Arrays) -> np.ndarray:
 
 
 def _gather(node: ir.Node, inputs: Arrays) -> np.ndarray:
-    index = inputs[1]
-    assert index is not None
+    index = required(inputs[1])
     return np.asarray(np.take(_first(inputs), index, axis=int_attribute(node, "axis", 0)))
 
 
@@ -173,8 +170,7 @@ def _where(_: ir.Node, inputs: Arrays) -> np.ndarray:
 
 
 def _expand(_: ir.Node, inputs: Arrays) -> np.ndarray:
-    array, shape = _first(inputs), inputs[1]
-    assert shape is not None
+    array, shape = _first(inputs), required(inputs[1])
     whole = np.broadcast_shapes(array.shape, tuple(int(size) for size in shape))
     return np.broadcast_to(array, whole)
 
@@ -224,21 +220,10 @@ _ANY_DTYPE: dict[str, Evaluator] = {
     "Where": _where,
 }
 _INTEGERS_ONLY: dict[str, Evaluator] = {
-    "Abs": _unary(np.abs),
-    "Add": _binary(np.add),
-    "And": _binary(np.logical_and),
-    "Div": _binary(_divide),
-    "Max": _variadic(np.maximum),
-    "Min": _variadic(np.minimum),
-    "Mod": _modulo,
-    "Mul": _binary(np.multiply),
-    "Neg": _unary(np.negative),
-    "Not": _unary(np.logical_not),
-    "Or": _binary(np.logical_or),
-    "ReduceMax": _reduce(np.max),
-    "ReduceMin": _reduce(np.min),
-    "ReduceProd": _reduce(np.prod),
-    "ReduceSum": _reduce(np.sum),
-    "Sub": _binary(np.subtract),
-    "Xor": _binary(np.logical_xor),
-}
+    "Abs": _unary(np.abs), "Add": _binary(np.add), "And": _binary(np.logical_and),
+    "Div": _binary(_divide), "Max": _variadic(np.maximum), "Min": _variadic(np.minimum),
+    "Mod": _modulo, "Mul": _binary(np.multiply), "Neg": _unary(np.negative),
+    "Not": _unary(np.logical_not), "Or": _binary(np.logical_or), "ReduceMax": _reduce(np.max),
+    "ReduceMin": _reduce(np.min), "ReduceProd": _reduce(np.prod), "ReduceSum": _reduce(np.sum),
+    "Sub": _binary(np.subtract), "Xor": _binary(np.logical_xor),
+}  # fmt: skip

@@ -1,16 +1,11 @@
 """Facts about values that are known before the first frame: shapes, constants, attributes."""
 
 __all__ = [
-    "UNBOUNDED_END",
-    "attribute_values",
-    "constant_of",
-    "fixed_shape",
-    "int_attribute",
-    "rank_of",
-    "split_sizes",
-]
+    "UNBOUNDED_END", "attribute_values", "constant_of", "fixed_shape", "int_attribute",
+    "numpy_dtype", "rank_of", "required", "split_sizes",
+]  # fmt: skip
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import onnx_ir as ir
@@ -18,9 +13,21 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.graph_builder import constant_array
 
 _LARGEST = 1 << 16
+_Fact = TypeVar("_Fact")
 
 # A Slice ends at or above this index to mean the end of the axis.
 UNBOUNDED_END = (1 << 31) - 1
+
+
+def required(fact: _Fact | None) -> _Fact:
+    """Return a fact about a graph that an earlier check has proven to be known."""
+    assert fact is not None
+    return fact
+
+
+def numpy_dtype(value: ir.Value) -> np.dtype:
+    """Return the NumPy dtype of a graph value whose dtype is known."""
+    return required(value.dtype).numpy()
 
 
 def fixed_shape(value: ir.Value | None) -> tuple[int, ...] | None:

@@ -2,14 +2,13 @@
 
 __all__ = ["ArithmeticMasks"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import Substitute, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import attribute_values, constant_of
+from gsgen.sdk.passes.framework.value_facts import attribute_values, constant_of, required
 
 _BOOL, _FLOAT = ir.DataType.BOOL, ir.DataType.FLOAT
 _LOGIC = ("And", "Equal", "Or", "Xor")
@@ -31,9 +30,9 @@ class ArithmeticMasks(Substitute):
     Case 3 keeps numbers between two such operators: a chain of them casts only at its ends.
     """
 
-    name: ClassVar[str] = "arithmetic-masks"
-    wanted_by: ClassVar[str] = "targets whose tables lack operators of booleans"
-    kinds: ClassVar[frozenset[str]] = frozenset({
+    name = "arithmetic-masks"
+    wanted_by = "targets whose tables lack operators of booleans"
+    kinds = frozenset({
         "And", "Concat", "Equal", "Expand", "Flatten", "Gather", "GatherElements",
         "GatherND", "Or", "Reshape", "Slice", "Split", "Squeeze", "Tile", "Transpose",
         "Unsqueeze", "Where", "Xor",
@@ -121,11 +120,8 @@ def _undoes_mask_cast(node: ir.Node) -> bool:
 
 
 def _recast(write: InsertionPoint, node: ir.Node) -> ir.Value:
-    maker = node.inputs[0].producer() if node.inputs[0] is not None else None
-    assert maker is not None
-    inner, kind = maker.inputs[0], node.outputs[0].dtype
-    assert inner is not None
-    assert kind is not None
+    maker = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
+    inner, kind = required(maker.inputs[0]), required(node.outputs[0].dtype)
     if kind == inner.dtype:
         return inner
     cast = write.op("Cast", inner, dtype=kind, shape=inner.shape, to=int(kind))

@@ -3,7 +3,6 @@
 __all__ = ["GatherScatters"]
 
 import math
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -11,7 +10,7 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
+from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, required
 
 _LARGEST = 1 << 24
 
@@ -26,8 +25,8 @@ class GatherScatters(CautiousRewrite):
         ScatterND(x, indices, y)   →   Gather(Concat(x, y), index of each element's last update)
     """
 
-    name: ClassVar[str] = "gather-scatters"
-    wanted_by: ClassVar[str] = "every target"
+    name = "gather-scatters"
+    wanted_by = "every target"
 
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite every scatter with known indices and shapes."""
@@ -58,9 +57,8 @@ def _obstacle(node: ir.Node) -> str:
 def _replace(node: ir.Node) -> None:
     write = InsertionPoint(node)
     data, _, updates = node.inputs
-    indices, shape = constant_of(node.inputs[1], largest=_LARGEST), fixed_shape(data)
-    assert indices is not None
-    assert shape is not None
+    indices = required(constant_of(node.inputs[1], largest=_LARGEST))
+    shape = required(fixed_shape(data))
     if is_op(node, "ScatterND"):
         depth = indices.shape[-1]
         row_shape = shape[depth:]
@@ -75,7 +73,8 @@ def _replace(node: ir.Node) -> None:
     # If several updates have the same index, the last one counts; NumPy assigns in this order.
     order[flat.reshape(-1)] = rows + np.arange(flat.size)
     old = write.op("Reshape", data, write.int64(rows, *row_shape))
-    new = write.op("Reshape", updates, write.int64(flat.size, *row_shape))
+    # A size of zero would mean the size of the updates' first axis.
+    new = write.op("Reshape", updates, write.int64(flat.size or -1, *row_shape))
     both = write.op("Concat", old, new, axis=0)
     gathered = write.op("Gather", both, write.constant(order, "order"), axis=0)
     write.replace(write.op("Reshape", gathered, write.int64(*shape)))

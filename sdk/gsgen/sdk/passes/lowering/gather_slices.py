@@ -4,7 +4,6 @@ __all__ = ["GatherSlices"]
 
 import math
 from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -16,6 +15,7 @@ from gsgen.sdk.passes.framework.value_facts import (
     constant_of,
     fixed_shape,
     int_attribute,
+    required,
     split_sizes,
 )
 
@@ -32,8 +32,8 @@ class GatherSlices(Substitute):
         3  GatherND(x, constant)    →   Gather(Reshape(x), constant)
     """
 
-    name: ClassVar[str] = "gather-slices"
-    kinds: ClassVar[frozenset[str]] = frozenset({"GatherND", "Slice", "Split"})
+    name = "gather-slices"
+    kinds = frozenset({"GatherND", "Slice", "Split"})
 
     def variant(self, node: ir.Node) -> str:
         """Return ``constant`` for a GatherND with constant indices, ``backwards`` for negative steps."""
@@ -58,13 +58,11 @@ class GatherSlices(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Replace a Split, Slice or GatherND by Slice or Gather."""
-        write, x = InsertionPoint(node), node.inputs[0]
-        assert x is not None
+        write, x = InsertionPoint(node), required(node.inputs[0])
         if is_op(node, "Split"):  # Case 1
             write.replace(*_split_slices(write, node, x))
         elif is_op(node, "Slice"):  # Case 2
-            parts = _axis_indices(node)
-            assert parts is not None
+            parts = required(_axis_indices(node))
             gathered = x
             for axis, indices in parts:
                 gathered = write.op(
@@ -76,8 +74,7 @@ class GatherSlices(Substitute):
 
 
 def _split_slices(write: InsertionPoint, node: ir.Node, x: ir.Value) -> list[ir.Value]:
-    axis, sizes = int_attribute(node, "axis", 0), split_sizes(node)
-    assert sizes is not None
+    axis, sizes = int_attribute(node, "axis", 0), required(split_sizes(node))
     ends = np.cumsum([0, *sizes])
     slices = []
     for begin, end in pairwise(ends):
@@ -121,9 +118,8 @@ def _clipped(begin: int, end: int, step: int, size: int) -> tuple[int, int | Non
 
 def _gather_nd(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
     """Write a GatherND as a Gather: merge the indexed axes, and flatten each multi-index."""
-    indices, shape = constant_of(node.inputs[1], largest=1 << 24), fixed_shape(x)
-    assert indices is not None
-    assert shape is not None
+    indices = required(constant_of(node.inputs[1], largest=1 << 24))
+    shape = required(fixed_shape(x))
     depth = indices.shape[-1]
     indexed_shape, row_shape = shape[:depth], shape[depth:]
     inside = np.where(indices < 0, indices + np.array(indexed_shape, np.int64), indices)

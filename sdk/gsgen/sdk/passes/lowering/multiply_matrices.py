@@ -5,9 +5,9 @@ __all__ = ["MultiplyMatrices"]
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
-from gsgen.sdk.passes.framework.base import ErrorBudget, NodeRewrite
+from gsgen.sdk.passes.framework.base import ErrorBudget, NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import new_node, weight
+from gsgen.sdk.passes.framework.value_facts import required
 
 
 class MultiplyMatrices(NodeRewrite):
@@ -30,52 +30,42 @@ class MultiplyMatrices(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Add an axis to each vector of a MatMul, and remove it from the product."""
-        _rewrite(node)
+        graph = node.graph
+        assert isinstance(graph, ir.Graph)
+        vectors, old = _vector_operands(node), node.outputs[0]
+        operands = list(node.inputs)
+        for index in vectors:
+            axis = 0 if index == 0 else 1  # Case 2: the left vector is a row. Case 1: a column.
+            lifted = _change_axes(
+                graph, "Unsqueeze", operands[index], [axis], f"{node.name}_{index}"
+            )
+            size = required(required(operands[index]).shape)[0]
+            lifted.outputs[0].shape = ir.Shape([1, size] if index == 0 else [size, 1])
+            graph.insert_before(node, lifted)
+            operands[index] = lifted.outputs[0]
+        product = ir.Node("", "MatMul", operands, name=f"{node.name}_matrices")
+        product.outputs[0].type = old.type
+        axes = [-2 if index == 0 else -1 for index in vectors]
+        flat = _change_axes(graph, "Squeeze", product.outputs[0], axes, f"{node.name}_result")
+        graph.insert_before(node, [product, flat])
+        product_value = flat.outputs[0]
+        product_value.type, product_value.shape, name = old.type, old.shape, old.name
+        ir.convenience.replace_all_uses_with(old, product_value, replace_graph_outputs=True)
+        graph.remove(node, safe=True)
+        product_value.name = name
 
 
 def _vector_operands(node: ir.Node) -> list[int]:
     """Return the indices of the inputs of a MatMul that have one axis."""
-    if node.op_type != "MatMul" or node.domain not in MAIN_DOMAIN:
+    if not is_op(node, "MatMul"):
         return []
     shapes = [value.shape if value is not None else None for value in node.inputs]
     return [index for index, shape in enumerate(shapes) if shape is not None and len(shape) == 1]
-
-
-def _rewrite(node: ir.Node) -> None:
-    graph = node.graph
-    assert isinstance(graph, ir.Graph)
-    vectors, old = _vector_operands(node), node.outputs[0]
-    operands = list(node.inputs)
-    for index in vectors:
-        axis = 0 if index == 0 else 1  # Case 2: the left vector is a row. Case 1: a column.
-        lifted = _change_axes(graph, "Unsqueeze", operands[index], [axis], f"{node.name}_{index}")
-        size = _size(operands[index])
-        lifted.outputs[0].shape = ir.Shape([1, size] if index == 0 else [size, 1])
-        graph.insert_before(node, lifted)
-        operands[index] = lifted.outputs[0]
-    product = ir.Node("", "MatMul", operands, name=f"{node.name}_matrices")
-    product.outputs[0].type = old.type
-    axes = [-2 if index == 0 else -1 for index in vectors]
-    flat = _change_axes(graph, "Squeeze", product.outputs[0], axes, f"{node.name}_result")
-    graph.insert_before(node, [product, flat])
-    product_value = flat.outputs[0]
-    product_value.type, product_value.shape, name = old.type, old.shape, old.name
-    ir.convenience.replace_all_uses_with(old, product_value, replace_graph_outputs=True)
-    graph.remove(node, safe=True)
-    product_value.name = name
-
-
-def _size(vector: ir.Value | None) -> int | ir.SymbolicDim:
-    assert vector is not None
-    assert vector.shape is not None
-    return vector.shape[0]
 
 
 def _change_axes(
     graph: ir.Graph, op: str, value: ir.Value | None, axes: list[int], name: str
 ) -> ir.Node:
     """Return a Squeeze or Unsqueeze node; its axes become a weight of ``graph``."""
-    assert value is not None
-    return new_node(
-        op, [value, weight(graph, f"{name}_axes", np.array(axes))], name, dtype=value.dtype
-    )
+    axes_weight = weight(graph, f"{name}_axes", np.array(axes))
+    return new_node(op, [value, axes_weight], name, dtype=required(value).dtype)

@@ -2,14 +2,13 @@
 
 __all__ = ["PickParts"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
+from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, required
 
 _MAX_INDICES = 1 << 10
 
@@ -25,7 +24,7 @@ class PickParts(NodeRewrite):
         2  Transpose(Gather(Transpose(x), …, axis 0))   →   Gather(x, …, axis 1)
     """
 
-    name: ClassVar[str] = "pick-parts"
+    name = "pick-parts"
 
     def matches(self, node: ir.Node) -> bool:
         """Return whether ``node`` gathers constant indices from a Concat or a Transpose."""
@@ -46,15 +45,13 @@ class PickParts(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Gather from the inputs of a Concat or Transpose instead of from its output."""
-        producer = node.inputs[0].producer() if node.inputs[0] is not None else None
-        assert producer is not None
+        producer = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
         write, axis = InsertionPoint(node), _axis(node)
         if is_op(producer, "Transpose"):  # Case 2
             write.replace(_gather_then_transpose(write, node, producer, axis))
             return
         # Case 1: gather from each piece, and join the parts.
-        piece_indices = _indices_per_piece(node, producer)
-        assert piece_indices is not None
+        piece_indices = required(_indices_per_piece(node, producer))
         parts = []
         for piece, indices in piece_indices:
             shape = fixed_shape(piece)
@@ -91,8 +88,7 @@ def _indices_per_piece(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, lis
     pieces: list[tuple[ir.Value, list[int]]] = []
     for joined_index in np.where(indices < 0, indices + ends[-1], indices):
         piece_number = int(np.searchsorted(ends, joined_index, side="right"))
-        piece = join.inputs[piece_number]
-        assert piece is not None
+        piece = required(join.inputs[piece_number])
         piece_index = int(joined_index) - (int(ends[piece_number - 1]) if piece_number else 0)
         if pieces and pieces[-1][0] is piece:
             pieces[-1][1].append(piece_index)
@@ -105,8 +101,7 @@ def _gather_then_transpose(
     write: InsertionPoint, node: ir.Node, transpose: ir.Node, axis: int
 ) -> ir.Value:
     """Gather from the input of a Transpose, and transpose the result."""
-    source = transpose.inputs[0]
-    assert source is not None
+    source = required(transpose.inputs[0])
     rank = len(source.shape) if source.shape is not None else 0
     attribute = transpose.attributes.get("perm")
     perm = list(attribute.as_ints()) if attribute is not None else list(range(rank))[::-1]

@@ -5,9 +5,9 @@ __all__ = ["RoundByFloor"]
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
-from gsgen.sdk.passes.framework.base import NodeRewrite
+from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import new_node, weight
+from gsgen.sdk.passes.framework.value_facts import required
 
 
 class RoundByFloor(NodeRewrite):
@@ -23,46 +23,36 @@ class RoundByFloor(NodeRewrite):
 
     def matches(self, node: ir.Node) -> bool:
         """Return whether ``node`` is a Round of a known dtype."""
-        return _is_typed_round(node)
+        known = node.inputs[:1] and node.inputs[0] is not None and node.inputs[0].dtype
+        return is_op(node, "Round") and bool(known)
 
     def replace(self, node: ir.Node) -> None:
         """Replace a Round by Floor and comparisons."""
-        _rewrite(node)
+        graph, x, old = node.graph, required(node.inputs[0]), node.outputs[0]
+        assert isinstance(graph, ir.Graph)
+        dtype = required(x.dtype)
+        zero, half, unit = (
+            weight(graph, f"{node.name}_{name}", np.asarray(value, dtype.numpy()))
+            for name, value in (("zero", 0), ("half", 0.5), ("one", 1))
+        )
 
+        def append(op: str, *inputs: ir.Value) -> ir.Value:
+            operator_node = new_node(op, inputs, f"{node.name}_{len(nodes)}_{op}")
+            tests = op in ("Equal", "Greater")
+            operator_node.outputs[0].type = ir.TensorType(ir.DataType.BOOL if tests else dtype)
+            operator_node.outputs[0].shape = x.shape
+            nodes.append(operator_node)
+            return operator_node.outputs[0]
 
-def _is_typed_round(node: ir.Node) -> bool:
-    known = node.inputs[:1] and node.inputs[0] is not None and node.inputs[0].dtype
-    return node.op_type == "Round" and node.domain in MAIN_DOMAIN and bool(known)
-
-
-def _rewrite(node: ir.Node) -> None:
-    graph, x, old = node.graph, node.inputs[0], node.outputs[0]
-    assert isinstance(graph, ir.Graph)
-    assert x is not None
-    dtype = x.dtype
-    assert dtype is not None
-    zero, half, unit = (
-        weight(graph, f"{node.name}_{name}", np.asarray(value, dtype.numpy()))
-        for name, value in (("zero", 0), ("half", 0.5), ("one", 1))
-    )
-
-    def append(op: str, *inputs: ir.Value) -> ir.Value:
-        operator_node = new_node(op, inputs, f"{node.name}_{len(nodes)}_{op}")
-        tests = op in ("Equal", "Greater")
-        operator_node.outputs[0].type = ir.TensorType(ir.DataType.BOOL if tests else dtype)
-        operator_node.outputs[0].shape = x.shape
-        nodes.append(operator_node)
-        return operator_node.outputs[0]
-
-    nodes: list[ir.Node] = []
-    floor = append("Floor", x)
-    part = append("Sub", x, floor)
-    pairs = append("Floor", append("Mul", floor, half))
-    odd = append("Sub", floor, append("Add", pairs, pairs))
-    tie = append("Where", append("Equal", part, half), odd, zero)
-    up = append("Where", append("Greater", part, half), unit, tie)
-    result, name = append("Add", floor, up), old.name
-    graph.insert_before(node, nodes)
-    ir.convenience.replace_all_uses_with(old, result, replace_graph_outputs=True)
-    graph.remove(node, safe=True)
-    result.name = name
+        nodes: list[ir.Node] = []
+        floor = append("Floor", x)
+        part = append("Sub", x, floor)
+        pairs = append("Floor", append("Mul", floor, half))
+        odd = append("Sub", floor, append("Add", pairs, pairs))
+        tie = append("Where", append("Equal", part, half), odd, zero)
+        up = append("Where", append("Greater", part, half), unit, tie)
+        result, name = append("Add", floor, up), old.name
+        graph.insert_before(node, nodes)
+        ir.convenience.replace_all_uses_with(old, result, replace_graph_outputs=True)
+        graph.remove(node, safe=True)
+        result.name = name

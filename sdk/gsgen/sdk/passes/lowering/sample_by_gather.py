@@ -2,7 +2,6 @@
 
 __all__ = ["SampleByGather"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -10,7 +9,7 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.base import ByTables, ErrorBudget, every_node, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
+from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, required
 
 _BILINEAR = ("bilinear", "linear")  # the name since operator set 20
 _MAX_PIXELS = 1 << 24  # float32 represents every pixel index up to this number
@@ -33,9 +32,9 @@ class SampleByGather(ByTables, CautiousRewrite):
     Reflection padding, nearest and cubic sampling, and volumes stay as they are.
     """
 
-    name: ClassVar[str] = "sample-by-gather"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6)
-    wanted_by: ClassVar[str] = "targets without a kernel for GridSample in the model's dtype"
+    name = "sample-by-gather"
+    exactness = ErrorBudget(relative=2e-6)
+    wanted_by = "targets without a kernel for GridSample in the model's dtype"
 
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite every GridSample that lacks a kernel, subgraphs included."""
@@ -57,10 +56,8 @@ def _obstacle(node: ir.Node) -> str:
         return "the sizes of its inputs are not known"
     if len(image) != 4:
         return f"its image has {len(image)} axes, expected 4"
-    mode, padding = (
-        _string_attribute(node, "mode", "bilinear"),
-        _string_attribute(node, "padding_mode", "zeros"),
-    )
+    mode = _string_attribute(node, "mode", "bilinear")
+    padding = _string_attribute(node, "padding_mode", "zeros")
     if mode not in _BILINEAR:
         return f"mode is {mode}, expected bilinear"
     if padding not in ("zeros", "border"):
@@ -84,8 +81,7 @@ def _replace(node: ir.Node) -> None:
     frames, channels, height, width = fixed_shape(image) or ()
     points = int(np.prod((fixed_shape(grid) or ())[:-1]))
     before = InsertionPoint(node)
-    kind = image.dtype
-    assert kind is not None
+    kind = required(image.dtype)
     dtype = kind if kind == ir.DataType.DOUBLE else _FLOAT
     table = _pixel_table(before, image)
     flat = _convert(before, grid, dtype, [points, 2])
@@ -180,7 +176,6 @@ def _pixel_table(before: InsertionPoint, image: ir.Value) -> ir.Value:
 def _convert(
     before: InsertionPoint, value: ir.Value, kind: ir.DataType, shape: list[int] | None = None
 ) -> ir.Value:
-    """Return a graph value, cast and reshaped."""
     if value.dtype != kind:
         value = before.op("Cast", value, dtype=kind, to=kind.value)
     return value if shape is None else before.op("Reshape", value, before.int64(*shape))

@@ -3,7 +3,6 @@
 __all__ = ["SampleByProduct"]
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -11,7 +10,7 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.base import ErrorBudget, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import fixed_shape, int_attribute
+from gsgen.sdk.passes.framework.value_facts import fixed_shape, int_attribute, required
 
 # The matrix of weights is held in memory; beyond this size, sampling is cheaper.
 _MAX_WEIGHT_BYTES = 1 << 26
@@ -31,8 +30,8 @@ class SampleByProduct(CautiousRewrite):
     without lookups. Hat weights outside the plane are zero; border padding clips the coordinate.
     """
 
-    name: ClassVar[str] = "sample-by-product"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-5)
+    name = "sample-by-product"
+    exactness = ErrorBudget(relative=2e-5)
 
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite every GridSample along a line of fixed points as two matrix products."""
@@ -51,8 +50,6 @@ class SampleByProduct(CautiousRewrite):
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A line of sampled points with one coordinate in common."""
-
     fixed: ir.Value  # the constant coordinate of each point, [n, 1]
     common: ir.Value  # the common coordinate, one number
     common_is_x: bool  # whether the common coordinate is x
@@ -127,9 +124,7 @@ def _common_number(value: ir.Value) -> ir.Value | None:
 def _replace(node: ir.Node, line: _Line) -> None:
     write = InsertionPoint(node)
     plane, grid = node.inputs
-    shape, points = fixed_shape(plane), fixed_shape(grid)
-    assert shape is not None
-    assert points is not None
+    shape, points = required(fixed_shape(plane)), required(fixed_shape(grid))
     _, channels, height, width = shape
     common, fixed = (width, height) if line.common_is_x else (height, width)
     # The plane as a matrix: a row for each cell of the common axis.

@@ -2,14 +2,13 @@
 
 __all__ = ["SelectExtremes"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of
+from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of, required
 
 _CLIP_TYPES = (ir.DataType.FLOAT, ir.DataType.FLOAT16)
 
@@ -27,9 +26,9 @@ class SelectExtremes(Substitute):
     In case 1, infinity may become the largest finite number: the default of the other bound.
     """
 
-    name: ClassVar[str] = "select-extremes"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(repairs_nonfinite=True)
-    kinds: ClassVar[frozenset[str]] = frozenset({"Clip", "Max", "Min"})
+    name = "select-extremes"
+    exactness = ErrorBudget(repairs_nonfinite=True)
+    kinds = frozenset({"Clip", "Max", "Min"})
 
     def can_replace(self, node: ir.Node) -> bool:
         """Return whether a node's dtype is known and, for Clip, a bound exists."""
@@ -40,8 +39,7 @@ class SelectExtremes(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Replace Max, Min or Clip by pairwise comparisons of its arguments."""
-        write, first = InsertionPoint(node), node.inputs[0]
-        assert first is not None
+        write, first = InsertionPoint(node), required(node.inputs[0])
         if is_op(node, "Clip"):  # Case 3
             low, high = (*node.inputs[1:], None)[:2]
             result = first if low is None else _replace_beyond(write, "Less", first, low)

@@ -3,7 +3,6 @@
 __all__ = ["UnrollControlFlow"]
 
 from collections.abc import Callable, Sequence
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -35,8 +34,8 @@ class UnrollControlFlow(CautiousRewrite):
     iterations and 8,192 nodes; larger and data-dependent nodes stay as they are.
     """
 
-    name: ClassVar[str] = "unroll-control-flow"
-    wanted_by: ClassVar[str] = "targets that capture graphs"
+    name = "unroll-control-flow"
+    wanted_by = "targets that capture graphs"
 
     def __init__(self, turns: int = _MAX_ITERATIONS, nodes: int = _MAX_NODES) -> None:
         super().__init__()
@@ -79,7 +78,7 @@ def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
     """Return a function that inserts the branch of an If, or the reason against it (case 1)."""
     known = _known_array(node.inputs[0])
     if known is None:
-        return "its condition varies"
+        return "its condition differs between frames"
     branch = "then_branch" if known.reshape(-1)[0] else "else_branch"
 
     def write() -> None:
@@ -124,7 +123,7 @@ def _trip_count(node: ir.Node, body: ir.Graph) -> int | str:
     """Return the number of iterations of a Loop, or the reason why it is unknown."""
     trips, first = (_known_array(value) for value in node.inputs[:2])
     if node.inputs[1] is not None and first is None:
-        return "its start condition varies"
+        return "its start condition differs between frames"
     if first is not None and not first.reshape(-1)[0]:
         return 0
     condition = _before_identities(body.outputs[0])
@@ -132,9 +131,9 @@ def _trip_count(node: ir.Node, body: ir.Graph) -> int | str:
     if continues is not None and not continues.reshape(-1)[0]:
         return 1 if trips is None else min(1, max(0, int(trips.reshape(-1)[0])))
     if continues is None and condition is not body.inputs[1]:
-        return "its end depends on data"
+        return "its end depends on data that differ between frames"
     if trips is None:
-        return "its trip count varies"
+        return "its trip count differs between frames"
     return max(0, int(trips.reshape(-1)[0]))
 
 

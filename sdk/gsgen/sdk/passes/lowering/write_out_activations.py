@@ -4,7 +4,6 @@ __all__ = ["WriteOutActivations"]
 
 import math
 from collections.abc import Callable
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -12,7 +11,7 @@ import onnx_ir as ir
 from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import int_attribute
+from gsgen.sdk.passes.framework.value_facts import int_attribute, required
 
 
 class WriteOutActivations(Substitute):
@@ -27,9 +26,9 @@ class WriteOutActivations(Substitute):
     Exponents are never positive, so intermediate values do not overflow.
     """
 
-    name: ClassVar[str] = "write-out-activations"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5, absolute=1e-7)
-    kinds: ClassVar[frozenset[str]] = frozenset({
+    name = "write-out-activations"
+    exactness = ErrorBudget(relative=1e-5, absolute=1e-7)
+    kinds = frozenset({
         "Celu", "Elu", "Gelu", "HardSigmoid", "HardSwish", "LogSoftmax", "Mish",
         "PRelu", "Selu", "Shrink", "Softplus", "Softsign", "Swish", "ThresholdedRelu",
     })  # fmt: skip
@@ -52,8 +51,7 @@ class _Formula:
 
     def __init__(self, write: InsertionPoint, node: ir.Node, opset: int) -> None:
         self.write, self.node, self.opset = write, node, opset
-        x = node.inputs[0]
-        assert x is not None
+        x = required(node.inputs[0])
         assert x.dtype is not None
         self.x, self.kind = x, x.dtype.numpy()
 
@@ -144,8 +142,7 @@ def _log_softmax(f: _Formula) -> ir.Value:
 
 
 def _prelu(f: _Formula) -> ir.Value:
-    slope = f.node.inputs[1]
-    assert slope is not None
+    slope = required(f.node.inputs[1])
     return f.where("Less", 0.0, f.op("Mul", f.x, slope), f.x)
 
 

@@ -2,7 +2,6 @@
 
 __all__ = ["WriteOutModulo"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -10,7 +9,7 @@ import onnx_ir as ir
 from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import int_attribute
+from gsgen.sdk.passes.framework.value_facts import int_attribute, numpy_dtype
 
 _INTEGERS = (ir.DataType.INT32, ir.DataType.INT64)
 
@@ -28,9 +27,9 @@ class WriteOutModulo(Substitute):
     divisor, the float remainder is wrong.
     """
 
-    name: ClassVar[str] = "write-out-modulo"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5)
-    kinds: ClassVar[frozenset[str]] = frozenset({"Mod"})
+    name = "write-out-modulo"
+    exactness = ErrorBudget(relative=1e-5)
+    kinds = frozenset({"Mod"})
 
     def can_replace(self, node: ir.Node) -> bool:
         """Return whether Mod computes signed integers, or floats with the dividend's sign."""
@@ -44,8 +43,7 @@ class WriteOutModulo(Substitute):
         x, y = node.inputs
         assert x is not None
         assert y is not None
-        assert x.dtype is not None
-        zero = write.constant(np.zeros((), x.dtype.numpy()))
+        zero = write.constant(np.zeros((), numpy_dtype(x)))
         if x.dtype in _INTEGERS:  # Case 1
             write.replace(_integer_remainder(write, x, y, zero, int_attribute(node, "fmod", 0)))
             return

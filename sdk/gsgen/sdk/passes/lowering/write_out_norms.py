@@ -4,7 +4,6 @@ __all__ = ["WriteOutNorms"]
 
 import math
 from collections.abc import Callable
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -12,7 +11,7 @@ import onnx_ir as ir
 from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import fixed_shape, int_attribute, rank_of
+from gsgen.sdk.passes.framework.value_facts import fixed_shape, int_attribute, rank_of, required
 
 # From this operator set on, the axes of a reduction are an input; before, an attribute.
 _AXES_ARE_INPUT = 18
@@ -32,9 +31,9 @@ class WriteOutNorms(Substitute):
     float16 is computed in float32, as ONNX requires (``stash_type``).
     """
 
-    name: ClassVar[str] = "write-out-norms"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5)
-    kinds: ClassVar[frozenset[str]] = frozenset(
+    name = "write-out-norms"
+    exactness = ErrorBudget(relative=1e-5)
+    kinds = frozenset(
         {
             "GroupNormalization",
             "InstanceNormalization",
@@ -53,8 +52,7 @@ class WriteOutNorms(Substitute):
     def replace(self, node: ir.Node) -> None:
         """Replace a normalisation operator by means, products and roots."""
         write = InsertionPoint(node)
-        x = node.inputs[0]
-        assert x is not None
+        x = required(node.inputs[0])
         _WRITERS[node.op_type](_Norm(write, node, x, self.opset))
 
 

@@ -4,14 +4,13 @@ __all__ = ["WriteOutReductions"]
 
 from collections.abc import Callable
 from functools import partial
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import constant_of, int_attribute
+from gsgen.sdk.passes.framework.value_facts import constant_of, int_attribute, required
 
 # From these operator sets on, the axes are an input; before, an attribute.
 _SUM_TAKES_AXES, _ALL_TAKE_AXES = 13, 18
@@ -26,9 +25,9 @@ class WriteOutReductions(Substitute):
         ReduceL2(x)   →   Sqrt(ReduceSum(x · x))
     """
 
-    name: ClassVar[str] = "write-out-reductions"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-6)
-    kinds: ClassVar[frozenset[str]] = frozenset(
+    name = "write-out-reductions"
+    exactness = ErrorBudget(relative=1e-6)
+    kinds = frozenset(
         {"ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp", "ReduceSumSquare"}
     )
 
@@ -42,8 +41,7 @@ class WriteOutReductions(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Replace a composite reduction by its formula with ReduceSum or ReduceMax."""
-        write, x = InsertionPoint(node), node.inputs[0]
-        assert x is not None
+        write, x = InsertionPoint(node), required(node.inputs[0])
         reduced = partial(_reduced, write, node, self.opset)
         match node.op_type:
             case "ReduceL1":

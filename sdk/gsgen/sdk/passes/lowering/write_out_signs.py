@@ -2,14 +2,13 @@
 
 __all__ = ["WriteOutSigns"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import Substitute
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import int_attribute
+from gsgen.sdk.passes.framework.value_facts import int_attribute, required
 
 
 class WriteOutSigns(Substitute):
@@ -25,8 +24,8 @@ class WriteOutSigns(Substitute):
     replays at level ``live``.
     """
 
-    name: ClassVar[str] = "write-out-signs"
-    kinds: ClassVar[frozenset[str]] = frozenset({"Abs", "IsInf", "IsNaN", "Neg", "Relu", "Sign"})
+    name = "write-out-signs"
+    kinds = frozenset({"Abs", "IsInf", "IsNaN", "Neg", "Relu", "Sign"})
 
     def can_replace(self, node: ir.Node) -> bool:
         """Return whether the node's dtype is known; Abs, Neg and Relu must be of integers."""
@@ -39,8 +38,7 @@ class WriteOutSigns(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Replace Sign, IsNaN, IsInf, Abs, Neg or Relu by comparisons."""
-        write, x = InsertionPoint(node), node.inputs[0]
-        assert x is not None
+        write, x = InsertionPoint(node), required(node.inputs[0])
         assert x.dtype is not None
         kind = x.dtype.numpy()
 

@@ -4,7 +4,6 @@ __all__ = ["ChunkConcat"]
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import ClassVar
 
 import onnx_ir as ir
 
@@ -22,9 +21,9 @@ class ChunkConcat(WithinLimit, NodeRewrite):
         Concat(a, …, n)   →   Concat(Concat(a, …, g), Concat(h, …, n))
     """
 
-    name: ClassVar[str] = "chunk-concat"
-    wanted_by: ClassVar[str] = "targets with a limit `concat_inputs`: visionary, core"
-    limited_by: ClassVar[str] = "concat_inputs"
+    name = "chunk-concat"
+    wanted_by = "targets with a limit `concat_inputs`: visionary, core"
+    limited_by = "concat_inputs"
 
     def matches(self, node: ir.Node) -> bool:
         """Return whether ``node`` is a Concat with more inputs than the limit."""

@@ -3,7 +3,6 @@
 __all__ = ["ChunkSplit"]
 
 from itertools import pairwise
-from typing import ClassVar
 
 import onnx_ir as ir
 
@@ -25,9 +24,9 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
         a, …, n = Split(x)   →   left, right = Split(x); a, …, g = Split(left); h, …, n = Split(right)
     """
 
-    name: ClassVar[str] = "chunk-split"
-    wanted_by: ClassVar[str] = "targets with a limit `split_outputs`: webgpu, visionary, core"
-    limited_by: ClassVar[str] = "split_outputs"
+    name = "chunk-split"
+    wanted_by = "targets with a limit `split_outputs`: webgpu, visionary, core"
+    limited_by = "split_outputs"
 
     def rewrite(self, model: ir.Model) -> None:
         """Divide every Split that has too many outputs and known sizes."""

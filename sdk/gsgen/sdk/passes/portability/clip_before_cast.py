@@ -2,14 +2,13 @@
 
 __all__ = ["ClipBeforeCast"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import constant_of
+from gsgen.sdk.passes.framework.value_facts import constant_of, required
 
 _INTEGERS = (ir.DataType.INT32, ir.DataType.INT64)
 # Up to this number, a dtype represents every integer.
@@ -29,7 +28,7 @@ class ClipBeforeCast(NodeRewrite):
     are too large now become the upper bound; NaN stays undefined.
     """
 
-    name: ClassVar[str] = "clip-before-cast"
+    name = "clip-before-cast"
 
     def matches(self, node: ir.Node) -> bool:
         """Return whether ``node`` clips floats that were cast to integers, with constant bounds."""
@@ -46,13 +45,11 @@ class ClipBeforeCast(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Clip the float input of a Cast to integers, and cast the result."""
-        inner = node.inputs[0].producer() if node.inputs[0] is not None else None
-        assert inner is not None
-        x, kind, bounds = inner.inputs[0], node.outputs[0].dtype, _bounds(node)
-        assert x is not None
+        inner = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
+        x = required(inner.inputs[0])
+        kind = required(node.outputs[0].dtype)
+        bounds = required(_bounds(node))
         assert x.dtype is not None
-        assert kind is not None
-        assert bounds is not None
         write, dtype = InsertionPoint(node), x.dtype.numpy()
         numbers = [
             None if bound is None else write.constant(np.asarray(bound, dtype), "bound")

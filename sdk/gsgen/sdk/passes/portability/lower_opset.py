@@ -3,7 +3,7 @@
 __all__ = ["LowerOpset"]
 
 from collections.abc import Callable
-from typing import ClassVar, Self
+from typing import Self
 
 import onnx
 import onnx_ir as ir
@@ -40,16 +40,9 @@ _NEW_VALUES = {
 }
 _RENAMED = {"linear": "bilinear", "cubic": "bicubic"}
 _REDUCTIONS = (
-    "ReduceL1",
-    "ReduceL2",
-    "ReduceLogSum",
-    "ReduceLogSumExp",
-    "ReduceMax",
-    "ReduceMean",
-    "ReduceMin",
-    "ReduceProd",
-    "ReduceSumSquare",
-)
+    "ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp", "ReduceMax", "ReduceMean",
+    "ReduceMin", "ReduceProd", "ReduceSumSquare",
+)  # fmt: skip
 
 
 class LowerOpset(CautiousRewrite):
@@ -68,9 +61,9 @@ class LowerOpset(CautiousRewrite):
     model stays as it is, and the pass reports that node.
     """
 
-    name: ClassVar[str] = "lower-opset"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5, absolute=1e-7)
-    wanted_by: ClassVar[str] = "targets with operator tables, or --opset"
+    name = "lower-opset"
+    exactness = ErrorBudget(relative=1e-5, absolute=1e-7)
+    wanted_by = "targets with operator tables, or --opset"
 
     def __init__(self, target_opset: int = SAFEST_OPSET, max_ir_version: int | None = None) -> None:
         super().__init__()

@@ -2,7 +2,6 @@
 
 __all__ = ["NarrowIntegers"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -47,8 +46,8 @@ class NarrowIntegers(ByTables, CautiousRewrite):
     target without int32 kernels for reductions, and numbers below 2²⁴, where floats are exact.
     """
 
-    name: ClassVar[str] = "narrow-integers"
-    wanted_by: ClassVar[str] = "targets whose tables lack operators of int64"
+    name = "narrow-integers"
+    wanted_by = "targets whose tables lack operators of int64"
 
     def rewrite(self, model: ir.Model) -> None:
         """Narrow int64 operators of the main graph whose values provably fit int32."""

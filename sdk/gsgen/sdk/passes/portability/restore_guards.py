@@ -2,7 +2,6 @@
 
 __all__ = ["RestoreGuards"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -12,7 +11,7 @@ from gsgen.sdk.passes.framework.base import ErrorBudget, every_node, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.lower_bounds import is_never_zero, smallest_normal
-from gsgen.sdk.passes.framework.value_facts import constant_of
+from gsgen.sdk.passes.framework.value_facts import constant_of, required
 
 _MOVES = (
     *("Cast", "Expand", "Flatten", "Gather", "Identity", "Reshape", "Slice", "Squeeze"),
@@ -37,8 +36,8 @@ class RestoreGuards(CautiousRewrite):
     depth of zero.
     """
 
-    name: ClassVar[str] = "restore-guards"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(repairs_nonfinite=True)
+    name = "restore-guards"
+    exactness = ErrorBudget(repairs_nonfinite=True)
 
     def rewrite(self, model: ir.Model) -> None:
         """Guard every length that is a divisor and may be zero, subgraphs included."""
@@ -46,8 +45,7 @@ class RestoreGuards(CautiousRewrite):
             divisor_index = _divisor_index(node)
             if divisor_index is None:
                 continue
-            divisor = node.inputs[divisor_index]
-            assert divisor is not None
+            divisor = required(node.inputs[divisor_index])
             if divisor.dtype not in FLOAT_TYPES or is_never_zero(divisor):
                 continue
             if constant_of(divisor) is not None or not (_is_length(divisor) or _is_square(divisor)):
@@ -68,8 +66,7 @@ def _divisor_index(node: ir.Node) -> int | None:
 
 
 def _guard(node: ir.Node, divisor_index: int) -> None:
-    divisor = node.inputs[divisor_index]
-    assert divisor is not None
+    divisor = required(node.inputs[divisor_index])
     assert divisor.dtype is not None
     substitute = _MIN_LENGTH if _is_length(divisor) else _MIN_SQUARE
     least, dtype = max(substitute, smallest_normal(divisor.dtype)), divisor.dtype.numpy()

@@ -4,7 +4,6 @@ __all__ = ["SplitLargeWeights"]
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -12,7 +11,13 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint, weight
-from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, rank_of
+from gsgen.sdk.passes.framework.value_facts import (
+    constant_of,
+    fixed_shape,
+    int_attribute,
+    rank_of,
+    required,
+)
 
 _BINDING = 128 << 20  # every WebGPU device binds this many bytes
 _BOOL = ir.DataType.BOOL
@@ -34,9 +39,9 @@ class SplitLargeWeights(CautiousRewrite):
     contract has one tensor of rows, and the refusal reports how many of them fit.
     """
 
-    name: ClassVar[str] = "split-large-weights"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6)
-    wanted_by: ClassVar[str] = "targets that limit a binding"
+    name = "split-large-weights"
+    exactness = ErrorBudget(relative=2e-6)
+    wanted_by = "targets that limit a binding"
 
     def __init__(self, limit: int = _BINDING) -> None:
         super().__init__()
@@ -81,9 +86,7 @@ class SplitLargeWeights(CautiousRewrite):
         if isinstance(splitting, str):
             return splitting
         axis, write = splitting
-        shape, tensor = fixed_shape(value), value.const_value
-        assert shape is not None
-        assert tensor is not None
+        shape, tensor = required(fixed_shape(value)), required(value.const_value)
         slab = tensor.nbytes // shape[axis]
         if slab > self.limit:
             return f"one of its {shape[axis]} parts along axis {axis} is {slab} bytes"
@@ -134,8 +137,7 @@ def _splitting_axis(value: ir.Value, node: ir.Node, input_index: int) -> tuple[i
 
 
 def _split_gather(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
-    before, index = InsertionPoint(node), node.inputs[1]
-    assert index is not None
+    before, index = InsertionPoint(node), required(node.inputs[1])
     assert index.dtype is not None
     kind = index.dtype.numpy()
     axis = int_attribute(node, "axis", 0) % (rank_of(parts[0]) or 1)
@@ -206,8 +208,7 @@ def _split_gemm(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None
 def _bias_columns(
     before: InsertionPoint, bias: ir.Value, start: int, end: int, width: int
 ) -> ir.Value:
-    array = constant_of(bias, largest=1 << 62)
-    assert array is not None
+    array = required(constant_of(bias, largest=1 << 62))
     if not array.ndim or array.shape[-1] != width or width == 1:
         return bias
     return before.constant(np.ascontiguousarray(array[..., start:end]), "bias")

@@ -20,6 +20,7 @@ from gsgen.sdk.passes.framework.value_facts import (
     constant_of,
     fixed_shape,
     int_attribute,
+    required,
     split_sizes,
 )
 
@@ -56,7 +57,8 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
         perm = node.attributes.get("perm")
         return perm is not None and next(iter(perm.as_ints())) == 0
     if is_op(node, "Gather"):
-        return int_attribute(node, "axis", 0) % len(shape) > 0 and _are_constant(node.inputs[1:])
+        known = all(constant_of(value) is not None for value in node.inputs[1:])
+        return int_attribute(node, "axis", 0) % len(shape) > 0 and known
     if is_op(node, "Slice"):
         return _slices(node, len(shape)) is not None
     if is_op(node, "Split"):
@@ -73,10 +75,8 @@ def columns_of(
     """
     if is_op(node, *_ELEMENTWISE):
         return [_elementwise(node, inputs, rows, look, emit)]
-    first = inputs[0]
-    assert first is not None
-    columns, shape = look(first), fixed_shape(node.outputs[0])
-    assert shape is not None
+    first = required(inputs[0])
+    columns, shape = look(first), required(fixed_shape(node.outputs[0]))
     if is_op(node, *_REDUCTIONS):
         return [_reduce(node, columns, emit).reshape(shape[1:])]
     if is_op(node, "Expand"):
@@ -90,19 +90,15 @@ def columns_of(
         perm = node.attributes["perm"].as_ints()
         return [columns.transpose([axis_number - 1 for axis_number in list(perm)[1:]])]
     if is_op(node, "Gather"):
-        indices = constant_of(inputs[1])
-        assert indices is not None
-        shape = fixed_shape(node.outputs[0])
-        assert shape is not None
+        indices = required(constant_of(inputs[1]))
+        shape = required(fixed_shape(node.outputs[0]))
         gathered = np.empty(shape[1:], object)
         gathered[...] = np.take(columns, indices, axis)  # a single index returns no array
         return [gathered]
     if is_op(node, "Slice"):
-        slices = _slices(node, columns.ndim + 1)
-        assert slices is not None
+        slices = required(_slices(node, columns.ndim + 1))
         return [columns[slices]]
-    sizes = split_sizes(node)
-    assert sizes is not None
+    sizes = required(split_sizes(node))
     return list(np.split(columns, np.cumsum(sizes)[:-1], axis))
 
 
@@ -124,8 +120,7 @@ def _elementwise(
     node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
 ) -> Columns:
     """Evaluate an elementwise operator once for each column."""
-    shape = fixed_shape(node.outputs[0])
-    assert shape is not None
+    shape = required(fixed_shape(node.outputs[0]))
     trailing = shape[1:]
     arrays = [
         np.full(trailing, None, object)
@@ -145,8 +140,7 @@ def _elementwise(
 
 
 def _operand(value: ir.Value, shape: tuple[int, ...], rows: int, look: ColumnLookup) -> Columns:
-    value_shape = fixed_shape(value)
-    assert value_shape is not None
+    value_shape = required(fixed_shape(value))
     if len(value_shape) == len(shape) and value_shape and value_shape[0] == rows:
         return look(value)
     known = constant_of(value)
@@ -182,10 +176,6 @@ def _axes(node: ir.Node, rank: int) -> list[int]:
         return [axis % rank for axis in attribute.as_ints()]
     known = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
     return [] if known is None else [int(axis) % rank for axis in known.reshape(-1)]
-
-
-def _are_constant(values: Sequence[ir.Value | None]) -> bool:
-    return all(constant_of(value) is not None for value in values)
 
 
 def _slices(node: ir.Node, rank: int) -> tuple[slice, ...] | None:

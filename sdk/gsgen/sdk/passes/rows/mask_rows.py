@@ -3,7 +3,6 @@
 __all__ = ["MaskRows"]
 
 from collections.abc import Sequence
-from typing import ClassVar
 
 import onnx_ir as ir
 from onnx_ir.passes.common import RemoveUnusedNodesPass
@@ -12,7 +11,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import append_output, replace_value
-from gsgen.sdk.passes.framework.value_facts import fixed_shape
+from gsgen.sdk.passes.framework.value_facts import fixed_shape, numpy_dtype, required
 from gsgen.sdk.passes.rows.row_draft import RowDraft
 from gsgen.sdk.passes.rows.row_facts import (
     Blocked,
@@ -37,18 +36,8 @@ from gsgen.sdk.passes.rows.row_operators import propagate_rows, split_rows
 from gsgen.sdk.passes.rows.row_reductions import pad_rows, reduce_rows, scatter_rows
 
 _READS_NUMBERS = (
-    "Add",
-    "Cast",
-    "Div",
-    "Mul",
-    "Sub",
-    "Where",
-    "Equal",
-    "Less",
-    "Greater",
-    "Min",
-    "Max",
-)
+    "Add", "Cast", "Div", "Mul", "Sub", "Where", "Equal", "Less", "Greater", "Min", "Max",
+)  # fmt: skip
 
 
 class MaskRows(CautiousRewrite):
@@ -73,9 +62,9 @@ class MaskRows(CautiousRewrite):
     (a running sum, an index computed from rows).
     """
 
-    name: ClassVar[str] = "mask-rows"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6, pads=True)
-    wanted_by: ClassVar[str] = "targets that capture graphs"
+    name = "mask-rows"
+    exactness = ErrorBudget(relative=2e-6, pads=True)
+    wanted_by = "targets that capture graphs"
 
     def __init__(self, count: str | None = None) -> None:
         super().__init__()
@@ -140,8 +129,7 @@ class _Attempt:
             replace_value(old, replacement)
         for old, new in zip(list(self.graph.outputs), outputs, strict=True):
             if new is not None:
-                maker = new.producer()
-                assert maker is not None
+                maker = required(new.producer())
                 self.graph.remove(maker)
                 append_output(self.graph, old, [maker])
 
@@ -180,7 +168,10 @@ class _Attempt:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
             return scatter_rows(node, facts, self.draft)
-        if is_op(node, "Concat", "Pad") and _fills_capacity(facts):  # Case 3: up to a capacity
+        is_filled = any(isinstance(fact, Filler | Linear) for fact in facts[1:])
+        if (
+            is_op(node, "Concat", "Pad") and isinstance(facts[0], Rows) and is_filled
+        ):  # Case 3: up to a capacity
             return pad_rows(node, facts, self.draft)
         return reduce_rows(node, facts, self.draft)  # Case 4: a reduction over the rows
 
@@ -292,18 +283,10 @@ class _Attempt:
 
     def _count_output(self, fact: Linear, value: ir.Value) -> ir.Value:
         """Draft a count output that ends on Add, an operator that graph capture records."""
-        assert value.dtype is not None
-        zero = self.draft.constant(0, value.dtype.numpy())
+        zero = self.draft.constant(0, numpy_dtype(value))
         return self.draft.op(
             "Add", self.draft.number(fact, value), zero, shape=list(fact.constant.shape)
         )
-
-
-def _fills_capacity(facts: Sequence[Fact | None]) -> bool:
-    """Return whether kept rows are followed by filler rows up to a fixed capacity."""
-    return isinstance(facts[0], Rows) and any(
-        isinstance(fact, Filler | Linear) for fact in facts[1:]
-    )
 
 
 def _varies(fact: Fact | None) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.detached_graph import DetachedGraph
-from gsgen.sdk.passes.framework.value_facts import fixed_shape
+from gsgen.sdk.passes.framework.value_facts import fixed_shape, numpy_dtype, required
 from gsgen.sdk.passes.rows.row_facts import Linear, Mask, Rows
 from gsgen.sdk.passes.rows.row_order import RowOrder, draft_order
 
@@ -50,22 +50,19 @@ class RowDraft(DetachedGraph):
 
     def compact(self, rows: Rows, fill: np.ndarray | None = None) -> ir.Value:
         """Draft N rows: first the K kept rows, then copies of ``fill`` (default zeros)."""
-        order, value, shape = self.order(rows.mask), rows.value, fixed_shape(rows.value)
-        assert shape is not None
-        assert value.dtype is not None
+        order, value, shape = self.order(rows.mask), rows.value, required(fixed_shape(rows.value))
         moved = self.op("Gather", value, order.rows, shape=shape, axis=rows.axis)
         dims = [1] * len(shape)
         dims[rows.axis] = rows.mask.size
         live = self.reshaped(order.live, dims)
-        filler = self.constant(0 if fill is None else fill, value.dtype.numpy())
+        filler = self.constant(0 if fill is None else fill, numpy_dtype(value))
         return self.op("Where", live, moved, filler, dtype=value.dtype, shape=shape)
 
     def number(self, fact: Linear, like: ir.Value) -> ir.Value:
         """Draft the integers a + b · K that ``fact`` describes, in the dtype of ``like``."""
         if not fact.varies:
             return like
-        kind, shape = like.dtype, list(fact.constant.shape)
-        assert kind is not None
+        kind, shape = required(like.dtype), list(fact.constant.shape)
         if not fact.factor.any():
             return self.constant(fact.constant, kind.numpy())
         count = self.order(fact.mask).count

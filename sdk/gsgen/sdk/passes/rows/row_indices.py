@@ -1,13 +1,9 @@
 """Recognises the forms in which exporters and authors select the rows of a boolean mask."""
 
 __all__ = [
-    "compose_masks",
-    "compress_rows",
-    "gather_nested_rows",
-    "gather_rows",
-    "nonzero_index",
+    "compose_masks", "compress_rows", "gather_nested_rows", "gather_rows", "nonzero_index",
     "transform_index",
-]
+]  # fmt: skip
 
 import numpy as np
 import onnx_ir as ir

@@ -72,11 +72,9 @@ def _full_shape(value: ir.Value, axis: int, rows: Rows) -> list[int] | None:
     if dims is None or not 0 <= axis < len(dims):
         return None
     dims[axis] = rows.mask.size
-    return (
-        [dim for dim in dims if isinstance(dim, int)]
-        if all(isinstance(d, int) for d in dims)
-        else None
-    )
+    if all(isinstance(d, int) for d in dims):
+        return [dim for dim in dims if isinstance(dim, int)]
+    return None
 
 
 def _full_inputs(node: ir.Node, facts: Facts) -> list[ir.Value | None]:
@@ -129,11 +127,9 @@ def _matrix_product(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None
     if len(row_facts) != sum(fact is not None for fact in facts) or not row_facts:
         return None
     row_axis = _gemm_row_axis(node, facts) if is_op(node, "Gemm") else _matmul_row_axis(node, facts)
-    return (
-        None
-        if row_axis is None
-        else _draft_for_all_rows(node, _full_inputs(node, facts), row_axis, row_facts[0], draft)
-    )
+    if row_axis is None:
+        return None
+    return _draft_for_all_rows(node, _full_inputs(node, facts), row_axis, row_facts[0], draft)
 
 
 def _gemm_row_axis(node: ir.Node, facts: Facts) -> int | None:
@@ -152,11 +148,9 @@ def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
     if None in ranks or result_rank is None or 1 in ranks:
         rows = facts[0]
         is_matrix_vector = isinstance(rows, Rows) and facts[1] is None and ranks[1] == 1
-        return (
-            rows.axis
-            if is_matrix_vector and isinstance(rows, Rows) and rows.axis + 1 < (ranks[0] or 0)
-            else None
-        )
+        if is_matrix_vector and isinstance(rows, Rows) and rows.axis + 1 < (ranks[0] or 0):
+            return rows.axis
+        return None
     negative_axes = {
         fact.axis - (rank or 0)
         for fact, rank in zip(facts, ranks, strict=True)

@@ -5,14 +5,14 @@ __all__ = ["WorkInColumns"]
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from math import prod
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import SAFE_WIDTH, ErrorBudget, Rewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import fixed_shape
+from gsgen.sdk.passes.framework.value_facts import fixed_shape, required
 from gsgen.sdk.passes.rows.column_rules import Columns, Emit, columns_of, works_on_columns
 
 # A kernel launch costs as much as some ten thousand rows; below this, fewer nodes are faster.
@@ -21,13 +21,8 @@ _MAX_WIDTH = 16
 # Nanoseconds per element, measured with ONNX Runtime 1.31 on one core; only their ratios matter.
 # Joining and splitting narrow rows moves four bytes at a time.
 _ELEMENTWISE_COST, _BROADCAST_COST, _JOIN_COST, _SPLIT_COST, _REDUCE_COST, _EXPAND_COST = (
-    1.2,
-    3.2,
-    4.0,
-    2.0,
-    2.0,
-    5.5,
-)
+    1.2, 3.2, 4.0, 2.0, 2.0, 5.5,
+)  # fmt: skip
 _COPIES = ("Reshape", "Squeeze", "Unsqueeze")
 _MAX_COST_RATIO = 0.85
 
@@ -46,8 +41,8 @@ class WorkInColumns(Rewrite):
     of the time, and from 65,536 rows on: the rewrite adds nodes, and each costs a launch on a GPU.
     """
 
-    name: ClassVar[str] = "work-in-columns"
-    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6)
+    name = "work-in-columns"
+    exactness = ErrorBudget(relative=2e-6)
 
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite groups of nodes column by column wherever the predicted cost drops enough."""
@@ -254,8 +249,7 @@ def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns
 
     Columns have one axis, because ONNX Runtime broadcasts a number over two axes row by row.
     """
-    shape = fixed_shape(value)
-    assert shape is not None
+    shape = required(fixed_shape(value))
     width = prod(shape[1:])
     array = np.empty(width, object)
     flat = value if shape == (rows, width) else write.op("Reshape", value, write.int64(rows, width))
@@ -269,8 +263,7 @@ def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns
 
 def _join_columns(write: InsertionPoint, columns: Columns, value: ir.Value, rows: int) -> ir.Value:
     """Return ``columns`` joined to a tensor with the shape of ``value``."""
-    shape = fixed_shape(value)
-    assert shape is not None
+    shape = required(fixed_shape(value))
     parts = _restored_parts(write, list(columns.reshape(-1)), rows)
     whole = parts[0] if len(parts) == 1 else write.op("Concat", *parts, axis=1)
     tensor = write.op("Reshape", whole, write.int64(*shape))

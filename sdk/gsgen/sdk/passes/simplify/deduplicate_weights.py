@@ -5,7 +5,6 @@ __all__ = ["DeduplicateWeights"]
 import hashlib
 from collections import ChainMap, Counter
 from collections.abc import Hashable, Iterator
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -28,7 +27,7 @@ class DeduplicateWeights(CautiousRewrite):
     to the same location in an external file are equal without being read.
     """
 
-    name: ClassVar[str] = "share-weights"
+    name = "share-weights"
 
     def rewrite(self, model: ir.Model) -> None:
         """Let all readers of equal weights read the first copy that their graph can access."""

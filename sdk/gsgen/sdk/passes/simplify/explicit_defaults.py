@@ -2,13 +2,13 @@
 
 __all__ = ["MakeDefaultsExplicit"]
 
-from typing import ClassVar, Self
+from typing import Self
 
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, RewriteTarget, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of
+from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of, required
 
 _AXES = 3
 
@@ -23,8 +23,8 @@ class MakeDefaultsExplicit(NodeRewrite):
         Slice(x, starts, ends)   →   Slice(x, starts, ends, [0, 1])
     """
 
-    name: ClassVar[str] = "spell-out-defaults"
-    wanted_by: ClassVar[str] = "targets with operator tables"
+    name = "spell-out-defaults"
+    wanted_by = "targets with operator tables"
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
@@ -47,8 +47,7 @@ class MakeDefaultsExplicit(NodeRewrite):
             spatial = (rank_of(node.inputs[0]) or 2) - 2
             node.attributes["dilations"] = ir.AttrInt64s("dilations", [1] * spatial)
             return
-        starts = constant_of(node.inputs[1])
-        assert starts is not None
+        starts = required(constant_of(node.inputs[1]))
         if len(node.inputs) == _AXES:
             node.resize_inputs(_AXES + 1)
         node.replace_input_with(_AXES, InsertionPoint(node).int64(*range(len(starts))))

@@ -2,7 +2,6 @@
 
 __all__ = ["FoldShapes"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
@@ -35,7 +34,7 @@ class FoldShapes(CautiousRewrite):
     Max, an epsilon, a Where) are never removed. Tables of more than 16,777,216 elements stay, too.
     """
 
-    name: ClassVar[str] = "fold-shapes"
+    name = "fold-shapes"
 
     def rewrite(self, model: ir.Model) -> None:
         """Fold shape arithmetic and infer shapes alternately until nothing changes."""

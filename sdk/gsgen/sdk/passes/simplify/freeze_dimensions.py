@@ -4,7 +4,6 @@ __all__ = ["FreezeDimensions"]
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import ClassVar
 
 import onnx_ir as ir
 
@@ -24,8 +23,8 @@ class FreezeDimensions(CautiousRewrite):
     Nothing changes for inputs with these sizes; the model no longer accepts other sizes.
     """
 
-    name: ClassVar[str] = "freeze-dimensions"
-    wanted_by: ClassVar[str] = "users who name a size: `--size N=1000`"
+    name = "freeze-dimensions"
+    wanted_by = "users who name a size: `--size N=1000`"
 
     def __init__(self, sizes: Mapping[str, int]) -> None:
         super().__init__()

@@ -2,13 +2,13 @@
 
 __all__ = ["MergeCasts", "holds_all"]
 
-from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
+from gsgen.sdk.passes.framework.value_facts import required
 
 _INTEGERS_OF_64_BITS = (ir.DataType.INT64, ir.DataType.UINT64)
 
@@ -22,7 +22,7 @@ class MergeCasts(NodeRewrite):
         Cast<to float>(Cast<to int64>(x: bool))    →   Cast<to float>(x)
     """
 
-    name: ClassVar[str] = "merge-casts"
+    name = "merge-casts"
 
     def matches(self, node: ir.Node) -> bool:
         """Return whether ``node`` casts the output of a lossless Cast to the same numbers."""
@@ -35,15 +35,15 @@ class MergeCasts(NodeRewrite):
         if first is None or between is None or last is None or not holds_all(between, first):
             return False
         # The cast of a number that does not fit differs between dtypes.
-        return holds_all(last, first) or first == ir.DataType.BOOL or _are_integers(between, last)
+        truncates = between.is_integer() and last.is_integer()  # alike in one step or two
+        return holds_all(last, first) or first == ir.DataType.BOOL or truncates
 
     def replace(self, node: ir.Node) -> None:
         """Cast the input of the first of two Casts directly to the last dtype."""
-        inner = node.inputs[0].producer() if node.inputs[0] is not None else None
-        assert inner is not None
-        write, x, kind = InsertionPoint(node), inner.inputs[0], node.outputs[0].dtype
-        assert kind is not None
-        assert x is not None
+        inner = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
+        write = InsertionPoint(node)
+        x = required(inner.inputs[0])
+        kind = required(node.outputs[0].dtype)
         if x.dtype == kind:
             write.replace(x)
             return
@@ -58,8 +58,3 @@ def holds_all(container: ir.DataType, contained: ir.DataType) -> bool:
         return bool(np.can_cast(contained.numpy(), container.numpy(), casting="safe"))
     except TypeError:  # strings, and dtypes of four bits
         return False
-
-
-def _are_integers(between: ir.DataType, last: ir.DataType) -> bool:
-    """Return whether both dtypes are integers, so that casts in one step or two truncate alike."""
-    return between.is_integer() and last.is_integer()

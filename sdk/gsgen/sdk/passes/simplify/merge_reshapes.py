@@ -2,13 +2,12 @@
 
 __all__ = ["MergeReshapes"]
 
-from typing import ClassVar
 
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import fixed_shape
+from gsgen.sdk.passes.framework.value_facts import fixed_shape, required
 
 _SHAPERS = ("Flatten", "Reshape", "Squeeze", "Unsqueeze")
 
@@ -21,7 +20,7 @@ class MergeReshapes(NodeRewrite):
         Squeeze(Unsqueeze(Reshape(x, …), …), …)   →   Reshape(x, last shape)
     """
 
-    name: ClassVar[str] = "merge-reshapes"
+    name = "merge-reshapes"
 
     def matches(self, node: ir.Node) -> bool:
         """Return whether ``node`` reshapes the output of another reshape to a known shape."""
@@ -32,12 +31,10 @@ class MergeReshapes(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Reshape the input of the first reshaping operator to the last shape."""
-        write, shape = InsertionPoint(node), fixed_shape(node.outputs[0])
-        assert shape is not None
+        write, shape = InsertionPoint(node), required(fixed_shape(node.outputs[0]))
         x = node.inputs[0]
         while x is not None and is_op(x.producer(), *_SHAPERS):
-            producer = x.producer()
-            assert producer is not None
+            producer = required(x.producer())
             x = producer.inputs[0]
         assert x is not None
         write.replace(write.op("Reshape", x, write.int64(*shape), shape=ir.Shape(shape)))

@@ -2,12 +2,12 @@
 
 __all__ = ["MergeTransposes"]
 
-from typing import ClassVar
 
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
+from gsgen.sdk.passes.framework.value_facts import required
 
 
 class MergeTransposes(NodeRewrite):
@@ -18,7 +18,7 @@ class MergeTransposes(NodeRewrite):
         Transpose(Transpose(x, p), q)   →   Transpose(x, p[q])
     """
 
-    name: ClassVar[str] = "merge-transposes"
+    name = "merge-transposes"
 
     def matches(self, node: ir.Node) -> bool:
         """Return whether ``node`` transposes the output of another Transpose."""
@@ -28,14 +28,10 @@ class MergeTransposes(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Transpose the input of the first Transpose by the composed permutation."""
-        inner = node.inputs[0].producer() if node.inputs[0] is not None else None
-        outer = _permutation(node)
-        assert inner is not None
-        first = _permutation(inner)
-        x = inner.inputs[0]
-        assert first is not None
-        assert outer is not None
-        assert x is not None
+        inner = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
+        outer = required(_permutation(node))
+        first = required(_permutation(inner))
+        x = required(inner.inputs[0])
         perm, write = [first[axis] for axis in outer], InsertionPoint(node)
         if perm == sorted(perm):
             write.replace(x)

@@ -2,13 +2,12 @@
 
 __all__ = ["RemoveNoOps"]
 
-from typing import ClassVar
 
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
+from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, required
 
 _VARIADIC = frozenset({"Concat", "Max", "Mean", "Min", "Sum"})
 _REDUCTIONS = frozenset({"ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum"})
@@ -29,7 +28,7 @@ class RemoveNoOps(NodeRewrite):
         Max(x), ReduceSum<noop_with_empty_axes>(x), Cast<to float>(x), x · 1   →   x
     """
 
-    name: ClassVar[str] = "drop-idle"
+    name = "drop-idle"
 
     def matches(self, node: ir.Node) -> bool:
         """Return whether ``node`` changes nothing and does not separate an input from an output."""
@@ -46,8 +45,9 @@ class RemoveNoOps(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Replace the output of a removed operator by the unchanged input."""
-        argument = _unchanged_argument(node)  # not stored: another replacement may have changed it
-        assert argument is not None
+        argument = required(
+            _unchanged_argument(node)
+        )  # not stored: another replacement may have changed it
         write = InsertionPoint(node)
         for spare in node.outputs[1:]:
             spare.name = None

@@ -1,0 +1,70 @@
+"""Merges splats until there are at most a number of them, as the levels of a tileset are made."""
+
+__all__ = ["decimate"]
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from gsgen.formats.shared.splats import Splats
+from gsgen.tiles.build.merging.levels import stored_degree
+from gsgen.tiles.build.merging.mixture import Mixture
+from gsgen.tiles.build.merging.moments import merge_clusters
+from gsgen.tiles.build.merging.morton import DEPTH, Cube, morton_codes, separation_depths
+from gsgen.tiles.build.tile import mixture_of, splats_of
+
+
+def decimate(splats: Splats, count: int) -> Splats:
+    """Return at most ``count`` splats that look like ``splats``, merged by moments.
+
+    Cells of one depth of an octree are as many as may be; of these, the ones whose splats spread
+    most, weighted by mass, are split into their eight parts for as long as ``count`` allows.
+    """
+    if count >= len(splats):
+        return splats
+    low, high = splats.position.min(axis=0), splats.position.max(axis=0)
+    cube = Cube.around(low.astype(np.float64), high.astype(np.float64))
+    codes = morton_codes(splats.position, cube)
+    mixture = mixture_of(splats, codes)
+    mixture = mixture.rows(np.argsort(codes, kind="stable"))
+    merged = merge_clusters(mixture, _cluster_starts(mixture, count))
+    result = splats_of(merged, stored_degree(merged))
+    return Splats(
+        position=result.position,
+        rotation=result.rotation,
+        log_scale=result.log_scale,
+        logit_opacity=result.logit_opacity,
+        sh=result.sh,
+        antialiased=splats.antialiased,
+        color_space=splats.color_space,
+    )
+
+
+def _cluster_starts(mixture: Mixture, count: int) -> Int64[np.ndarray, " m"]:
+    """Return the first row of each of at most ``count`` clusters."""
+    # Row i separates from row i − 1 at this depth; the first row separates at once.
+    separation = np.concatenate([[0], separation_depths(mixture.code)])
+    occupied = np.cumsum(np.bincount(separation, minlength=DEPTH + 2))[: DEPTH + 1]
+    depth = max(0, int(np.searchsorted(occupied, count, side="right")) - 1)
+    is_start = separation <= depth
+    if depth == DEPTH:
+        return np.flatnonzero(is_start)
+    cell = np.cumsum(is_start) - 1
+    parts = np.bincount(cell[separation == depth + 1], minlength=int(cell[-1]) + 1)
+    order = np.argsort(-_spread(mixture, cell), kind="stable")
+    order = order[parts[order] > 0]
+    is_split = np.zeros(len(parts), bool)
+    is_split[
+        order[: int(np.searchsorted(np.cumsum(parts[order]), count - len(parts), "right"))]
+    ] = 1
+    return np.flatnonzero(is_start | ((separation == depth + 1) & is_split[cell]))
+
+
+def _spread(mixture: Mixture, cell: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " m"]:
+    """Return Σ mass · |centre − mean|² of each cell."""
+    mass = mixture.mass
+    total = np.maximum(np.bincount(cell, mass), np.finfo(np.float64).tiny)
+    result = np.zeros(len(total))
+    for column in (mixture.mean - mixture.mean[0]).T:
+        mean = np.bincount(cell, mass * column) / total
+        result += np.bincount(cell, mass * np.square(column - mean[cell]))
+    return result

@@ -1,0 +1,58 @@
+"""Reads a file of splats on a web server, with the files that it names."""
+
+__all__ = ["names_one_file", "read_download"]
+
+import os
+import posixpath
+import re
+import tempfile
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlsplit
+
+from gsgen.formats import FormatError, codec_of_suffix, open_splats
+from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
+from gsgen.formats.sog.meta import META, Meta
+from gsgen.tiles.stores.http_store import HttpStore
+
+MAX_DOWNLOAD: Final = 8 << 30
+"""The most bytes of a file that are downloaded."""
+
+
+def names_one_file(source: str | os.PathLike[str]) -> bool:
+    """Return whether ``source`` is an address whose suffix is that of a file of splats."""
+    parts = urlsplit(_address(source))
+    return parts.scheme in ("http", "https") and codec_of_suffix(parts.path) is not None
+
+
+def read_download(source: str | os.PathLike[str]) -> Splats | PointCloud | PackedRows:
+    """Download a file of splats to a temporary folder, and read it.
+
+    Raises:
+        FormatError: The file cannot be read; its path is the address.
+        ContentMissing: The server has no such file.
+        StoreUnavailable: The server cannot be reached now.
+    """
+    address = _address(source)
+    name = posixpath.basename(urlsplit(address).path)
+    with tempfile.TemporaryDirectory() as folder, HttpStore(address) as store:
+
+        def fetch(name: str) -> Path:
+            file = Path(folder) / posixpath.basename(name)
+            file.write_bytes(store.read(name, limit=MAX_DOWNLOAD))
+            return file
+
+        try:
+            file = fetch(name)
+            if name.lower() == META:
+                for image in Meta.parse(file.read_bytes()).all_files():
+                    fetch(image)
+            return open_splats(file)
+        except FormatError as error:
+            error.path = address
+            raise
+
+
+def _address(source: str | os.PathLike[str]) -> str:
+    """Return the address with two slashes after its scheme, of which a Path keeps one."""
+    return re.sub(r"^(https?):/+", r"\1://", os.fspath(source), flags=re.IGNORECASE)

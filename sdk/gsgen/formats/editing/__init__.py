@@ -1,0 +1,1 @@
+"""How are splats changed between reading and writing: moved, filtered, ordered, summarised?"""

@@ -1,0 +1,126 @@
+"""Parses the edits of a command line: the table of their names, values and functions."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, Protocol, final
+
+from gsgen.contract._entry_points import registered_entry_points
+from gsgen.formats.editing.filters import (
+    morton_ordered,
+    where_value,
+    within_box,
+    within_sphere,
+    without_floaters,
+)
+from gsgen.formats.editing.transforms import rotated, scaled, translated
+from gsgen.formats.shared.errors import NotSupported, ValueInvalid, shown
+from gsgen.formats.shared.splats import Splats
+
+Edit = Callable[[Splats], Splats]
+
+
+class Decimator(Protocol):
+    """A function of the entry point group ``gsgen.decimators``."""
+
+    def __call__(self, splats: Splats, count: int) -> Splats:
+        """Return at most ``count`` splats that look like ``splats``."""
+        ...
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Option:
+    """An edit as an option.
+
+    Attributes:
+        metavar: The form of its value; empty for a flag.
+        parse: Returns the edit of a value.
+    """
+
+    metavar: str
+    parse: Callable[[str], Edit]
+
+
+def _numbers(text: str, metavar: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != metavar.count(",") + 1 or not all(abs(n) < float("inf") for n in numbers):
+        raise ValueInvalid(shown(text), expected=f"finite numbers {metavar}")
+    return numbers
+
+
+def _numeric(edit: Callable[..., Splats], metavar: str) -> Option:
+    def parse(text: str) -> Edit:
+        numbers = _numbers(text, metavar)
+        return lambda splats: edit(splats, numbers)
+
+    return Option(metavar, parse)
+
+
+def _decimation(text: str) -> Edit:
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)(%?)", text)
+    amount = float(match[1]) if match else 0.0
+    if match is None or not amount or (match[2] and amount > 100):
+        raise ValueInvalid(shown(text), expected="a number of splats, or a percentage such as 25%")
+
+    def decimate(splats: Splats) -> Splats:
+        count = int(len(splats) * amount / 100) if match[2] else int(amount)
+        points = registered_entry_points("gsgen.decimators")
+        for point in points:
+            decimator: Decimator = point.load()
+            return decimator(splats, max(1, count))
+        raise NotSupported(
+            "nothing that merges splats is installed",
+            where="decimate",
+            hint="pip install 'gsgen[tiles]'",
+        )
+
+    return decimate
+
+
+def _scaling(text: str) -> Edit:
+    (factor,) = _numbers(text, "FACTOR")
+    return lambda splats: scaled(splats, factor)
+
+
+def _floaters(text: str) -> Edit:
+    size, neighbours = _numbers(text, "SIZE,COUNT")
+    return lambda splats: without_floaters(splats, size, int(neighbours))
+
+
+OPTIONS: Final[dict[str, Option]] = {
+    "translate": _numeric(translated, "X,Y,Z"),
+    "rotate": _numeric(rotated, "X,Y,Z"),
+    "scale": Option("FACTOR", _scaling),
+    "box": _numeric(within_box, "X,Y,Z,X,Y,Z"),
+    "sphere": _numeric(within_sphere, "X,Y,Z,RADIUS"),
+    "where": Option("CONDITION", lambda text: partial(where_value, condition=text)),
+    "drop_floaters": Option("SIZE,COUNT", _floaters),
+    "decimate": Option("N|N%", _decimation),
+    "morton": Option("", lambda text: morton_ordered),
+}
+"""The edits by name."""
+
+
+def parse_edit(name: str, text: str) -> Edit:
+    """Return the edit ``name`` with this value, which raises if no splat is left.
+
+    Raises:
+        ValueInvalid: The value has another form.
+    """
+    edit = OPTIONS[name].parse(text)
+
+    def checked(splats: Splats) -> Splats:
+        result = edit(splats)
+        if not len(result):
+            raise ValueInvalid(
+                f"--{name.replace('_', '-')} {text} leaves none of {len(splats)} splats",
+                expected="at least one",
+            )
+        return result
+
+    return checked

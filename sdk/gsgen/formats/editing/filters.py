@@ -1,0 +1,141 @@
+"""Selects splats: in a box or sphere, by a value, and those that others surround."""
+
+import itertools
+import math
+import operator
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float32, Integer
+
+from gsgen.formats.shared.errors import ValueInvalid, shown
+from gsgen.formats.shared.morton import grid_order
+from gsgen.formats.shared.quantities import SH_C0, sigmoid
+from gsgen.formats.shared.splat_values import ARRAYS
+from gsgen.formats.shared.splats import Splats
+
+_COMPARISONS: Final[dict[str, Callable[[np.ndarray, float], np.ndarray]]] = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    ">": operator.gt,
+}
+_CONDITION: Final = re.compile(r"\s*(\w+)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*")
+
+Quantity = Callable[[Splats], Float32[np.ndarray, " n"]]
+
+
+def _coordinate(axis: int) -> Quantity:
+    return lambda splats: splats.position[:, axis]
+
+
+def _scale(axis: int) -> Quantity:
+    return lambda splats: np.exp(splats.log_scale[:, axis])
+
+
+def _color(channel: int) -> Quantity:
+    return lambda splats: np.asarray(0.5 + SH_C0 * splats.sh[:, 0, channel], np.float32)
+
+
+QUANTITIES: Final[dict[str, Quantity]] = {
+    **{name: _coordinate(axis) for axis, name in enumerate("xyz")},
+    **{f"scale_{axis}": _scale(axis) for axis in range(3)},
+    "largest_scale": lambda splats: np.exp(splats.log_scale.max(axis=1)),
+    "opacity": lambda splats: sigmoid(splats.logit_opacity),
+    **{name: _color(channel) for channel, name in enumerate(("red", "green", "blue"))},
+}
+"""The quantities of a splat by name: scales are linear, opacity and colour from 0 to 1."""
+
+
+def rows_of(splats: Splats, rows: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> Splats:
+    """Return the splats of these rows, in their order."""
+    return replace(splats, **{name: getattr(splats, name)[rows] for name in ARRAYS})
+
+
+def morton_ordered(splats: Splats) -> Splats:
+    """Return ``splats`` along Morton's curve, on a lattice of 2²¹ cells a side."""
+    position = splats.position.astype(np.float64)
+    low, high = position.min(axis=0), position.max(axis=0)
+    size = np.where(high > low, high - low, 1.0)
+    return rows_of(splats, grid_order(((position - low) / size * ((1 << 21) - 1)).astype(np.int64)))
+
+
+def within_box(splats: Splats, corners: tuple[float, ...]) -> Splats:
+    """Return the splats whose centres lie in a box: x, y, z of the low, then the high corner.
+
+    Raises:
+        ValueInvalid: A low coordinate is above the high one.
+    """
+    low, high = np.array(corners[:3]), np.array(corners[3:])
+    if (low > high).any():
+        raise ValueInvalid(
+            f"{corners}", where="box", expected="three coordinates, then three that are not lower"
+        )
+    is_inside = (splats.position >= low) & (splats.position <= high)
+    return rows_of(splats, np.asarray(is_inside.all(axis=1)))
+
+
+def within_sphere(splats: Splats, sphere: tuple[float, ...]) -> Splats:
+    """Return the splats whose centres lie in a sphere: x, y, z of its centre, then its radius."""
+    offset = splats.position.astype(np.float64) - np.array(sphere[:3])
+    is_inside = np.square(offset).sum(axis=1) <= sphere[3] ** 2
+    return rows_of(splats, np.asarray(is_inside))
+
+
+def where_value(splats: Splats, condition: str) -> Splats:
+    """Return the splats for which a condition such as ``opacity>=0.1`` holds.
+
+    Raises:
+        ValueInvalid: The condition is not a name of ``QUANTITIES``, a comparison and a number.
+    """
+    match = _CONDITION.fullmatch(condition)
+    number = _number(match[3]) if match else None
+    if match is None or number is None or match[1] not in QUANTITIES:
+        raise ValueInvalid(
+            shown(condition),
+            where="condition",
+            expected=f"one of {', '.join(QUANTITIES)}, then {' '.join(_COMPARISONS)}, then a number",
+        )
+    with np.errstate(over="ignore"):
+        return rows_of(splats, _COMPARISONS[match[2]](QUANTITIES[match[1]](splats), number))
+
+
+def without_floaters(splats: Splats, size: float, neighbours: int) -> Splats:
+    """Return the splats that have company: ``neighbours`` others in the cells around their own.
+
+    Space is cut into cubic cells of side ``size``; the cells around are the 27 with the own one
+    in the middle.
+
+    Raises:
+        ValueInvalid: ``size`` is not above 0, or so small that cells cannot be numbered.
+    """
+    if not 0 < size < math.inf:
+        raise ValueInvalid(f"{size:g}", where="floaters", expected="a cell size above 0")
+    position = splats.position.astype(np.float64)
+    cell = np.floor((position - position.min(axis=0)) / size)
+    if cell.max() >= (1 << 20):
+        raise ValueInvalid(
+            f"cells of {size:g} in a scene of {np.ptp(position, axis=0).max():g}",
+            where="floaters",
+            expected="fewer than a million cells a side",
+        )
+    keys = (cell.astype(np.int64) + 1) @ np.array([1 << 42, 1 << 21, 1])
+    occupied, own, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    total = np.zeros(len(occupied), np.int64)
+    for offset in itertools.product((-1, 0, 1), repeat=3):
+        around = occupied + np.array(offset) @ np.array([1 << 42, 1 << 21, 1])
+        index = np.minimum(np.searchsorted(occupied, around), len(occupied) - 1)
+        total += np.where(occupied[index] == around, counts[index], 0)
+    return rows_of(splats, total[own] - 1 >= neighbours)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None

@@ -1,0 +1,125 @@
+"""Summarises the quantities of splats as numbers, a table or a picture of histograms."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.formats.editing.filters import QUANTITIES
+from gsgen.formats.shared.errors import NotSupported
+from gsgen.formats.shared.files import FilePath, replacing
+from gsgen.formats.shared.splats import Splats
+
+_LOGARITHMIC: Final = "scale"  # quantities with this word are drawn on a logarithmic axis
+_BINS, _BAR, _HEIGHT, _COLUMNS, _MARGIN = 80, 3, 90, 3, 18
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Statistics:
+    """The distribution of one quantity over the splats with a finite value.
+
+    Attributes:
+        name: The quantity, a key of ``QUANTITIES``.
+        count: The splats with a finite value.
+        low: The least value.
+        median: The value in the middle.
+        high: The largest value.
+        mean: The mean.
+        deviation: The standard deviation.
+    """
+
+    name: str
+    count: int
+    low: float
+    median: float
+    high: float
+    mean: float
+    deviation: float
+
+
+def summarise(splats: Splats) -> tuple[Statistics, ...]:
+    """Return the distribution of every quantity, in the units of ``QUANTITIES``."""
+    return tuple(_statistics(name, _values(splats, name)) for name in QUANTITIES)
+
+
+def statistics_text(summary: Sequence[Statistics]) -> str:
+    """Return the distributions as a table."""
+    columns = ("low", "median", "high", "mean", "deviation")
+    lines = [f"{'':<15}" + "".join(f"{column:>12}" for column in columns)]
+    for entry in summary:
+        numbers = "".join(f"{getattr(entry, column):>12.4g}" for column in columns)
+        lines.append(f"  {entry.name:<13}{numbers}")
+    return "\n".join(lines)
+
+
+def write_histograms(path: FilePath, splats: Splats) -> None:
+    """Write a PNG picture of the histograms of all quantities, with least and largest value.
+
+    Raises:
+        NotSupported: Pillow is not installed.
+        FileUnwritable: The file cannot be written.
+    """
+    try:
+        from PIL import Image, ImageDraw
+    except ImportError as error:
+        raise NotSupported(
+            "pictures need Pillow, which is not installed",
+            where="histograms",
+            hint="pip install 'gsgen[formats]'",
+        ) from error
+    width, height = _BINS * _BAR + _MARGIN, _HEIGHT + 2 * _MARGIN
+    rows = -(-len(QUANTITIES) // _COLUMNS)
+    picture = Image.new("RGB", (_COLUMNS * width + _MARGIN, rows * height), "white")
+    draw = ImageDraw.Draw(picture)
+    for index, name in enumerate(QUANTITIES):
+        left, top = _MARGIN + index % _COLUMNS * width, index // _COLUMNS * height
+        values = _values(splats, name)
+        counts, low, high = histogram(name, values)
+        base = top + _MARGIN + _HEIGHT
+        axis = ", logarithmic" if _LOGARITHMIC in name else ""
+        draw.text((left, top + 2), f"{name}: {low:.3g} to {high:.3g}{axis}", fill="black")
+        for bar, count in enumerate(counts):
+            tall = round(_HEIGHT * count / max(counts.max(), 1))
+            draw.rectangle(
+                (left + bar * _BAR, base - tall, left + bar * _BAR + _BAR - 2, base), fill="#3465a4"
+            )
+        draw.line((left, base, left + _BINS * _BAR, base), fill="black")
+    stream = BytesIO()
+    picture.save(stream, "PNG")
+    with replacing(path) as file:
+        file.write(stream.getvalue())
+
+
+def histogram(name: str, values: Float64[np.ndarray, " n"]) -> tuple[np.ndarray, float, float]:
+    """Return the counts of 80 bins of equal width, and the ends; bins of scales are logarithmic."""
+    if not len(values):
+        return np.zeros(_BINS, np.int64), 0.0, 0.0
+    low, high = float(values.min()), float(values.max())
+    if _LOGARITHMIC in name:
+        values = np.log(values[values > 0])
+    counts, _ = np.histogram(values, _BINS)
+    return counts, low, high
+
+
+def _values(splats: Splats, name: str) -> Float64[np.ndarray, " n"]:
+    with np.errstate(over="ignore"):
+        values = np.asarray(QUANTITIES[name](splats), np.float64)
+    return values[np.isfinite(values)]
+
+
+def _statistics(name: str, values: Float64[np.ndarray, " n"]) -> Statistics:
+    if not len(values):
+        values = np.full(1, np.nan)
+    return Statistics(
+        name=name,
+        count=int(np.isfinite(values).sum()),
+        low=float(values.min()),
+        median=float(np.median(values)),
+        high=float(values.max()),
+        mean=float(values.mean()),
+        deviation=float(values.std()),
+    )

@@ -1,0 +1,66 @@
+"""Translates, rotates and scales splats, their harmonics included."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.contract.spec.geometry import rotation_matrix
+from gsgen.formats.shared.errors import ValueInvalid
+from gsgen.formats.shared.harmonics import rotate_sh
+from gsgen.formats.shared.splats import Splats
+
+Vector = tuple[float, float, float]
+
+
+def translated(splats: Splats, offset: Vector) -> Splats:
+    """Return ``splats`` moved by ``offset``, in scene units."""
+    position = splats.position + np.asarray(offset, np.float64)
+    return replace(splats, position=position.astype(np.float32))
+
+
+def scaled(splats: Splats, factor: float) -> Splats:
+    """Return ``splats`` with positions and sizes multiplied by ``factor``.
+
+    Raises:
+        ValueInvalid: ``factor`` is not a finite number above 0.
+    """
+    if not 0 < factor < math.inf:
+        raise ValueInvalid(f"{factor:g}", where="scale", expected="a finite number above 0")
+    return replace(
+        splats,
+        position=(splats.position * np.float64(factor)).astype(np.float32),
+        log_scale=(splats.log_scale + math.log(factor)).astype(np.float32),
+    )
+
+
+def rotated(splats: Splats, angles: Vector) -> Splats:
+    """Return ``splats`` rotated about the origin, with harmonics that show the same from there.
+
+    Args:
+        splats: The splats.
+        angles: Degrees about the axes x, y and z, which do not move, in this order.
+    """
+    turn = np.array([1.0, 0, 0, 0])
+    for axis, angle in enumerate(angles):
+        half = math.radians(angle) / 2
+        step = np.zeros(4)
+        step[[0, 1 + axis]] = math.cos(half), math.sin(half)
+        turn = _product(step, turn[None])[0]
+    matrix = rotation_matrix(turn[None])[0]
+    return replace(
+        splats,
+        position=(splats.position @ matrix.T).astype(np.float32),
+        rotation=_product(turn, splats.rotation.astype(np.float64)).astype(np.float32),
+        sh=rotate_sh(splats.sh, matrix),
+    )
+
+
+def _product(
+    left: Float64[np.ndarray, "4"], right: Float64[np.ndarray, "n 4"]
+) -> Float64[np.ndarray, "n 4"]:
+    """Return the products of quaternions (w, x, y, z): ``right`` first, then ``left``."""
+    w, x, y, z = left
+    matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return np.asarray(right @ matrix.T)

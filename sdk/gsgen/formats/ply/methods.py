@@ -1,0 +1,74 @@
+"""Recognises vertex properties with which methods change what a splat of a PLY file means."""
+
+import re
+import warnings
+from collections.abc import Collection
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.contract._entry_points import registered_entry_points
+from gsgen.formats.shared.errors import NotSupported, listed
+from gsgen.formats.shared.files import FilePath
+from gsgen.formats.shared.notices import FormatWarning
+from gsgen.formats.shared.quantities import logit, sigmoid
+
+FILTER: Final = "filter_3D"
+"""The property of Mip-Splatting (Yu et al. 2023): the size of its smoothing filter, in units."""
+
+_METHODS: Final = (
+    ("SpacetimeGaussians", "spacetime-gaussians", re.compile(r"motion_\d+|omega_\d+|trbf_\w+")),
+    ("GaussianAvatars", "gaussian-avatars", re.compile(r"binding_\d+")),
+    ("rotor 4DGS", "rotor-4dgs", re.compile(r"scale_t|t_scale|rot_r_\d+|rotation_r_\d+")),
+)
+_HARMLESS: Final = re.compile(r"n[xyz]|(diffuse_)?(red|green|blue)|alpha|f_rest_\d+")
+
+
+def require_still_splats(names: Collection[str]) -> None:
+    """Raise NotSupported if properties move the splats or place them in the frame of a triangle."""
+    for title, plugin, pattern in _METHODS:
+        matches = [name for name in names if pattern.fullmatch(name)]
+        if not matches:
+            continue
+        is_installed = plugin in {
+            point.name for point in registered_entry_points("gsgen.generators")
+        }
+        raise NotSupported(
+            f"{listed(matches, limit=6)}: splats of {title}, which are more than their static part",
+            where="element 'vertex'",
+            expected="the properties of a 3DGS PLY",
+            hint=f"`gsgen export {plugin}` reads it"
+            if is_installed
+            else "no installed plugin reads them; bake one moment with the method's own code",
+        )
+
+
+def warn_of_unknown(names: Collection[str], known: Collection[str], path: FilePath) -> None:
+    """Warn about properties that have no effect, by name."""
+    unknown = [name for name in names if name not in known and not _HARMLESS.fullmatch(name)]
+    if unknown:
+        text = f"{path}: properties {listed(unknown)} are not understood and have no effect"
+        warnings.warn(text, FormatWarning, stacklevel=2)
+
+
+def with_smoothing_filter(
+    log_scale: Float32[np.ndarray, "n 3"],
+    logit_opacity: Float32[np.ndarray, " n"],
+    size: Float32[np.ndarray, " n"],
+) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
+    """Apply the 3-D smoothing filter of Mip-Splatting (Yu et al. 2023, equation 7).
+
+    A variance s² becomes s² + f², and the opacity is multiplied by √(Π s² / Π (s² + f²)).
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        before = log_scale.astype(np.float64)
+        after = np.logaddexp(2 * before, 2 * np.log(np.abs(size.astype(np.float64)))[:, None]) / 2
+        ratio = np.exp(np.where(np.isneginf(after), 0, before - after).sum(axis=1))
+        opacity = sigmoid(logit_opacity).astype(np.float64) * ratio
+    # Without a filter nothing changes, not even by rounding.
+    is_same = size == 0
+    return (
+        np.where(is_same[:, None], log_scale, after).astype(np.float32),
+        np.where(is_same, logit_opacity, logit(opacity)).astype(np.float32),
+    )

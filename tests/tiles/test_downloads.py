@@ -1,0 +1,53 @@
+"""Files of splats on a web server."""
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.formats import FormatError, open_splats, read_sog, write_ply, write_sog
+from gsgen.tiles.errors import ContentMissing
+from gsgen.tiles.serving.server import serve_folder
+from support.commands import gsgen_here
+from support.splat_files import assert_near, scene
+
+
+@pytest.fixture
+def address(tmp_path: Path) -> Iterator[str]:
+    folder = tmp_path / "served"
+    folder.mkdir()
+    write_ply(folder / "a.ply", scene(20, 1))
+    write_sog(folder / "meta.json", scene(20, 1))
+    (folder / "bad.ply").write_bytes(b"ply\nnonsense\nend_header\n")
+    with serve_folder(folder) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        yield server.address.rstrip("/")
+        server.shutdown()
+        thread.join()
+
+
+def test_a_file_on_a_server_is_read(address: str, tmp_path: Path) -> None:
+    assert_near(open_splats(f"{address}/a.ply"), scene(20, 1))
+    assert_near(open_splats(Path(f"{address}/a.ply")), scene(20, 1))
+    unbundled = open_splats(f"{address}/meta.json")
+    assert_near(unbundled, read_sog(tmp_path / "served" / "meta.json"))
+
+
+def test_a_file_on_a_server_is_converted(address: str, tmp_path: Path) -> None:
+    ran = gsgen_here("convert", f"{address}/a.ply", tmp_path / "b.ply")
+    assert ran.code == 0, ran.err
+    np.testing.assert_array_equal(open_splats(tmp_path / "b.ply").position, scene(20, 1).position)
+
+
+def test_faults_name_the_address(address: str, tmp_path: Path) -> None:
+    with pytest.raises(FormatError) as caught:
+        open_splats(f"{address}/bad.ply")
+    assert caught.value.path == f"{address}/bad.ply"
+    with pytest.raises(ContentMissing, match="404"):
+        open_splats(f"{address}/none.ply")
+    ran = gsgen_here("convert", f"{address}/none.ply", tmp_path / "b.ply")
+    assert ran.code == 4
+    assert "404" in ran.err
