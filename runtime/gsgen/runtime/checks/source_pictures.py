@@ -21,6 +21,7 @@ from gsgen.contract.probing.probe_plan import fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.json_schema import to_json
 from gsgen.contract.spec.manifest import ReferenceImage
+from gsgen.contract.spec.roles import CAMERA_ROLES
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.tools.recording import (
     RecordingRefused,
@@ -34,7 +35,12 @@ from gsgen.contract.tools.recording import (
 from gsgen.contract.validation.settings import Settings
 from gsgen.runtime.camera_files import CameraFile, open_cameras
 from gsgen.runtime.checks.level import scene_of
-from gsgen.runtime.checks.reference_image import BACKGROUND, MAX_REFERENCES
+from gsgen.runtime.checks.reference_image import (
+    BACKGROUND,
+    MAX_REFERENCES,
+    MAX_SIDE,
+    image_decibels,
+)
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.media.pictures import png_of
 from gsgen.runtime.renderer.renderer import Renderer
@@ -44,9 +50,6 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp")
-_MAX_SIDE: Final = 4096
-_CAMERA_ROLES: Final = ("view", "projection", "camera_position", "viewport")
-_MIN_ERROR: Final = 1e-20  # equal pictures have 200 dB
 
 
 @final
@@ -141,9 +144,9 @@ def record_source_pictures(
         (draft_folder / target.name).mkdir()
         for path, file in files.items():
             (draft_folder / path).write_bytes(file)
-    for path in existing:
-        if f"{target.name}/{path.name}" not in files:
-            path.unlink()
+    for earlier in existing:
+        if f"{target.name}/{earlier.name}" not in files:
+            earlier.unlink()
     return SourcePictures(
         model=model,
         images=images,
@@ -159,7 +162,7 @@ def _probe(subject: InspectedModel, settings: Settings, label: str | None) -> Pr
     if manifest is None:
         message = "is not a gaussian-generator; only generators have reference images"
         raise RecordingRefused(message, where=where)
-    bound = [e.name for e in manifest.inputs if e.role in _CAMERA_ROLES and manifest.depends(e)]
+    bound = [e.name for e in manifest.inputs if e.role in CAMERA_ROLES and manifest.depends(e)]
     if bound:
         message = f"depends on the camera ({', '.join(bound)}), and is run at probes alone"
         hint = "If only culling depends on it, declare a copy without the input."
@@ -195,9 +198,9 @@ def _read(path: Path, camera: Camera) -> _Source:
         raise SceneInvalid(message, where=str(path))
     try:
         with Image.open(path) as image:
-            if max(image.size) > _MAX_SIDE:
+            if max(image.size) > MAX_SIDE:
                 size = f"{image.width}×{image.height} pixels"
-                message = f"has {size}, expected at most {_MAX_SIDE} a side"
+                message = f"has {size}, expected at most {MAX_SIDE} a side"
                 raise InputUnreadable(message, where=str(path))
             colors = _over_black(image)
     except (Image.DecompressionBombError, UnidentifiedImageError, OSError) as error:
@@ -225,9 +228,8 @@ def _compare(
         scene = scene_of(manifest, execution.samples[execution.runs[0].sample].outputs)
         for entry in sources:
             frame = renderer.render(scene, entry.camera, background=BACKGROUND)
-            difference = frame.srgb8[..., :3].astype(np.float64) - entry.colors
-            mean_error = float(np.square(difference / 255).mean())
-            ratios.append(float(-10 * np.log10(max(mean_error, _MIN_ERROR))))
+            expected = (entry.colors / 255).astype(np.float32)
+            ratios.append(image_decibels(frame.srgb8, expected))
     return tuple(ratios)
 
 

@@ -5,7 +5,7 @@ __all__ = ["references"]
 import json
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,9 +18,35 @@ if TYPE_CHECKING:
     from gsgen.runtime.checks.reference_recording import References
     from gsgen.runtime.checks.source_pictures import SourcePictures
 
-# Least decibels of pictures drawn by the model, and of pictures drawn by other code.
+# Least decibels of pictures that the model itself drew.
 _OWN_PSNR = 50.0
-_SOURCE_PSNR = 35.0
+
+SourceFolder = Annotated[
+    Path | None, typer.Option("--from", help="Folder of pictures that the training code rendered.")
+]
+SourceCameras = Annotated[
+    Path | None,
+    typer.Option(help="Their cameras, in the model's space and with the pictures' names."),
+]
+SourceProbe = Annotated[
+    str | None,
+    typer.Option(help="Probe that the pictures show, such as time=0.", show_default="first"),
+]
+PictureWidth = Annotated[
+    int | None,
+    typer.Option(
+        help="Width in pixels; the height follows from the camera.",
+        show_default="640",
+        min=16,
+        max=4096,
+    ),
+]
+LeastDecibels = Annotated[
+    float | None,
+    typer.Option(
+        help="Least decibels that a picture must have.", show_default="50, or 35 with --from", min=1
+    ),
+]
 
 
 def references(
@@ -34,18 +60,9 @@ def references(
             show_default=False,
         ),
     ],
-    source: Annotated[
-        Path | None,
-        typer.Option("--from", help="Folder of pictures that the training code rendered."),
-    ] = None,
-    cameras: Annotated[
-        Path | None,
-        typer.Option(help="Their cameras, in the model's space and with the pictures' names."),
-    ] = None,
-    probe: Annotated[
-        str | None,
-        typer.Option(help="Probe that the pictures show, such as time=0.", show_default="first"),
-    ] = None,
+    source: SourceFolder = None,
+    cameras: SourceCameras = None,
+    probe: SourceProbe = None,
     camera: Annotated[
         str | None,
         typer.Option(help="Camera; see `gsgen render`. [default: the probes', or an orbit]"),
@@ -58,23 +75,8 @@ def references(
             min=1,
         ),
     ] = None,
-    width: Annotated[
-        int | None,
-        typer.Option(
-            help="Width in pixels; the height follows from the camera.",
-            show_default="640",
-            min=16,
-            max=4096,
-        ),
-    ] = None,
-    psnr: Annotated[
-        float | None,
-        typer.Option(
-            help="Least decibels that a picture must have.",
-            show_default="50, or 35 with --from",
-            min=1,
-        ),
-    ] = None,
+    width: PictureWidth = None,
+    psnr: LeastDecibels = None,
     force: Annotated[
         bool, typer.Option("--force", help="Replace existing pictures of the copy.")
     ] = False,
@@ -99,24 +101,10 @@ def references(
         raise ConfigInvalid("are only used together", where="--from, --cameras", hint=hint)
     settings = make_settings(installed_rules(), config=config, timeout=timeout, memory=memory)
     if source is not None and cameras is not None:
-        from gsgen.runtime.checks.source_pictures import record_source_pictures
-
-        try:
-            pictures = record_source_pictures(
-                model,
-                output,
-                source,
-                cameras,
-                probe=probe,
-                count=count,
-                psnr=_SOURCE_PSNR if psnr is None else psnr,
-                settings=settings,
-                force=force,
-                progress=progress,
-            )
-        finally:
-            clear()
-        _print_source(pictures, as_json=as_json)
+        options = {"probe": probe, "count": count, "settings": settings, "force": force}
+        if psnr is not None:
+            options["psnr"] = psnr
+        _print_source(_recorded(model, output, source, cameras, options), as_json=as_json)
         return
     try:
         result = record_references(
@@ -137,6 +125,18 @@ def references(
     note = "note: drawn by the model itself: a fault that it has now is part of the pictures"
     typer.echo(f"{note}; --from FOLDER --cameras FILE takes those of the training code", err=True)
     _print(result, as_json=as_json)
+
+
+def _recorded(
+    model: Path, output: Path, folder: Path, cameras: Path, options: dict[str, Any]
+) -> "SourcePictures":
+    from gsgen.contract.commands.progress import clear, progress
+    from gsgen.runtime.checks.source_pictures import record_source_pictures
+
+    try:
+        return record_source_pictures(model, output, folder, cameras, progress=progress, **options)
+    finally:
+        clear()
 
 
 def _print(result: "References", *, as_json: bool) -> None:
