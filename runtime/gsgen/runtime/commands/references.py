@@ -101,9 +101,11 @@ def references(
         raise ConfigInvalid("are only used together", where="--from, --cameras", hint=hint)
     settings = make_settings(installed_rules(), config=config, timeout=timeout, memory=memory)
     if source is not None and cameras is not None:
-        options = {"probe": probe, "count": count, "settings": settings, "force": force}
-        if psnr is not None:
-            options["psnr"] = psnr
+        chosen = {"probe": probe, "count": count, "psnr": psnr, "force": force}
+        options: dict[str, Any] = {
+            name: value for name, value in chosen.items() if value is not None
+        }
+        options["settings"] = settings
         _print_source(_recorded(model, output, source, cameras, options), as_json=as_json)
         return
     try:
