@@ -11,6 +11,7 @@ from typing import Final, Protocol, final
 import numpy as np
 from jaxtyping import Bool, Int64
 
+from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.loading import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
@@ -32,7 +33,6 @@ from gsgen.tiles.streaming.planner import Link, RequestPlanner
 from gsgen.tiles.streaming.residency import ResidentTiles
 from gsgen.tiles.streaming.session_frame import DrawnTile, SessionFrame, TileArrival
 
-SLOT_ROWS: Final = 4096
 UPLOAD_BUDGET: Final = 4 << 20
 _COARSER: Final = 2**0.25  # step of the error while a cut does not fit the pool
 _MOST_STEPS: Final = 80
