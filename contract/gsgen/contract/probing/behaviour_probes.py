@@ -109,7 +109,7 @@ def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _turned(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """The camera turned about its own centre: tilted a little, looking away, and from far."""
+    """Yield probes of the camera turned about its own centre: tilted, looking away, and far."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "view")[:1]:
         view = as_tensor(base.inputs[entry.name], order).astype(np.float64)
@@ -120,7 +120,7 @@ def _turned(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _swept(manifest: GeneratorManifest, entry: Input, base: Probe) -> Iterator[Probe]:
-    """Instants within the range, and pairs a hundredth of a short range apart."""
+    """Yield probes at instants within the time range, and at close pairs of instants."""
     assert entry.range is not None
     low, high = entry.range
     is_short = entry.frames is None and 0 < high - low <= _UNIT_RANGE
