@@ -10,7 +10,7 @@ from types import ModuleType
 
 from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
-from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness
+from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness, trajectory
 from gsgen.contract.rules.graph import capture, graph, integers, naming, replay
 from gsgen.contract.rules.interface import (
     avatar_inputs,
@@ -29,6 +29,7 @@ from gsgen.contract.rules.pictures import (
     opacities,
     orientation,
     poses,
+    resolution,
     sizes,
     turning,
 )
@@ -67,10 +68,12 @@ FAMILIES = (
     opacities,
     colors,
     harmonics,
+    resolution,
     determinism,
     camera,
     motion,
     robustness,
+    trajectory,
     turning,
     effects,
     poses,

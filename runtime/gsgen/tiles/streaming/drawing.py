@@ -81,7 +81,7 @@ class Fades:
     def frame(
         self, time: float, drawn: Bool[np.ndarray, " n"], seen: Bool[np.ndarray, " n"]
     ) -> None:
-        """Move all fades on to ``time``.
+        """Advance the fades of all tiles to ``time``.
 
         Args:
             time: In seconds.
@@ -107,7 +107,7 @@ class Fades:
         self._fade[falling] = np.maximum(self._fade[falling] - step, 0.0)
 
     def drop(self, tile: int) -> None:
-        """Stop drawing a tile at once."""
+        """Stop drawing a tile at once, without a fade."""
         self._fade[tile] = 0.0
 
     def _in_view(self, seen: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

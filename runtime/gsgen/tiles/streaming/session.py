@@ -43,7 +43,7 @@ _MOST_PENDING: Final = 64  # decoded tiles that wait for their upload
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionOptions:
-    """How a tileset is streamed.
+    """The options of a streaming session.
 
     Attributes:
         max_error: Screen-space error above which tiles are refined, in pixels.
@@ -196,7 +196,7 @@ class TilesetSession:
 
     @property
     def resident(self) -> Bool[np.ndarray, " n"]:
-        """Which tiles are in the pool."""
+        """The mask of the tiles that are resident in the pool."""
         return self._residents.resident
 
     def frame(self, frustum: Frustum) -> SessionFrame:

@@ -130,7 +130,8 @@ def mostly_visible(rows: Rows) -> Iterator[Violation]:
         If nearly all are, the activation is probably missing or applied twice.
 
     Hint:
-        Check the opacity activation; prune dead Gaussians before export.
+        Check the opacity activation; prune dead Gaussians before export. If the model culls, check
+        that +z is forward, and the matrix order.
     """
     dead = rows.counted & rows.finite & (rows.opacity < CULL_OPACITY)
     yield Violation.rows(
