@@ -113,10 +113,11 @@ def _finest(leaf: dict[str, Any], files: int) -> tuple[int, int, int]:
     levels = leaf.get("lods")
     numbers = [key for key in levels if key.isdecimal()] if isinstance(levels, dict) else []
     entry = levels[min(numbers, key=int)] if isinstance(levels, dict) and numbers else None
-    values = (
-        [entry.get(key) for key in ("file", "offset", "count")] if isinstance(entry, dict) else []
-    )
-    if len(values) != 3 or not all(type(value) is int and value >= 0 for value in values):
+    values: list[int] = []
+    if isinstance(entry, dict):
+        members = [entry.get(key) for key in ("file", "offset", "count")]
+        values = [value for value in members if type(value) is int and value >= 0]
+    if len(values) != 3:
         raise HeaderMalformed(
             shown(str(levels)),
             where=f"{STREAMED_META}, lods",
