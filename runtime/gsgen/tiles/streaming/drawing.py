@@ -11,6 +11,8 @@ from gsgen.tiles.selection.cut import Cut
 from gsgen.tiles.selection.tile_tree import TileTree
 
 FADE_SECONDS: Final = 0.25
+# A window that stood still draws its next frame late: a fade that begins then must not be over.
+_LONGEST_STEP: Final = 1 / 15
 
 
 def drawable_tiles(
@@ -90,7 +92,7 @@ class Fades:
         """
         step = 1.0
         if self._seconds > 0 and self._time is not None:
-            step = (time - self._time) / self._seconds
+            step = min(time - self._time, _LONGEST_STEP) / self._seconds
         self._time = time
         visible = self._fade > 0
         # Only a tile with a visible one above or below it takes the place of something.
