@@ -92,7 +92,7 @@ def dependency_probes(
 
     An input that ``depends_on`` names has probes of its own, under the key ``input NAME``.
     """
-    groups = {role: [] for role in sorted({i.role for i in manifest.inputs})}
+    groups: dict[str, list[str]] = {role: [] for role in sorted({i.role for i in manifest.inputs})}
     for entry in manifest.inputs:
         groups[entry.role].append(entry.name)
     if isinstance(manifest, GeneratorManifest):
