@@ -1,6 +1,6 @@
 """Streaming: what a choice of tiles costs, and what prefetching gains on journeys.
 
-    python -m pytest tests/bench/bench_streaming.py -o python_files='bench_*.py' \
+    python -m pytest tests/bench/tiles/bench_streaming.py -o python_files='bench_*.py' \
         -o python_functions='bench_*' -s -q
 
 CPU time is that of the process. Journeys go through a generated town, over networks of constant
