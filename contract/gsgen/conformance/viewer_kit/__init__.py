@@ -1,0 +1,1 @@
+"""The viewer kit: small generators with their right pictures, which a viewer is judged by."""
