@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench exactness fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery docs wheel clean
+.PHONY: setup demo test check types style drivers bench exactness adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery docs wheel clean
 
 setup: $(READY)
 
@@ -57,6 +57,11 @@ bench: setup
 SIZE ?= 640x360
 exactness: setup drivers
 	$(BIN)/python tests/bench/exactness.py --size $(SIZE)
+
+# The whole adversarial set: the share of faults that are refused with the right cause first, and
+# false alarms on right models. Tests measure every third model.
+adversarial: setup
+	GSGEN_ADVERSARIAL=whole $(BIN)/python -m pytest tests/contract/adversarial -q -s
 
 # Mutants of models and manifests, which must not crash, hang or bloat the validator. A run that
 # was stopped goes on where it was; what failed is kept in out/fuzz, with the way to see it again.

@@ -72,6 +72,13 @@ PARTS: dict[str, Part] = {
     "waiver-keys": contract.waiver_keys,
 }
 
+# The end of a rule's page that has a picture, which scripts/draw_rule_pictures.py draws.
+_PICTURE = (
+    "\n## Right and wrong\n\n"
+    "![a right scene, and one that breaks the rule](../assets/rules/{name})\n\n"
+    "Left: a right scene. Right: the example that breaks the rule.\n"
+)
+
 _MARKED = re.compile(
     r"(<!-- generated: (?P<name>[^>]+?) -->\n).*?(<!-- end generated -->)", re.DOTALL
 )
@@ -93,6 +100,8 @@ def generated() -> dict[Path, str]:
     pages = {
         DOCS / "rules" / f"{rule.id}.md": page(rule, registry) for rule in registry.rules.values()
     }
+    for picture in sorted((DOCS / "assets" / "rules").glob("*.png")):
+        pages[DOCS / "rules" / f"{picture.stem}.md"] += _PICTURE.format(name=picture.name)
     pages[DOCS / "rules" / "index.md"] = index(registry)
     pages |= {
         DOCS / "passes" / f"{rewrite.name}.md": passes.page(rewrite) for rewrite in passes.REWRITES

@@ -32,6 +32,8 @@ _LIMITS = {
     "buffer_bytes": "Bytes of one buffer.",
     "workgroups": "Workgroups of one dispatch along an axis.",
     "workgroup_size": "Rows that one workgroup visits; times `workgroups`, the most rows.",
+    "split_outputs": "Outputs of one Split.",
+    "concat_inputs": "Inputs of one Concat; newer releases than the viewer's join any number.",
     "graph_capture": "1: kernels are recorded once and replayed, so what cannot be is reported.",
 }
 

@@ -4,6 +4,7 @@ Printed and asserted against the project's bars; run by ``make bench``, never by
 """
 
 import json
+import resource
 import subprocess
 import sys
 import time
@@ -14,6 +15,7 @@ import numpy as np
 import onnx
 import pytest
 
+from gsgen.conformance.fixtures import find
 from gsgen.contract.reporters.json_report import to_json
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
@@ -78,6 +80,25 @@ def bench_cold_start(words: tuple[str, ...], tmp_path: Path) -> None:
     seconds = best(lambda: subprocess.run(command, check=True, capture_output=True), 7)
     say(f"cold start, gsgen {' '.join(words)}: {seconds:.2f} s (bar 0.6)")
     assert seconds <= 0.6
+
+
+def cpu_seconds(command: list[str]) -> float:
+    """Return the processor time of a command, children included."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(command, check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def bench_start_of_static_beside_the_import_of_onnx(tmp_path: Path) -> None:
+    path = find("still_sh0").write(tmp_path)
+    command = [sys.executable, "-m", "gsgen.cli", "validate", "--level", "static", str(path)]
+    pairs = [
+        (cpu_seconds([sys.executable, "-c", "import onnx"]), cpu_seconds(command)) for _ in range(9)
+    ]
+    baseline, ours = (min(times) for times in zip(*pairs, strict=True))
+    say(f"processor time of validate --level static: {ours / baseline:.2f} × import onnx (bar 2)")
+    assert ours <= 2 * baseline
 
 
 def bench_static_on_a_large_model(large: Path) -> None:

@@ -57,7 +57,7 @@ def test_without_the_option_models_are_left_alone(folder: Path) -> None:
     ("name", "rule"),
     [
         ("opacity_is_logits", "GV003"),
-        ("seeded_random", "GB001"),
+        ("dropout_by_a_flag", "GB001"),
         ("view_flattened", "GI001"),
         ("nan_at_zero_inputs", "GI009"),
         ("fails_at_end_of_time", "GV025"),

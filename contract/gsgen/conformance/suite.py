@@ -77,7 +77,7 @@ def _of_tensors(rule: Rule) -> bool:
 
 
 _CAPTURE = (
-    *("GO004", "GG003", "GG004", "GG005", "GG006", "GG007", "GG008", "GG009"),
+    *("GO004", "GG003", "GG026", "GG004", "GG005", "GG006", "GG007", "GG008", "GG009"),
     *("GG016", "GG017", "GG018"),
 )
 
@@ -92,19 +92,23 @@ SUITES: tuple[Suite, ...] = (
         "camera",
         "Cameras have the declared form and the expected effect.",
         _takes("view", "projection", "camera_position", "viewport"),
-        _ids("GI001", "GI002", "GI007", "GI008", "GB007", "GB008", "GB030", "GB031"),
+        _ids(
+            "GI001", "GI002", "GI007", "GI008", "GB007", "GB008", "GB030", "GB031", "GV059", "GV054"
+        ),
     ),
     Suite(
         "time",
         "Time has the declared form, loops, and reaches every frame.",
         _takes("time", "frame_index"),
-        _ids("GI003", "GM010", "GB004", "GB005", "GB006", "GB033", "GB034", "TV108"),
+        _ids(
+            "GI003", "GM010", "GB004", "GB005", "GB006", "GB033", "GB034", "TV108", "GI025", "GB040"
+        ),
     ),
     Suite(
         "avatar",
         "Poses and body shapes, at rest and at their extremes.",
         _takes("pose", "shape", "expression", "root_translation", "root_rotation"),
-        _ids("GI009", "GI010", "GB013", "GB035", "GB036"),
+        _ids("GI009", "GI010", "GB013", "GB035", "GB036", "GB041", "GB042"),
     ),
     Suite(
         "appearance",

@@ -14,7 +14,9 @@ from gsgen.contract._lazy import lazy_getattr
 if TYPE_CHECKING:
     from gsgen.tiles.info import describe_tileset
     from gsgen.tiles.loading import open_tileset
+    from gsgen.tiles.selection.frustum import Frustum
+    from gsgen.tiles.streaming.session import SessionOptions, open_session
 
-__all__ = ["describe_tileset", "open_tileset"]
+__all__ = ["Frustum", "SessionOptions", "describe_tileset", "open_session", "open_tileset"]
 
 __getattr__ = lazy_getattr(__name__)

@@ -15,6 +15,9 @@ from gsgen.tiles.volumes import Volume
 
 Refine = Literal["ADD", "REPLACE"]
 
+# A root frame farther than this from the origin of the world stands on the globe, in metres.
+_ON_GLOBE = 1e6
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,6 +106,14 @@ class Tileset:
     def content_axes(self) -> Float64[np.ndarray, "4 4"]:
         """The 4×4 matrix from the frame of a content to that of its tile."""
         return Z_UP_FROM_Y_UP if self.y_up else np.eye(4)
+
+    @property
+    def up(self) -> Float64[np.ndarray, " 3"]:
+        """The up direction in the root frame: z of the world, or away from the globe's centre."""
+        linear, origin = self.transform[:3, :3], self.transform[:3, 3]
+        is_on_globe = np.linalg.norm(origin) > _ON_GLOBE
+        up = linear.T @ (origin if is_on_globe else np.array([0.0, 0.0, 1.0]))
+        return np.asarray(up / np.linalg.norm(up))
 
     def tiles(self) -> Iterator[Tile]:
         """Yield all tiles of the tileset, each before its children, depth first."""

@@ -134,7 +134,7 @@ CODECS: Final = (
     Codec(
         name="sog",
         title="SOG",
-        contents="version 2, zipped or its `meta.json`",
+        contents="version 2, zipped or its `meta.json`; the finest level of a streamed SOG, `lod-meta.json`",
         suffixes=(".sog", META),
         read=read_sog,
         write=write_sog,

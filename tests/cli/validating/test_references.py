@@ -176,7 +176,7 @@ def test_cameras_are_those_that_were_asked_for(renderer: Renderer, tmp_path: Pat
     (tmp_path / "round.json").write_text(
         Camera.panorama((0, 0, 0), (0, 0, 1), width=64, height=32).to_json()
     )
-    with pytest.raises(SceneInvalid, match="of kind panorama"):
+    with pytest.raises(SceneInvalid, match="is panorama, expected a pinhole"):
         record_references(
             source, tmp_path / "b.onnx", camera=str(tmp_path / "round.json"), renderer=renderer
         )

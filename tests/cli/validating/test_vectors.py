@@ -63,8 +63,8 @@ def test_written_vectors_are_reproduced_until_a_weight_changes(tmp_path: Path) -
     changed = onnx.numpy_helper.to_array(speed).copy()
     changed[3, 1] += 1e-3
     speed.CopyFrom(onnx.numpy_helper.from_array(changed, "speed"))
-    onnx.save(model, tmp_path / "changed.onnx")
-    invalid = gsgen("validate", "changed.onnx", cwd=tmp_path)
+    onnx.save(model, result / "changed.onnx")
+    invalid = gsgen("validate", "changed.onnx", cwd=result)
     assert invalid.out.count("GM012 warning (possible) test-vectors-reproduce") == 1
     assert invalid.out.count("    manifest test_vectors") == 3
     assert "manifest test_vectors.0" not in invalid.out  # while time is zero, speed is not felt

@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 
@@ -101,3 +103,38 @@ def test_a_wrong_opacity_is_no_other_layout(fault, seed):
     upper = gaussians.covariance * ([1, 0, 0, 1, 0, 1] if "diagonal" in fault else 1)
     rows = np.concatenate([gaussians.position, opacity[:, None], upper], axis=1)
     assert suspect_order(rows, BOX, rows.reshape(10, -1).T) is None
+
+
+@pytest.mark.parametrize("parts", range(6))
+@pytest.mark.parametrize("order", ["", "xx yy zz xy xz yz", "xx xy yy xz yz zz (lower triangle)"])
+def test_every_order_of_parts_and_entries_is_found(parts, order):
+    position, opacity, covariance = np.split(rows_in(order), [3, 4], axis=1)
+    arrangements = list(itertools.permutations((position, opacity, covariance)))
+    rows = np.concatenate(arrangements[parts], axis=1)
+    result = suspect_order(rows)
+    assert (result is None) is (not order and parts == 0)
+
+
+def test_an_opacity_behind_thin_covariances_is_found():
+    gaussians = cloud(200, seed=3)
+    hair = 1e-6 * gaussians.covariance
+    rows = np.concatenate([gaussians.position, hair, gaussians.opacity[:, None]], axis=1)
+    assert suspect_order(rows).name == "x y z, the covariance, opacity last"
+
+
+def test_bounds_of_the_wrong_columns_hide_no_order():
+    gaussians = cloud(200, seed=3)
+    planes = np.concatenate(
+        [gaussians.position, gaussians.opacity[:, None], gaussians.covariance], axis=1
+    )
+    rows = planes.T.reshape(200, 10)
+    box = (tuple(rows[:, :3].min(0)), tuple(rows[:, :3].max(0)))
+    assert "ten planes" in suspect_order(rows, box, rows.reshape(10, -1).T).name
+
+
+def test_entries_that_float16_rounds_to_its_step_are_no_other_order():
+    gaussians = cloud(200, seed=3)
+    rows = np.concatenate(
+        [gaussians.position, gaussians.opacity[:, None], 3e-7 * gaussians.covariance], axis=1
+    )
+    assert suspect_order(rows.astype(np.float16).astype(float), smallest=2.0**-25) is None

@@ -1,11 +1,13 @@
 """A level that another package runs: it is prepared once, judged, skipped or crashed."""
 
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 
 from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec.severity import Level
+from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.level_backend import LevelBackend, LevelContext, LevelUnavailable
 from gsgen.contract.validation.report import Report
@@ -121,3 +123,40 @@ def test_a_level_has_one_runner():
     runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(lambda trial: iter(())))
     with pytest.raises(ValueError, match="level live has two backends"):
         Registry.of([], [runner, runner])
+
+
+@pytest.mark.parametrize(
+    ("measured", "target", "status"),
+    [
+        (None, "core", "not-applicable"),
+        (None, "webgpu", "not-applicable"),
+        (None, "visionary", "fail"),  # its release of ONNX Runtime is not the one that ran
+        (told, "webgpu", "fail"),
+    ],
+)
+def test_a_prediction_is_withdrawn_where_the_level_live_disproves_it(
+    good, measured, target, status
+):
+    def prepare(trial):
+        yield LevelContext(context=CONTEXT)
+
+    prediction = replace(made_up("acme/AC001", told, over="model"), settled_by=("acme/AC002",))
+    measurement = (
+        made_up("acme/AC002", measured, over="live")
+        if measured
+        else made_up("acme/AC002", over="live")
+    )
+    runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(prepare))
+    registry = Registry.of([*builtin_rules(), prediction, measurement], [runner])
+    settings = Settings(level=Level.LIVE, target=load_target(target))
+    report = validate(good, settings, registry=registry)
+    assert report.outcome("acme/AC001").status == status
+    remains = any(finding.rule == "acme/AC001" for finding in report.findings)
+    assert remains is (status == "fail")
+
+
+def test_a_prediction_stands_where_the_level_live_did_not_run(good):
+    prediction = replace(made_up("acme/AC001", told, over="model"), settled_by=("acme/AC002",))
+    rules = [*builtin_rules(), prediction, made_up("acme/AC002", over="live")]
+    report = validate(good, Settings(level=Level.LIVE), registry=Registry.of(rules))
+    assert report.outcome("acme/AC001").status == "fail"

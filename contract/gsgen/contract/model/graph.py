@@ -80,6 +80,8 @@ class Graph:
         conflicts: Tensors whose declared and inferred types contradict each other.
         checker_fault: The complaint of ``onnx.checker``; empty if it passes.
         inference_fault: The complaint of shape inference; empty if it passes.
+        output_names: Names of the outputs, in order.
+        declared_outputs: The outputs as the file declares them, without what was inferred.
     """
 
     inputs: tuple[Tensor, ...]
@@ -92,6 +94,7 @@ class Graph:
     checker_fault: str = ""
     inference_fault: str = ""
     output_names: tuple[str, ...] = field(default=())
+    declared_outputs: tuple[Tensor, ...] = field(default=())
 
     @cached_property
     def producers(self) -> dict[str, NodeProto]:
@@ -199,6 +202,7 @@ def read_graph(file: ModelFile) -> Graph:
         checker_fault=facts.checker,
         inference_fault=facts.inference,
         output_names=tuple(v.name for v in graph.output),
+        declared_outputs=tuple(map(_of_value, graph.output)),
     )
 
 

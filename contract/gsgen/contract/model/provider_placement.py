@@ -1,6 +1,6 @@
 """Predicts from operator tables where a WebGPU provider runs each node of a graph."""
 
-__all__ = ["Cause", "Placement", "frame_nodes", "placements", "shape_arguments"]
+__all__ = ["SIZED_BY_DATA", "Cause", "Placement", "frame_nodes", "placements", "shape_arguments"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ Cause = Literal[
 # Outputs that depend on shapes alone, and are folded once shapes are fixed.
 _OF_SHAPES = frozenset({"Shape", "Size"})
 # Operators whose output size depends on values.
-_SIZED_BY_DATA = frozenset({"Compress", "NonMaxSuppression", "NonZero", "Unique"})
+SIZED_BY_DATA = frozenset({"Compress", "NonMaxSuppression", "NonZero", "Unique"})
 # Arguments that decide the shape of the result.
 _SHAPE_ARGUMENTS = {
     "ConstantOfShape": (0,),
@@ -74,13 +74,17 @@ class Placement:
 def frame_nodes(graph: Graph) -> list[NodeProto]:
     """Return the nodes that run every frame; other nodes are folded or dropped at loading."""
     varying = {tensor.name for tensor in graph.inputs}
+    resized: set[str] = set()  # tensors whose shape follows values
     running: list[NodeProto] = []
     for node in graph.nodes:
+        names = reads(node)
         draws = node.op_type in RANDOM_OPERATORS and node.domain in MAIN_DOMAIN
-        is_varying = node.op_type not in _OF_SHAPES and not varying.isdisjoint(reads(node))
-        if draws or is_varying:
+        changing = resized if node.op_type in _OF_SHAPES else varying
+        if draws or not changing.isdisjoint(names):
             varying.update(node.output)
             running.append(node)
+            if node.op_type in SIZED_BY_DATA or not resized.isdisjoint(names):
+                resized.update(node.output)
     needed: set[str] = {tensor.name for tensor in graph.outputs}
     nodes: list[NodeProto] = []
     for node in reversed(running):
@@ -120,7 +124,7 @@ def _place(
     dtype = _kernel_dtype(graph, node)
     if node.op_type in CONTROL_FLOW:
         return Placement(node, dtype, "control flow", {})
-    if node.op_type in _SIZED_BY_DATA or not varying.isdisjoint(shape_arguments(node)):
+    if node.op_type in SIZED_BY_DATA or not varying.isdisjoint(shape_arguments(node)):
         return Placement(node, dtype, "shape", {})
     if "float64" in (dtype, variant.removeprefix("to ")):
         return Placement(node, dtype, "float64", {})

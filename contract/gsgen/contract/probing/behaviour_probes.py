@@ -1,6 +1,6 @@
 """Probes of behaviour rules: range ends, flipped axes, loops, frames, and the order of runs."""
 
-__all__ = ["AWAY", "REPEATED", "TILTED", "trial_probes"]
+__all__ = ["AWAY", "PATH_OFFSET", "REPEATED", "TILTED", "trial_probes", "turned_away"]
 
 import math
 from collections.abc import Iterator
@@ -10,11 +10,14 @@ import numpy as np
 
 from gsgen.contract.probing.probes import Array, Probe, as_tensor
 from gsgen.contract.spec.geometry import rotation_matrix
-from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
+from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest, TrajectoryManifest
 from gsgen.contract.spec.roles import ROLES
 
 # Suffix of the label of a probe that is run a second time.
 REPEATED = "once more"
+
+# Displacement of a camera path, in world units.
+PATH_OFFSET = (3.0, -2.0, 5.0)
 
 # Camera displacement, as a fraction of the distance from the origin.
 _STEP = 0.3
@@ -22,6 +25,7 @@ _STEP = 0.3
 _BEYOND = 0.01
 # Upper bound of visited frames: both ends, and the middle.
 _WINDOW = 8
+_FEW_FRAMES = 4
 _INTO_FRAME = 0.3
 _STEPS = 60
 # Suffixes of the labels of a camera that is turned about its own centre.
@@ -58,14 +62,44 @@ def trial_probes(
                 yield "paces", tuple(_paces(entry, base))
                 yield "frames", tuple(_frames(entry, base))
                 yield "swept", tuple(_swept(manifest, entry, base))
+            elif entry.role == "frame_index" and entry.range is not None:
+                yield "frames", tuple(_frame_numbers(entry, base))
+    if isinstance(manifest, TrajectoryManifest):
+        yield "paths", tuple(_paths(manifest, base))
     if len(first) > 1:
         repeated = dict.fromkeys((len(first) - 1, len(first) // 2, 1))
         yield "again", tuple(_changed(first[index], REPEATED) for index in repeated)
     yield "plain", (replace(_changed(base, "without optimisations"), optimise=False),)
 
 
+def turned_away(manifest: Manifest, base: Probe) -> Iterator[Probe]:
+    """Yield ``base`` with its camera turned by half a circle about its own y axis, if it has one."""
+    if isinstance(manifest, GeneratorManifest):
+        order = manifest.space.matrix_order if manifest.space else "column"
+        for entry in _of_role(manifest, "view")[:1]:
+            back = np.diag([-1.0, 1.0, -1.0, 1.0]) @ as_tensor(base.inputs[entry.name], order)
+            yield _changed(base, "looking away", **{entry.name: as_tensor(back, order)})
+
+
 def _changed(base: Probe, words: str, **inputs: Array) -> Probe:
     return Probe(label=f"{base.label} {words}", inputs=base.inputs | inputs, extra=True)
+
+
+def _paths(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
+    """The history unchanged, moved, at rest, and with its quaternions negated."""
+    quaternions = manifest.outputs.future.representation == "position+quaternion-wxyz"
+    for entry in _of_role(manifest, "camera_history")[:1]:
+        history = base.inputs[entry.name]
+        if history.ndim != 2:
+            return
+        moved, negated = history.copy(), history.copy()
+        moved[:, :3] += np.array(PATH_OFFSET, history.dtype)
+        yield _changed(base, "again", **{entry.name: history})
+        yield _changed(base, "moved", **{entry.name: moved})
+        yield _changed(base, "at rest", **{entry.name: np.repeat(history[-1:], len(history), 0)})
+        if quaternions:
+            negated[:, 3:] *= -1
+            yield _changed(base, "with quaternions negated", **{entry.name: negated})
 
 
 def _of_role(manifest: Manifest, role: str) -> list[Input]:
@@ -87,7 +121,7 @@ def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _turned(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """The camera turned about its own centre: tilted a little, looking away, and from far."""
+    """Yield probes of the camera turned about its own centre: tilted, looking away, and far."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "view")[:1]:
         view = as_tensor(base.inputs[entry.name], order).astype(np.float64)
@@ -98,7 +132,7 @@ def _turned(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _swept(manifest: GeneratorManifest, entry: Input, base: Probe) -> Iterator[Probe]:
-    """Instants within the range, and pairs a hundredth of a short range apart."""
+    """Yield probes at instants within the time range, and at close pairs of instants."""
     assert entry.range is not None
     low, high = entry.range
     is_short = entry.frames is None and 0 < high - low <= _UNIT_RANGE
@@ -209,3 +243,17 @@ def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
     for frame in sorted(frame_numbers):
         probe = _at(entry, base, (frame + _INTO_FRAME) / count)
         yield replace(probe, label=f"frame {frame}")
+
+
+def _frame_numbers(entry: Input, base: Probe) -> Iterator[Probe]:
+    """The first frames of a frame index, and some from the middle of its range on."""
+    assert entry.range is not None
+    if not entry.frames or entry.frames < 2:
+        return
+    low, high = int(entry.range[0]), int(entry.range[1])
+    starts = (low, low + entry.frames // 2)
+    for number in sorted({k for start in starts for k in range(start, start + _FEW_FRAMES)}):
+        if number <= high:
+            frame = _filled(base.inputs[entry.name], number)
+            probe = _changed(base, f"at frame {number}", **{entry.name: frame})
+            yield replace(probe, label=f"frame {number}")

@@ -63,7 +63,7 @@ class DrawnSample:
 
     @cached_property
     def offsets(self) -> Float[np.ndarray, "m k 3"]:
-        """Vectors from each measured row to its neighbours."""
+        """Vectors from each measured row to its neighbours, in scene units."""
         position = self.rows[:, POSITION]
         return np.asarray(position[self.neighbours] - position[self.inner][:, None])
 

@@ -25,16 +25,34 @@ _CORRELATION = 1.02
 # A box of bounds may be left by this fraction of its diagonal.
 _OUTSIDE = 1e-2
 
-# The columns that hold x y z, opacity, xx xy xz yy yz zz in layouts that exporters have used by
-# mistake.
+# The orders of the six covariance entries that exporters have used by mistake: at which place of
+# them xx xy xz yy yz zz stand.
+_COVARIANCES = {
+    "the covariance": (0, 1, 2, 3, 4, 5),
+    "xx yy zz xy xz yz": (0, 3, 4, 1, 5, 2),
+    "xx yy zz yz xz xy (Voigt)": (0, 5, 4, 1, 3, 2),
+    "xx xy yy xz yz zz (lower triangle)": (0, 1, 3, 2, 4, 5),
+    "zz yz yy xz xy xx (reversed)": (5, 4, 3, 2, 1, 0),
+}
+# The orders of the three parts of a row, and the first columns of x y z, opacity, the covariance.
+_PARTS = {
+    "{}": (0, 3, 4),
+    "opacity first, then x y z and {}": (1, 0, 4),
+    "x y z, {}, opacity last": (0, 9, 3),
+    "{} first, then x y z and opacity": (6, 9, 0),
+    "{} first, then opacity and x y z": (7, 6, 0),
+    "opacity first, then {} and x y z": (7, 0, 1),
+}
+# The columns that hold x y z, opacity, xx xy xz yy yz zz in other layouts, the likelier ones first.
 _PERMUTATIONS = {
-    "xx yy zz xy xz yz": (0, 1, 2, 3, 4, 7, 8, 5, 9, 6),
-    "xx yy zz yz xz xy (Voigt)": (0, 1, 2, 3, 4, 9, 8, 5, 7, 6),
-    "xx xy yy xz yz zz (lower triangle)": (0, 1, 2, 3, 4, 5, 7, 6, 8, 9),
-    "opacity first, then x y z and the covariance": (1, 2, 3, 0, 4, 5, 6, 7, 8, 9),
-    "x y z, the covariance, opacity last": (0, 1, 2, 9, 3, 4, 5, 6, 7, 8),
-    "the covariance first, then x y z and opacity": (6, 7, 8, 9, 0, 1, 2, 3, 4, 5),
-    "the covariance first, then opacity and x y z": (7, 8, 9, 6, 0, 1, 2, 3, 4, 5),
+    parts.format(name): (
+        *range(position, position + 3),
+        opacity,
+        *(first + place for place in places),
+    )
+    for name, places in _COVARIANCES.items()
+    for parts, (position, opacity, first) in _PARTS.items()
+    if (name, position, opacity) != ("the covariance", 0, 3)
 }
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -61,6 +79,7 @@ def suspect_order(
     rows: Float[np.ndarray, "n 10"],
     bounds: Box | None = None,
     planes: Float[np.ndarray, "n 10"] | None = None,
+    smallest: float = 0.0,
 ) -> FieldOrder | None:
     """Return the layout that nearly all packed rows fit, if many do not fit the declared layout.
 
@@ -68,13 +87,16 @@ def suspect_order(
         rows: Packed rows as stored, [n, 10], float64.
         bounds: Declared corners of the box around all centres; None if not declared.
         planes: The same memory read as ten planes, [n, 10]; None if the rows are a sample.
+        smallest: The rounding error of entries near zero, as float16 has it.
     """
     rows = _filled(rows)
     if len(rows) < _FEWEST:
         return None
-    declared = _share(_unfit(rows, bounds, is_guess=False))
+    declared = _share(_unfit(rows, bounds, smallest))
     if declared <= _BROKEN:
         return None
+    if bounds is not None and _share(_outside(rows, bounds)) <= _SOUND:
+        bounds = None  # measured on these columns, so they say nothing of others
     fractions = {name: _share(mask) for name, mask in _layouts(rows, bounds, planes)}
     name, share = min(fractions.items(), key=lambda item: item[1])
     return FieldOrder(name, declared, share, len(rows)) if share <= _SOUND else None
@@ -107,25 +129,30 @@ def _share(is_invalid: Bool[np.ndarray, " n"]) -> float:
 
 
 def _unfit(
-    rows: Float[np.ndarray, "n 10"], bounds: Box | None, *, is_guess: bool = True
+    rows: Float[np.ndarray, "n 10"], bounds: Box | None, smallest: float = 0.0
 ) -> Bool[np.ndarray, " n"]:
-    """Return the mask of rows whose opacity, covariance or centre is impossible for a Gaussian."""
+    """Return the mask of rows whose opacity, covariance or centre is impossible for a Gaussian.
+
+    Beside a large entry, an eigenvalue says little of the small ones: so each covariance is compared
+    with the standard deviations of its own two axes, too.
+    """
     opacity, upper = rows[:, 3], rows[:, 4:]
     is_opacity = (opacity >= -_UNIT) & (opacity <= 1 + _UNIT)
     size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
-    fits = is_opacity & (smallest_eigenvalue(upper) >= -_SLACK * size)
-    if is_guess:  # beside a large entry, an eigenvalue says little of the small ones
-        xx, yy, zz = np.maximum(upper[:, [0, 3, 5]].T, 0)
-        xy, xz, yz = np.abs(upper[:, [1, 2, 4]].T)
-        pairs = ((xy, xx * yy), (xz, xx * zz), (yz, yy * zz))
-        for covariance, variances in pairs:
-            fits &= covariance <= _CORRELATION * np.sqrt(variances)
-    if bounds is not None:
-        low, high = np.asarray(bounds)
-        slack = _OUTSIDE * np.linalg.norm(high - low)
-        position = rows[:, :3]
-        fits &= ((position >= low - slack) & (position <= high + slack)).all(axis=1)
-    return np.asarray(~fits)
+    fits = is_opacity & (smallest_eigenvalue(upper) >= -_SLACK * size - smallest)
+    xx, yy, zz = np.maximum(upper[:, [0, 3, 5]].T, 0) + smallest
+    xy, xz, yz = np.abs(upper[:, [1, 2, 4]].T)
+    for covariance, variances in ((xy, xx * yy), (xz, xx * zz), (yz, yy * zz)):
+        fits &= covariance <= _CORRELATION * np.sqrt(variances) + smallest
+    return np.asarray(~fits if bounds is None else ~fits | _outside(rows, bounds))
+
+
+def _outside(rows: Float[np.ndarray, "n 10"], bounds: Box) -> Bool[np.ndarray, " n"]:
+    """Return which centres lie outside a box, by more than a hundredth of its diagonal."""
+    low, high = np.asarray(bounds)
+    slack = _OUTSIDE * np.linalg.norm(high - low)
+    position = rows[:, :3]
+    return np.asarray(~((position >= low - slack) & (position <= high + slack)).all(axis=1))
 
 
 def _with_quaternions(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.ndarray, " n"]]:

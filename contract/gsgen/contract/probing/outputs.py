@@ -19,6 +19,8 @@ CHUNK = 16384
 
 _SAMPLE = 1 << 13
 _ORDER_SAMPLE = 1 << 10
+# Half of the smallest step of float16.
+_HALF_STEP = 2.0**-25
 _EXPONENT = {2: 0x7C00, 4: 0x7F800000}
 _MAGNITUDE = {2: 0x7FFF, 4: 0x7FFFFFFF}
 _WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
@@ -97,6 +99,7 @@ class ModelOutputs:
             self.gaussians[: self.count : step].astype(np.float64),
             (bounds.min, bounds.max) if bounds is not None else None,
             planes.astype(np.float64),
+            smallest=_HALF_STEP if self.gaussians.dtype == np.float16 else 0.0,
         )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.probing.behaviour_probes import trial_probes
+from gsgen.contract.probing.behaviour_probes import trial_probes, turned_away
 from gsgen.contract.probing.probes import Probe, default_probes, dependency_probes
 from gsgen.contract.probing.test_vectors import vector_probes
 from gsgen.contract.spec.manifest import Input
@@ -60,17 +60,18 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
     dtypes = {i.name: tensors[i.name].dtype or "float32" for i in manifest.inputs}
     count = _affordable(subject)
     first = default_probes(manifest, shapes, dtypes, seed, count)
-    if level < Level.BEHAVIOUR:
-        return Plan(probes=first, values=len(first), seed=seed)
     base = len(first) - 1 if len(first) == 1 else 1
-    probes = [*first, first[base], first[base]]
-    repeated_count = len(first)
+    away = tuple(turned_away(manifest, first[base]))
+    trials: dict[str, tuple[int, ...]] = {"away": (len(first),)} if away else {}
+    if level < Level.BEHAVIOUR:
+        return Plan(probes=(*first, *away), values=len(first), trials=trials, seed=seed)
+    repeated_count = len(first) + len(away)
+    probes = [*first, *away, first[base], first[base]]
     other_probes = (first[-1], first[len(first) // 2])[:_VARIANTS]
     variants: dict[str, tuple[int, tuple[int, ...]]] = {}
     for role, changed in dependency_probes(manifest, first[base], other_probes):
         variants[role] = (base, tuple(range(len(probes), len(probes) + len(changed))))
         probes.extend(changed)
-    trials: dict[str, tuple[int, ...]] = {}
     groups = [
         *vector_probes(manifest, shapes, dtypes, seed, count),
         *trial_probes(manifest, first[base], first),

@@ -15,7 +15,7 @@ import numpy as np
 from gsgen.contract._array_types import Float
 from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.contract.spec.manifest import Bounds, GeneratorManifest, Input, Manifest
-from gsgen.contract.spec.roles import ROLES
+from gsgen.contract.spec.roles import ROLES, STATE_SIZES
 
 Array = np.ndarray
 
@@ -92,7 +92,7 @@ def dependency_probes(
 
     An input that ``depends_on`` names has probes of its own, under the key ``input NAME``.
     """
-    groups = {role: [] for role in sorted({i.role for i in manifest.inputs})}
+    groups: dict[str, list[str]] = {role: [] for role in sorted({i.role for i in manifest.inputs})}
     for entry in manifest.inputs:
         groups[entry.role].append(entry.name)
     if isinstance(manifest, GeneratorManifest):
@@ -129,6 +129,8 @@ def _sample(
         return np.asarray(-view[:3, :3].T @ view[:3, 3])
     if spec.role == "viewport":
         return np.asarray(_viewport(along))
+    if spec.role == "camera_history" and len(shape) == 2 and shape[1] in STATE_SIZES.values():
+        return _history(spec.range or (-1.0, 1.0), shape[0], shape[1], rng)
     low, high = spec.range or _usual_range(spec)
     if spec.role in ("time", "frame_index", "appearance_id", "timestep"):
         value = _between(low, high, np.asarray(along))  # includes both ends
@@ -141,6 +143,21 @@ def _sample(
         q = q * np.sign(np.diag(r))
         return np.asarray(q * np.linalg.det(q))
     return _between(low, high, rng.random(shape))
+
+
+def _history(
+    span: tuple[float, float], count: int, size: int, rng: np.random.Generator
+) -> Float[np.ndarray, "t s"]:
+    """Return a smooth camera path: states of ``size`` numbers, the centre and then the rotation."""
+    steps = np.arange(count)[:, None]
+    sides = _between(*span, rng.random((2, 3)))
+    pace = (sides[1] - sides[0]) / max(count - 1, 1)
+    position = sides[0] + pace * steps * rng.uniform(0.2, 0.8)
+    first, last = rng.normal(size=(2, size - 3))
+    if size == STATE_SIZES["position+axis-angle"]:
+        return np.hstack([position, first / 2 + steps * last / (8 * count)])
+    rotation = first / np.linalg.norm(first) + steps * last / (8 * count)
+    return np.hstack([position, rotation / np.linalg.norm(rotation, axis=1, keepdims=True)])
 
 
 def _between(low: float, high: float, along: Array) -> Array:

@@ -10,8 +10,8 @@ from types import ModuleType
 
 from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
-from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness
-from gsgen.contract.rules.graph import capture, graph, integers, naming, replay
+from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness, root, trajectory
+from gsgen.contract.rules.graph import capture, graph, integers, naming, repeatability, replay
 from gsgen.contract.rules.interface import (
     avatar_inputs,
     declarations,
@@ -29,11 +29,21 @@ from gsgen.contract.rules.pictures import (
     opacities,
     orientation,
     poses,
+    resolution,
     sizes,
     turning,
 )
 from gsgen.contract.rules.targets import limits, visionary, visionary_drawing
-from gsgen.contract.rules.values import appearance, cells, covariance, execution, extent, rows
+from gsgen.contract.rules.values import (
+    appearance,
+    camera_space,
+    cells,
+    covariance,
+    execution,
+    extent,
+    rows,
+)
+from gsgen.contract.rules.values import companions as companion_values
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -52,12 +62,15 @@ FAMILIES = (
     companions,
     graph_outputs,
     graph,
+    repeatability,
     replay,
     capture,
     integers,
     naming,
     rows,
     execution,
+    camera_space,
+    companion_values,
     covariance,
     extent,
     appearance,
@@ -67,10 +80,13 @@ FAMILIES = (
     opacities,
     colors,
     harmonics,
+    resolution,
     determinism,
     camera,
     motion,
+    root,
     robustness,
+    trajectory,
     turning,
     effects,
     poses,

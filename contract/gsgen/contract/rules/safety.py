@@ -35,7 +35,8 @@ def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         A path that leads out of the folder makes the machine that loads the model read files of the
-        author's choosing; a missing or short file fails only when the model is loaded.
+        author's choosing; a missing or short file, or a length that is not that of the weight,
+        fails only when the model is loaded.
 
     Hint:
         Store weights inside the model or in a file beside it, and ship both.
@@ -74,6 +75,8 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
     needed = ref.offset + (payload if ref.length is None else ref.length)
     if needed > size:
         return f"has {size} bytes (weight {ref.tensor!r})", f"at least {needed}"
+    if payload and ref.length not in (None, payload):
+        return f"declares a length of {ref.length} bytes for weight {ref.tensor!r}", f"{payload}"
     return None
 
 

@@ -305,7 +305,7 @@ class TestVector:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceImage:
-    """A picture beside the model that a render of the model must match, with its camera.
+    """A picture beside the model that a render of the model matches, with its camera.
 
     The camera looks along +z, x is right and y down; colours are over black.
     """

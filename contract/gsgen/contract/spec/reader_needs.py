@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Extension:
-    """A registered extension.
+    """A registered extension of the manifest.
 
     Attributes:
         name: The field that holds its data, such as ``x-studio-relight``.

@@ -3,6 +3,8 @@
 __all__ = [
     "CAMERA_ROLES",
     "CONVENTION_SHAPES",
+    "IMAGE_CHANNELS",
+    "JOINTS",
     "ROLES",
     "STATE_SIZES",
     "Role",
@@ -55,6 +57,12 @@ class Role:
     needs_range: bool = False
     conventions: tuple[str, ...] = ()
 
+
+# The numbers of channels of an image: RGB, and RGB with alpha.
+IMAGE_CHANNELS = (3, 4)
+
+# The numbers of joints of the body models whose order a convention of `pose` names.
+JOINTS: dict[str, tuple[int, ...]] = {"smpl-axis-angle": (24, 55)}
 
 _FLOAT = ("float32",)
 _INDEX = ("int32",)

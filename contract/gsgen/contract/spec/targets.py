@@ -42,6 +42,11 @@ class Target:
     operators: tuple[str, ...] = ()
 
     @property
+    def runs_natively(self) -> bool:
+        """Whether the level live runs a release that the target names, or it names none."""
+        return not self.operators or any(name.startswith("ep-") for name in self.operators)
+
+    @property
     def label(self) -> str:
         """The target's name and version, as reports show them."""
         return f"{self.name}@{self.version}"

@@ -8,9 +8,13 @@ __all__ = [
     "MEBIBYTE",
     "format_bytes",
     "format_mebibytes",
+    "parse_bytes",
 ]
 
+import re
 from typing import Final
+
+from gsgen.contract.errors import ConfigInvalid
 
 # The largest finite float16; larger values become infinite.
 FLOAT16_MAX: Final = 65504.0
@@ -37,3 +41,22 @@ def format_bytes(size: int) -> str:
 def format_mebibytes(size: int, digits: int = 1) -> str:
     """Return a byte count in MiB, with ``digits`` decimals."""
     return f"{size / MEBIBYTE:.{digits}f} MiB"
+
+
+_POWERS: Final = {"K": 10, "M": 20, "G": 30, "T": 40}
+
+
+def parse_bytes(text: str, where: str) -> int:
+    """Return the number of bytes that a text such as ``2GB``, ``512 MiB`` or ``0`` means.
+
+    Units are powers of 1,024, with or without the ``i``.
+
+    Raises:
+        ConfigInvalid: The text is no such number; the error's location is ``where``.
+    """
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:I?B)?", text.strip().upper())
+    if match is None:
+        hint = "Write for example 2GB, 512MB or 0."
+        raise ConfigInvalid(f"is {text!r}, expected a number of bytes", where=where, hint=hint)
+    unit = 1 if not match[2] else 1 << _POWERS[match[2]]
+    return int(float(match[1]) * unit)

@@ -50,7 +50,7 @@ class Statistic:
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """A histogram of the values of rows that a rule checked where some of them break it.
+    """A histogram of the checked values of a rule that some rows break.
 
     Attributes:
         low: Lower edge of the first bin.

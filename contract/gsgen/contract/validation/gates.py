@@ -9,6 +9,7 @@ __all__ = [
     "FINITE_OUTPUTS",
     "MANIFEST_PARSED",
     "MODEL_RUNS",
+    "NOT_RANDOM",
     "ORDERED_ROWS",
     "PACKED_ROWS",
     "REPRODUCIBLE",
@@ -39,8 +40,11 @@ RUNNABLE: Final = (
     *("GS001", "GS002"),
 )
 
+# No value is drawn at random: what leaves its range would have that cause.
+NOT_RANDOM: Final = ("GG025", "GG010")
+
 # The model ran, and its Gaussians are packed rows in float32 or float16.
-PACKED_ROWS: Final = (MODEL_RUNS, "GO001", "GO002", "GO008")
+PACKED_ROWS: Final = (MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002", "GO008")
 
 # Packed rows whose columns hold the fields in the order of the layout.
 ORDERED_ROWS: Final = (*PACKED_ROWS, "GO016")
@@ -52,10 +56,13 @@ VALID_ROWS: Final = (*ORDERED_ROWS, "GV003", "GV005", "GV006")
 COUNTED_ROWS: Final = (*PACKED_ROWS, "GO010", "GO011", "GV016")
 
 # The model ran, and its appearance has known channels, one row for each Gaussian.
-APPEARANCE: Final = (MODEL_RUNS, "GO005", "GO006", "GO007", "GO008", "GM005")
+APPEARANCE: Final = (MODEL_RUNS, *NOT_RANDOM, "GO005", "GO006", "GO007", "GO008", "GM005")
 
 # Packed rows with an appearance of known channels.
-COLORED_ROWS: Final = (*(MODEL_RUNS, "GO001", "GO002"), *("GO005", "GO006", "GO007", "GO008"))
+COLORED_ROWS: Final = (
+    *(MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002"),
+    *("GO005", "GO006", "GO007", "GO008"),
+)
 
 # Packed rows, and cells that hold all of them.
 CELLS: Final = (*PACKED_ROWS, "GO021")

@@ -143,6 +143,19 @@ class ResultCollector:
         for rule in rules:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="skipped", reason=reason))
 
+    def withdraw_predictions(self) -> None:
+        """Withdraw the findings of predictions that a run of the level live has disproved."""
+        if not self.settings.target.runs_natively:
+            return
+        for rule in self.registry.rules.values():
+            measured = [self.outcomes.get(id) for id in rule.settled_by]
+            holds = all(outcome is not None and outcome.status == "pass" for outcome in measured)
+            if measured and holds and rule.id in self._counters:
+                del self._counters[rule.id]
+                reason = f"because {' and '.join(rule.settled_by)} hold: level live ran the model"
+                outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
+                self.outcomes[rule.id] = outcome
+
     def findings(self) -> tuple[Finding, ...]:
         """Return the findings, most severe first, then in catalogue order."""
         findings = [

@@ -109,7 +109,7 @@ class ResolvedFinding:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A drawn probe, or the reason why none was drawn.
+    """A drawn probe of a validated model, or the reason why none was drawn.
 
     Attributes:
         probe: Label of the probe.

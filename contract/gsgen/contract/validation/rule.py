@@ -76,6 +76,8 @@ class Rule:
         kinds: The kinds of model it applies to.
         target: The only target it applies to; empty for all.
         limit: The limit of the target that it checks; the rule applies only to targets with it.
+        settled_by: Rules of the level live that measure what this one predicts: where all of them
+            hold, the prediction is withdrawn.
         evidence: A documented case where breaking the rule did damage; may be empty.
     """
 
@@ -93,6 +95,7 @@ class Rule:
     kinds: tuple[str, ...] = (GENERATOR,)
     target: str = ""
     limit: str = ""
+    settled_by: tuple[str, ...] = ()
     evidence: str = ""
 
     @property
@@ -112,6 +115,7 @@ def rule(
     kinds: tuple[str, ...] = (GENERATOR,),
     target: str = "",
     limit: str = "",
+    settled_by: tuple[str, ...] = (),
     level: Level | None = None,
 ) -> Callable[[Check], Rule]:
     """Declare the decorated check as a rule; its docstring is the text of the rule's page.
@@ -129,6 +133,7 @@ def rule(
         kinds: The kinds of model it applies to.
         target: The only target it applies to; empty for all.
         limit: The limit of the target that it checks.
+        settled_by: Rules of the level live that measure what this one predicts.
         level: The first level that can check it; by default, that of the scope.
 
     Raises:
@@ -156,6 +161,7 @@ def rule(
             kinds=kinds,
             target=target,
             limit=limit,
+            settled_by=settled_by,
             evidence=evidence,
         )
 

@@ -109,7 +109,7 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
         raise CheckpointInvalid(message, where=str(path), hint=near)
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise ValueError(f"has {path.stat().st_size:,} bytes")
+            raise ValueError(f"has {path.stat().st_size:,} bytes, expected at most {_MOST_BYTES:,}")
         values = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error

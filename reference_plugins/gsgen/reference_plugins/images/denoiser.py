@@ -17,9 +17,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.spec.roles import IMAGE_CHANNELS
 from gsgen.reference_plugins.images.diffusion_checkpoint import DiffusionCheckpoint, Noise
 from gsgen.sdk import PostProcess, inputs
-from gsgen.sdk.exporting.post_process_exporter import IMAGE_CHANNELS
 
 # Black and white in diffusion networks, and in renderers.
 _SIGNED, _UNIT = (-1.0, 1.0), (0.0, 1.0)

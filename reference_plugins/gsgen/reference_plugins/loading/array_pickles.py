@@ -137,7 +137,7 @@ def _scalar(dtype: np.dtype, data: Any) -> Any:
 
 def _bytes_of(text: str, encoding: str) -> bytes:
     if encoding != "latin1":
-        raise pickle.UnpicklingError(f"bytes are encoded as {encoding!r}")
+        raise pickle.UnpicklingError(f"bytes are encoded as {encoding!r}, expected 'latin1'")
     return text.encode("latin1")
 
 

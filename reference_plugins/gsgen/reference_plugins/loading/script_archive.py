@@ -106,7 +106,7 @@ class _Reader:
     def _bytes(self, name: str) -> bytes:
         info = self._archive.getinfo(self._root + name)
         if info.compress_type != zipfile.ZIP_STORED:
-            raise ValueError(f"{info.filename} is compressed")
+            raise ValueError(f"{info.filename} is compressed, expected an uncompressed entry")
         return self._archive.read(info)
 
 

@@ -27,6 +27,7 @@ from gsgen.contract.validation.level_backend import LevelContext, LevelUnavailab
 from gsgen.runtime.checks.reference_image import (
     BACKGROUND,
     MAX_REFERENCES,
+    MIN_ERROR,
     ReferenceUnreadable,
     read_reference,
     reference_camera,
@@ -45,7 +46,6 @@ _HEIGHT: Final = 360
 _FRAMES: Final = 5
 _AGREEMENT: Final = "GB020"
 _REFERENCES: Final = "GB021"
-_MIN_ERROR: Final = 1e-20  # equal pictures have 200 dB
 _FOV_Y: Final = 50.0
 _DISTANCE: Final = 2.2  # half diagonals of the bounds; the cameras of probes have the same
 
@@ -227,7 +227,7 @@ def decibels(a: Frame, b: Frame) -> float:
 
 def _psnr(a: np.ndarray, b: np.ndarray) -> float:
     error = np.square(a.astype(np.float64) - b).mean()
-    return float(-10 * np.log10(max(error, _MIN_ERROR)))
+    return float(-10 * np.log10(max(error, MIN_ERROR)))
 
 
 def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:

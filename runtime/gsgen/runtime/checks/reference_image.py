@@ -3,7 +3,10 @@
 __all__ = [
     "BACKGROUND",
     "MAX_REFERENCES",
+    "MAX_SIDE",
+    "MIN_ERROR",
     "ReferenceUnreadable",
+    "image_decibels",
     "read_reference",
     "reference_camera",
 ]
@@ -14,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.manifest import ReferenceImage
@@ -28,8 +31,23 @@ MAX_REFERENCES: Final = 16
 """Most reference images of a model that are compared."""
 
 _MAX_BYTES: Final = 32 << 20
-_MAX_SIDE: Final = 4096
+MAX_SIDE: Final = 4096
 _MAX_COMPONENT: Final = 255
+MIN_ERROR: Final = 1e-20
+"""The least mean squared error that counts: equal pictures have 200 dB."""
+
+
+def image_decibels(
+    drawn: UInt8[np.ndarray, "h w c"], expected: Float32[np.ndarray, "h w 3"]
+) -> float:
+    """Return the peak signal-to-noise ratio of a drawn frame's colours, in decibels.
+
+    Args:
+        drawn: The frame, as sRGB bytes.
+        expected: The picture, in [0, 1].
+    """
+    difference = drawn[..., :3] / _MAX_COMPONENT - expected.astype(np.float64)
+    return float(-10 * np.log10(max(float(np.square(difference).mean()), MIN_ERROR)))
 
 
 class ReferenceUnreadable(GsgenError):
@@ -46,9 +64,9 @@ def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarra
 
     try:
         with Image.open(io.BytesIO(raw), formats=["PNG"]) as image:
-            if max(image.size) > _MAX_SIDE:
+            if max(image.size) > MAX_SIDE:
                 raise ReferenceUnreadable(
-                    f"{image.width}×{image.height} pixels, expected at most {_MAX_SIDE}×{_MAX_SIDE}"
+                    f"{image.width}×{image.height} pixels, expected at most {MAX_SIDE}×{MAX_SIDE}"
                 )
             colors = np.asarray(image.convert("RGB"), np.float32)
     except (

@@ -126,7 +126,8 @@ def reference_images_match(evidence: "RenderEvidence") -> Iterator[Violation]:
         author's machine. A picture, its camera and a least number of decibels do.
 
     Hint:
-        Ship the picture with the model. If the model is right, draw its pictures again:
+        Ship the picture with the model. If a picture is from the source, look for swapped channels,
+        a mirrored axis or other signs of SH first. If the model is right, draw its pictures again:
         `gsgen references MODEL -o MODEL --force`. Models without pictures are fine.
     """
     for number, reference in enumerate(evidence.references):

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from gsgen.contract.errors import ExitCode, ModelUnreadable, UnknownName
+from gsgen.contract.errors import ExitCode, InputUnreadable, UnknownName
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.sources.scene_file import SceneFile
     from gsgen.runtime.sources.source import Source
+    from gsgen.runtime.sources.stream_settings import StreamSettings
 
 
 def read_scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
@@ -42,6 +43,7 @@ def open_scenes(
     *,
     provider: str = "cpu",
     size: Sequence[str] | None = None,
+    streaming: "StreamSettings | None" = None,
 ) -> "Iterator[tuple[list[Source], list[PostProcessor]]]":
     """Open scenes and post-process models, print their warnings as notes, and close them.
 
@@ -49,6 +51,7 @@ def open_scenes(
         scenes: Splat files, meshes, generators, and scene files.
         post: Post-process models.
         provider: Execution provider of ONNX Runtime.
+        streaming: How tilesets are streamed.
         size: Values of ``--size``; each model gets the sizes of its own open dimensions.
 
     Raises:
@@ -72,9 +75,9 @@ def open_scenes(
                 models: list[PostProcessor] = []
                 for path in scenes:
                     opened_sources = (
-                        open_scene(files[path], provider, sizes_by_path)
+                        open_scene(files[path], provider, sizes_by_path, streaming)
                         if path in files
-                        else [open_source(path, provider, sizes_by_path.get(path))]
+                        else [open_source(path, provider, sizes_by_path.get(path), streaming)]
                     )
                     sources += opened_sources
                     for source in opened_sources:
@@ -82,7 +85,7 @@ def open_scenes(
                 for path in post or ():
                     models.append(PostProcessor(path, provider, sizes_by_path.get(path)))
                     stack.callback(models[-1].close)
-            except (ModelUnreadable, SceneUnreadable) as error:
+            except (InputUnreadable, SceneUnreadable) as error:
                 typer.echo(f"gsgen: {error}", err=True)
                 raise typer.Exit(ExitCode.UNREADABLE) from error
         yield sources, models

@@ -123,7 +123,8 @@ RenderCamera = Annotated[
 Scenes = Annotated[
     list[Path],
     typer.Argument(
-        help="Splat files, meshes, ONNX generators and scene.json; several form one scene.",
+        help="Splat files, meshes, ONNX generators, tilesets (files or addresses) and scene.json; "
+        "several form one scene.",
         show_default=False,
     ),
 ]

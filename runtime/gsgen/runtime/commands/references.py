@@ -4,17 +4,49 @@ __all__ = ["references"]
 
 import json
 import shlex
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gsgen.contract.commands.options import Config, Memory, Timeout
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.spec.json_schema import to_json
 from gsgen.runtime.commands.options import AsJson
 
 if TYPE_CHECKING:
     from gsgen.runtime.checks.reference_recording import References
+    from gsgen.runtime.checks.source_pictures import SourcePictures
+
+# Least decibels of pictures that the model itself drew.
+_OWN_PSNR = 50.0
+
+SourceFolder = Annotated[
+    Path | None, typer.Option("--from", help="Folder of pictures that the training code rendered.")
+]
+SourceCameras = Annotated[
+    Path | None,
+    typer.Option(help="Their cameras, in the model's space and with the pictures' names."),
+]
+SourceProbe = Annotated[
+    str | None,
+    typer.Option(help="Probe that the pictures show, such as time=0.", show_default="first"),
+]
+PictureWidth = Annotated[
+    int | None,
+    typer.Option(
+        help="Width in pixels; the height follows from the camera.",
+        show_default="640",
+        min=16,
+        max=4096,
+    ),
+]
+LeastDecibels = Annotated[
+    float | None,
+    typer.Option(
+        help="Least decibels that a picture must have.", show_default="50, or 35 with --from", min=1
+    ),
+]
 
 
 def references(
@@ -28,6 +60,9 @@ def references(
             show_default=False,
         ),
     ],
+    source: SourceFolder = None,
+    cameras: SourceCameras = None,
+    probe: SourceProbe = None,
     camera: Annotated[
         str | None,
         typer.Option(help="Camera; see `gsgen render`. [default: the probes', or an orbit]"),
@@ -40,19 +75,8 @@ def references(
             min=1,
         ),
     ] = None,
-    width: Annotated[
-        int | None,
-        typer.Option(
-            help="Width in pixels; the height follows from the camera.",
-            show_default="640",
-            min=16,
-            max=4096,
-        ),
-    ] = None,
-    psnr: Annotated[
-        float,
-        typer.Option(help="Least decibels that a picture must have on another machine.", min=1),
-    ] = 50.0,
+    width: PictureWidth = None,
+    psnr: LeastDecibels = None,
     force: Annotated[
         bool, typer.Option("--force", help="Replace existing pictures of the copy.")
     ] = False,
@@ -61,9 +85,10 @@ def references(
     memory: Memory = None,
     as_json: AsJson = False,
 ) -> None:
-    """Draw reference images of MODEL, and write a copy of it that declares them.
+    """Write a copy of MODEL that declares reference images: its own, or those of its training code.
 
-    `gsgen validate --level render` draws them again (rule GB021). Exits 0 if they were written, 2
+    Pictures that MODEL draws show later changes, and freeze a fault that it has now; those of the
+    training code (--from with --cameras) show whether it looks like its source. `gsgen validate --level render` draws them again (rule GB021). Exits 0 if they were written, 2
     if they cannot be or an option is wrong, 4 if MODEL cannot be read.
     """
     from gsgen.contract.commands.progress import clear, progress
@@ -71,7 +96,18 @@ def references(
     from gsgen.contract.validation.settings_from_options import make_settings
     from gsgen.runtime.checks.reference_recording import record_references
 
+    if (source is None) != (cameras is None):
+        hint = "Pictures need their cameras: --from FOLDER --cameras FILE."
+        raise ConfigInvalid("are only used together", where="--from, --cameras", hint=hint)
     settings = make_settings(installed_rules(), config=config, timeout=timeout, memory=memory)
+    if source is not None and cameras is not None:
+        chosen = {"probe": probe, "count": count, "psnr": psnr, "force": force}
+        options: dict[str, Any] = {
+            name: value for name, value in chosen.items() if value is not None
+        }
+        options["settings"] = settings
+        _print_source(_recorded(model, output, source, cameras, options), as_json=as_json)
+        return
     try:
         result = record_references(
             model,
@@ -79,7 +115,7 @@ def references(
             camera=camera,
             count=count,
             width=width,
-            psnr=psnr,
+            psnr=_OWN_PSNR if psnr is None else psnr,
             settings=settings,
             force=force,
             progress=progress,
@@ -88,7 +124,21 @@ def references(
         clear()
     for label in result.empty:
         typer.echo(f"note: the picture at {label!r} is empty", err=True)
+    note = "note: drawn by the model itself: a fault that it has now is part of the pictures"
+    typer.echo(f"{note}; --from FOLDER --cameras FILE takes those of the training code", err=True)
     _print(result, as_json=as_json)
+
+
+def _recorded(
+    model: Path, output: Path, folder: Path, cameras: Path, options: dict[str, Any]
+) -> "SourcePictures":
+    from gsgen.contract.commands.progress import clear, progress
+    from gsgen.runtime.checks.source_pictures import record_source_pictures
+
+    try:
+        return record_source_pictures(model, output, folder, cameras, progress=progress, **options)
+    finally:
+        clear()
 
 
 def _print(result: "References", *, as_json: bool) -> None:
@@ -96,7 +146,7 @@ def _print(result: "References", *, as_json: bool) -> None:
         document = {
             "model": str(result.model),
             "device": result.device,
-            "reference_images": [asdict(image) for image in result.images],
+            "reference_images": to_json(result.images),
         }
         typer.echo(json.dumps(document, indent=2))
         return
@@ -106,4 +156,27 @@ def _print(result: "References", *, as_json: bool) -> None:
     typer.echo(
         f"{result.model}: declares them, drawn on {result.device}; "
         f"`gsgen validate {quoted_path} --level render` draws them again"
+    )
+
+
+def _print_source(pictures: "SourcePictures", *, as_json: bool) -> None:
+    for name in pictures.unmatched:
+        typer.echo(f"note: no camera is named like {name}", err=True)
+    if as_json:
+        document = {
+            "model": str(pictures.model),
+            "reference_images": to_json(pictures.images),
+            "decibels": list(pictures.decibels),
+        }
+        typer.echo(json.dumps(document, indent=2))
+        return
+    for name, image, decibels in zip(
+        pictures.names, pictures.images, pictures.decibels, strict=True
+    ):
+        shortfall = "" if decibels >= image.psnr else f", less than the declared {image.psnr:g}"
+        typer.echo(f"{pictures.model.parent / image.path}: {name}, {decibels:.1f} dB{shortfall}")
+    quoted_path = shlex.quote(str(pictures.model))
+    typer.echo(
+        f"{pictures.model}: declares them as pictures of its source; "
+        f"`gsgen validate {quoted_path} --level render` compares them again"
     )

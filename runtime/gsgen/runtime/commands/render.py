@@ -4,6 +4,7 @@ __all__ = ["render"]
 
 import json
 import time as clock
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,6 +12,8 @@ import typer
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.commands import options
+from gsgen.runtime.commands.streaming_options import with_streaming_options
+from gsgen.runtime.sources.stream_settings import StreamSettings
 
 if TYPE_CHECKING:
     from gsgen.runtime.media.pictures import Mode
@@ -53,6 +56,9 @@ FramesPerSecond = Annotated[
         help="Frames per second of a video. [default: the manifest's, or 25]", min=0.1, max=100
     ),
 ]
+Wait = Annotated[
+    float, typer.Option(help="Most seconds that a frame waits for tiles of a tileset.", min=0.1)
+]
 WeightedSums = Annotated[
     Literal["contract", "published"],
     typer.Option(
@@ -62,6 +68,7 @@ WeightedSums = Annotated[
 ]
 
 
+@with_streaming_options
 def render(
     scenes: options.Scenes,
     output: Output,
@@ -89,7 +96,9 @@ def render(
     post: options.Post = None,
     size: options.Sizes = None,
     provider: options.Provider = "cpu",
+    wait: Wait = 30.0,
     as_json: options.AsJson = False,
+    streaming: StreamSettings = StreamSettings(),  # noqa: B008
 ) -> None:
     """Draw SCENES: splat files and meshes, and generators, which run for every frame.
 
@@ -109,7 +118,9 @@ def render(
     color = _background(background, output, files)
     for note in (*view.notes, *_transparency_notes(output, color, options.mode_of(mode))):
         typer.echo(f"note: {note}", err=True)
-    with open_scenes(scenes, post, provider=provider, size=size) as (sources, models):
+    with open_scenes(
+        scenes, post, provider=provider, size=size, streaming=replace(streaming, wait=wait)
+    ) as (sources, models):
         tracks, pose_fps = options.read_tracks(pose, inputs, sources)
         is_published = wsr == "published"
         if is_published:

@@ -4,12 +4,15 @@ __all__ = ["view"]
 
 import shlex
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gsgen.runtime.commands import options
+from gsgen.runtime.commands.streaming_options import with_streaming_options
+from gsgen.runtime.sources.stream_settings import StreamSettings
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.live_playback import LivePlayback
@@ -43,6 +46,7 @@ Play = Annotated[bool, typer.Option("--play/--no-play", help="Whether the window
 Pictures = Annotated[Path, typer.Option(help="Folder of saved pictures.")]
 
 
+@with_streaming_options
 def view(
     scenes: options.Scenes,
     *,
@@ -69,6 +73,7 @@ def view(
     size: options.Sizes = None,
     provider: options.Provider = "cpu",
     pictures: Pictures = Path(),
+    streaming: StreamSettings = StreamSettings(),  # noqa: B008
 ) -> None:
     """Show SCENES in a window: orbit around them, play their time, and save pictures.
 
@@ -92,7 +97,9 @@ def view(
         typer.echo(f"note: {note}", err=True)
     option_color = None if background is None else color_of(background, "--background")
     color = first_setting([option_color, *(file.background for file in files)])
-    with open_scenes(scenes, post, provider=provider, size=size) as (sources, models):
+    with open_scenes(
+        scenes, post, provider=provider, size=size, streaming=replace(streaming, wait=0)
+    ) as (sources, models):
         tracks, pose_fps = options.read_tracks(pose, inputs, sources)
         playback = LivePlayback(
             sources,

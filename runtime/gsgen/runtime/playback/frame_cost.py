@@ -135,7 +135,7 @@ def _play(sequence: FrameSequence) -> _Played:
         started, busy = now, used
         played.visible.append(frame.visible)
         played.pairs.append(frame.pairs)
-        played.gaussians.append(sum(source.data.count for source in sequence.sources))
+        played.gaussians.append(sum(source.count for source in sequence.sources))
         for source in sequence.sources:
             if source.seconds:
                 played.inference[source.name].append(source.seconds)

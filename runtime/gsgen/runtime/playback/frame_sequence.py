@@ -155,7 +155,7 @@ class FrameSequence(Playback):
             "frames": self.frames,
             "width": width,
             "height": height,
-            "gaussians": sum(source.data.count for source in self.sources),
+            "gaussians": sum(source.count for source in self.sources),
             "visible": self._last.visible,
             "triangles": sum(len(mesh.data) for mesh in self.player.scene.meshes),
             "pairs": self._last.pairs,

@@ -90,13 +90,16 @@ class LivePlayback(Playback):
 
     @property
     def busy(self) -> bool:
-        """Whether a frame is being computed, or was computed and not taken."""
-        return self._pending is not None
+        """Whether a frame is being computed, was computed and not taken, or will change."""
+        return self._pending is not None or self._is_streaming()
+
+    def _is_streaming(self) -> bool:
+        return any(source.is_streaming for source in self.sources)
 
     def begin(self, camera: Camera) -> None:
         """Begin to compute the current frame for a camera, unless it is computed or pending."""
         moment = self._moment_key(camera)
-        if self._pending is None and moment != self._shown:
+        if self._pending is None and (moment != self._shown or self._is_streaming()):
             values = self.values(self.number)
             for source, source_values in zip(self.sources, values, strict=False):
                 source.start(camera, source_values, self.number)
@@ -171,22 +174,13 @@ class LivePlayback(Playback):
 
     def _moment_key(self, camera: Camera) -> object:
         """Return a key that changes when the sources must be computed again."""
-        if not any(source.inputs for source in self.sources):
+        if not any(source.follows_camera for source in self.sources):
             return 0
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         return self.number, camera.view.tobytes(), lens
 
     def _data_versions(self) -> list[tuple[int, ...]]:
-        return [
-            (
-                id(source.data),
-                source.data.rows_version,
-                source.data.appearance_version,
-                source.data.cells_version,
-                source.data.count,
-            )
-            for source in self.sources
-        ]
+        return [source.state for source in self.sources]
 
 
 def _range_length(sources: Sequence[Source]) -> int:

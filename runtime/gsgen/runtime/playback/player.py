@@ -4,7 +4,7 @@ __all__ = ["FrameRequest", "GeneratorPlayer", "Player", "compose_scene"]
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import repeat
 from pathlib import Path
 from typing import Literal, Self, final
@@ -166,11 +166,20 @@ def compose_scene(
         [source.splats(sh_degree, antialias) for source in sources],
         color_space=_common_space(sources),
         meshes=[mesh for source in sources for mesh in source.meshes],
+        pools=[
+            replace(
+                pooled,
+                degree=pooled.degree if sh_degree is None else sh_degree,
+                antialias=antialias or pooled.antialias,
+            )
+            for source in sources
+            for pooled in source.pools
+        ],
     )
 
 
 def _common_space(sources: Sequence[Source]) -> Literal["srgb", "linear"]:
-    spaces = {source.color_space for source in sources if len(source.data)}
+    spaces = {source.color_space for source in sources if len(source.data) or source.pools}
     if len(spaces) > 1:
         raise ConfigInvalid(
             "have linear and sRGB colours, expected one colour space, as they are blended",

@@ -10,8 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import UnknownName
+from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Box, SplatSet
+from gsgen.runtime.scene.splat_pool import PooledSet
 from gsgen.runtime.sources.source import Source, Values
 
 
@@ -66,10 +68,52 @@ class PlacedSource(Source):
         self.inputs = tuple(spec for spec in inner.inputs if spec.name not in self._fixed)
         self.splats(None, None)  # invalid settings raise here
         self.meshes = tuple(mesh.placed(self._transform) for mesh in inner.meshes)
+        self.pools = tuple(self._placed(pooled) for pooled in inner.pools)
         up = _rotation(self._transform) @ np.array(inner.up)
         self.up = (float(up[0]), float(up[1]), float(up[2]))
         if self._fixed:
             self.update(None, {})
+
+    def _placed(self, pooled: PooledSet) -> PooledSet:
+        """Return a pool with the transform and the drawing settings.
+
+        Raises:
+            SceneInvalid: The settings have a clip box, which pools do not support.
+        """
+        if self._settings.clip is not None:
+            raise SceneInvalid("a tileset cannot be clipped", where="clip")
+        return replace(
+            pooled,
+            transform=self._transform @ pooled.transform,
+            opacity_scale=self._settings.opacity_scale,
+            degree=self._settings.sh_degree,
+            antialias=self.antialias,
+        )
+
+    @property
+    def count(self) -> int:
+        """The number of Gaussians that the current frame of the source may draw."""
+        return self._inner.count
+
+    @property
+    def state(self) -> tuple[int, ...]:
+        """Numbers of which one changes when the Gaussians of the source change."""
+        return self._inner.state
+
+    @property
+    def follows_camera(self) -> bool:
+        """Whether the source computes a new frame when the camera moves."""
+        return self._inner.follows_camera
+
+    @property
+    def is_streaming(self) -> bool:
+        """Whether Gaussians of the source may change although the camera stays."""
+        return self._inner.is_streaming
+
+    @property
+    def statistics(self) -> tuple[tuple[str, str], ...]:
+        """Names and values that a window shows about the source."""
+        return self._inner.statistics
 
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None

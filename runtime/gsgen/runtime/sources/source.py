@@ -28,6 +28,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.scene.splat_pool import PooledSet
 from gsgen.runtime.sources.generator_worker import FrameDelta, GeneratorWorker
 
 Center = Float[np.ndarray, "3"]
@@ -50,6 +51,7 @@ class Source(ABC):
         weighted: Weights of Gaussians that are blended by weighted sums; None for sorted blending.
         meshes: Triangles that are drawn with the Gaussians.
         inputs: The inputs that a caller may set.
+        pools: Pools whose tiles are drawn with the Gaussians.
         seconds: Seconds that the current frame took to compute.
     """
 
@@ -61,6 +63,7 @@ class Source(ABC):
     weighted: WeightedSum | None = None
     meshes: tuple[Mesh, ...] = ()
     inputs: tuple[Input, ...] = ()
+    pools: tuple[PooledSet, ...] = ()
     seconds: float = 0.0
     _extent: tuple[Center, float] | None = None
 
@@ -109,6 +112,33 @@ class Source(ABC):
             antialias=antialias or self.antialias,
             weighted=self.weighted,
         )
+
+    @property
+    def count(self) -> int:
+        """The number of Gaussians that the current frame may draw."""
+        return self.data.count
+
+    @property
+    def state(self) -> tuple[int, ...]:
+        """Numbers of which one changes when the Gaussians change."""
+        data = self.data
+        versions = (data.rows_version, data.appearance_version, data.cells_version)
+        return (id(data), *versions, data.count)
+
+    @property
+    def follows_camera(self) -> bool:
+        """Whether a frame has to be computed again when the camera moves."""
+        return bool(self.inputs)
+
+    @property
+    def is_streaming(self) -> bool:
+        """Whether Gaussians may change although the camera and the inputs stay."""
+        return False
+
+    @property
+    def statistics(self) -> tuple[tuple[str, str], ...]:
+        """Names and values that a window shows about the source."""
+        return ()
 
     @property
     def time(self) -> Input | None:

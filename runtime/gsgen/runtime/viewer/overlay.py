@@ -70,7 +70,7 @@ class Statistics:
         if drawn is None or (is_moving and now - self._updated < _REFRESH):
             return
         self._updated = now
-        count = sum(source.data.count for source in playback.sources)
+        count = sum(source.count for source in playback.sources)
         rows = [(title, ""), ("Gaussians", f"{count:,}, {drawn.visible:,} drawn")]
         if any(source.inputs for source in playback.sources):
             seconds = sum(source.seconds for source in playback.sources)
@@ -78,6 +78,8 @@ class Statistics:
         rows.append(("drawing", f"{1000 * renderer.seconds:.1f} ms"))
         if is_moving:
             rows.append(("pictures", f"{len(self._frame_times)} a second"))
+        for source in playback.sources:
+            rows += source.statistics
         if playback.sh_degree is not None:
             rows.append(("harmonics", f"up to degree {playback.sh_degree}"))
         if playback.antialias is not None:

@@ -48,14 +48,14 @@ class ViewSettings:
     def frustum(
         self, position: Float64[np.ndarray, " 3"], quaternion: Float64[np.ndarray, " 4"]
     ) -> Frustum:
-        """Return the frustum of a pose."""
+        """Return the view frustum of a camera pose."""
         return Frustum.from_pose(
             position, quaternion, width=self.width, height=self.height, fov_y=self.fov_y
         )
 
 
 class Prefetch(Protocol):
-    """Says which tiles will be wanted."""
+    """Protocol: predicts which tiles will be wanted soon."""
 
     def observe(self, pose: Pose, waste: float) -> None:
         """Note the pose of a frame, and the share of bytes that were wasted so far."""
@@ -71,7 +71,7 @@ class Prefetch(Protocol):
 
 @final
 class HorizonPrefetch:
-    """Prefetches what a predictor expects to be seen within a horizon.
+    """Prefetches the tiles that a pose predictor expects to be seen within a horizon.
 
     Sixteen sigma points stand for the uncertainty of each predicted pose: the pose itself four
     times, and √6 standard deviations to both sides of it in each of the six dimensions
@@ -152,7 +152,7 @@ class HorizonPrefetch:
 
 @final
 class PathPrefetch:
-    """Prefetches along a path that is known: the bound on every prediction.
+    """Prefetches tiles along a known camera path: the upper bound of every prediction.
 
     Args:
         tree: The tiles.

@@ -34,7 +34,6 @@ _AZIMUTHS = (20.0, 140.0, 260.0)
 _RING_LATITUDE = 20.0
 _FIELD_OF_VIEW = 50.0
 _SHARE_WITHIN = 0.9
-_ON_GLOBE = 1e6
 
 
 @final
@@ -105,7 +104,7 @@ def score_tileset(
     store, index = open_store(source)
     with store:
         tileset = load_tileset(store, index, name=str(source))
-        cameras = _cameras(splats, _up(tileset), width, height)
+        cameras = _cameras(splats, tileset.up, width, height)
         progress("drawing the scene")
         expected = _draw(renderer, splats, cameras)
         pictures = {"scene": _first(expected)}
@@ -173,16 +172,6 @@ def _read(store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]) -> tu
             fault=Fault.CONTENT,
         )
     return joined(parts), size
-
-
-def _up(tileset: Tileset) -> Float64[np.ndarray, " 3"]:
-    """Return the up direction in the root frame: z of the world, or away from the globe."""
-    linear, origin = tileset.transform[:3, :3], tileset.transform[:3, 3]
-    world = np.array([0.0, 0.0, 1.0])
-    if np.linalg.norm(origin) > _ON_GLOBE:
-        world = origin
-    up = linear.T @ world
-    return np.asarray(up / np.linalg.norm(up))
 
 
 def _cameras(

@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int64
 
 from gsgen.tiles.selection.hulls import OptionHulls
 
-_MOST_TRIED: Final = 64  # steps after the budget's end: each costs a microsecond
+_STEPS_BEYOND: Final = 64  # steps after the budget's end: each costs a microsecond
 
 
 @final
@@ -62,7 +62,7 @@ def choose_options(hulls: OptionHulls, weight: Float64[np.ndarray, " n"], budget
         bound += float(gain[fitting] * (budget - spent) / cost[fitting])
     taken = np.zeros(len(order), bool)
     taken[order[:fitting]] = True
-    later = order[fitting:][cost[fitting:] <= budget - spent][:_MOST_TRIED]
+    later = order[fitting:][cost[fitting:] <= budget - spent][:_STEPS_BEYOND]
     for step in later.tolist():
         tile = hulls.tile[step]
         is_next = step == 0 or hulls.tile[step - 1] != tile or taken[step - 1]

@@ -41,7 +41,7 @@ def policy_named(name: str) -> Policy:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Simulation:
-    """The result of a simulation.
+    """The result of a streaming simulation.
 
     Attributes:
         policy: Of the client.

@@ -53,7 +53,7 @@ class RateTrace:
 @final
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """A tile that was received whole."""
+    """A tile that the simulated link has delivered completely."""
 
     tile: int
     time: float
@@ -94,11 +94,11 @@ class SimulatedLink:
 
     @property
     def free(self) -> int:
-        """How many more requests can be made now."""
+        """Return how many more requests the simulated link accepts now."""
         return self._connections - len(self._transfers)
 
     def request(self, tile: int) -> None:
-        """Begin to fetch a tile now."""
+        """Begin to fetch a tile over the simulated link."""
         start = self._clock.now() + self._rtt
         self._transfers.append(_Transfer(tile, start, float(self._size[tile])))
 
@@ -107,7 +107,7 @@ class SimulatedLink:
         return 1 - self._transfer(tile).remaining / max(float(self._size[tile]), 1.0)
 
     def cancel(self, tile: int) -> int:
-        """Stop a request; return how many bytes were received."""
+        """Cancel a simulated request; return the number of bytes that were received."""
         transfer = self._transfer(tile)
         self._transfers.remove(transfer)
         return round(float(self._size[tile]) - transfer.remaining)

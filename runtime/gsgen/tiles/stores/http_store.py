@@ -87,7 +87,7 @@ class HttpStore(Store):
     def read_whole(
         self, path: str, on_bytes: Callable[[int], None], limit: int = MAX_FILE
     ) -> bytes:
-        """Return a file, and report its progress.
+        """Read a whole file from the web server, and report the progress.
 
         Args:
             path: Relative to the folder.

@@ -7,7 +7,7 @@ from typing import Protocol, final
 
 
 class Clock(Protocol):
-    """Tells the time."""
+    """Protocol of clocks: the time of a streaming session."""
 
     def now(self) -> float:
         """Return seconds since some moment; never fewer than before."""

@@ -43,7 +43,7 @@ class ContentReader:
         self.sh_degree = int(degree) if known else MAX_DEGREE  # type: ignore[arg-type]
 
     def fetch(self, tile: int, on_bytes: Callable[[int], None]) -> list[bytes]:
-        """Return the files of a tile.
+        """Read the content files of a tile.
 
         Args:
             tile: Key of the tile.
@@ -69,7 +69,7 @@ class ContentReader:
         return data
 
     def decode(self, tile: int, files: list[bytes]) -> TileArrival:
-        """Decode the files of a tile.
+        """Decode the content files of a tile.
 
         Raises:
             TilesetInvalid: A file is damaged, or its splats are not as many as declared.

@@ -43,7 +43,7 @@ class DiskCache:
         return self._total
 
     def get(self, store: str, path: str) -> bytes | None:
-        """Return a file if it is cached and whole.
+        """Return a file of the disk cache if it is cached and complete.
 
         Args:
             store: Name of the store.
@@ -64,7 +64,7 @@ class DiskCache:
         return data
 
     def put(self, store: str, path: str, data: bytes) -> None:
-        """Store a file, unless its name or its bytes show that it may change or is not whole."""
+        """Store a file in the disk cache, unless it may change or is incomplete."""
         match = _NAMED_BY_DIGEST.search(path)
         if match is None or len(data) > self._max_bytes:
             return

@@ -11,6 +11,8 @@ from gsgen.tiles.selection.cut import Cut
 from gsgen.tiles.selection.tile_tree import TileTree
 
 FADE_SECONDS: Final = 0.25
+# A window that stood still draws its next frame late: a fade that begins then must not be over.
+_LONGEST_STEP: Final = 1 / 15
 
 
 def drawable_tiles(
@@ -81,7 +83,7 @@ class Fades:
     def frame(
         self, time: float, drawn: Bool[np.ndarray, " n"], seen: Bool[np.ndarray, " n"]
     ) -> None:
-        """Move all fades on to ``time``.
+        """Advance the fades of all tiles to ``time``.
 
         Args:
             time: In seconds.
@@ -90,7 +92,7 @@ class Fades:
         """
         step = 1.0
         if self._seconds > 0 and self._time is not None:
-            step = (time - self._time) / self._seconds
+            step = min(time - self._time, _LONGEST_STEP) / self._seconds
         self._time = time
         visible = self._fade > 0
         # Only a tile with a visible one above or below it takes the place of something.
@@ -107,7 +109,7 @@ class Fades:
         self._fade[falling] = np.maximum(self._fade[falling] - step, 0.0)
 
     def drop(self, tile: int) -> None:
-        """Stop drawing a tile at once."""
+        """Stop drawing a tile at once, without a fade."""
         self._fade[tile] = 0.0
 
     def _in_view(self, seen: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

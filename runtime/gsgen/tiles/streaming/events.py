@@ -43,7 +43,7 @@ class EventLog:
         received: Sequence[FetchResult[TileArrival]],
         frame: SessionFrame,
     ) -> None:
-        """Write the events of a frame."""
+        """Write the events of a streaming frame to the log."""
         event = {
             "t": time,
             "planes": frustum.planes.tolist(),
@@ -65,14 +65,14 @@ class EventLog:
         self._file.write(json.dumps(event) + "\n")
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the event log."""
         self._file.close()
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameEvents:
-    """A line of a log.
+    """The events of one streaming frame: a line of the event log.
 
     Attributes:
         time: Of the frame, in seconds.
@@ -94,7 +94,7 @@ class FrameEvents:
 
 
 def read_events(path: Path) -> Iterator[FrameEvents]:
-    """Yield the frames of a log.
+    """Yield the frames of an event log.
 
     Raises:
         InputUnreadable: The file cannot be read, or a line is not an event.
@@ -158,7 +158,7 @@ class ReplayLink:
         return self._connections - len(self._requested)
 
     def request(self, tile: int) -> None:
-        """Note a request."""
+        """Record a request of the replayed session."""
         self._requested.add(tile)
 
     def progress(self, tile: int) -> float:
@@ -167,7 +167,7 @@ class ReplayLink:
         return 1.0
 
     def cancel(self, tile: int) -> int:
-        """Forget a request."""
+        """Forget a request of the replayed session."""
         self._requested.discard(tile)
         return 0
 

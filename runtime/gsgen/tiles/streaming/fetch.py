@@ -19,7 +19,7 @@ OnBytes = Callable[[int], None]
 @final
 @dataclass(frozen=True, slots=True)
 class FetchResult(Generic[Decoded]):
-    """The answer to a request.
+    """The answer to a request of a tile.
 
     Attributes:
         tile: Key of the tile.
@@ -33,7 +33,7 @@ class FetchResult(Generic[Decoded]):
 
 
 class _Cancelled(Exception):
-    """The planner stopped the request."""
+    """Raised in a fetching thread if the planner stopped the request."""
 
 
 @final
@@ -83,7 +83,7 @@ class FetchLink(Generic[Decoded]):
             return self._connections - len(self._active)
 
     def request(self, tile: int) -> None:
-        """Begin to fetch a tile."""
+        """Begin to fetch a tile on a thread of its own."""
         request = _Request(tile)
         with self._lock:
             self._active[tile] = request
@@ -105,7 +105,7 @@ class FetchLink(Generic[Decoded]):
             return request.received
 
     def poll(self) -> list[FetchResult[Decoded]]:
-        """Return the answers since the last call."""
+        """Return the answers that arrived since the last call."""
         self._news.clear()
         results = []
         while not self._results.empty():

@@ -23,7 +23,7 @@ _PRIOR: Final = 4.0  # prefetched tiles, half of them seen, that precision begin
 
 
 class Link(Protocol):
-    """Connections to a store, real or simulated."""
+    """Protocol: connections to a tile store, real or simulated."""
 
     @property
     def free(self) -> int:
@@ -46,7 +46,7 @@ class Link(Protocol):
 @final
 @dataclass(slots=True, eq=False)
 class _InFlight:
-    """A request that has no answer yet."""
+    """A tile request that has no answer yet."""
 
     is_prefetch: bool
 
@@ -106,14 +106,14 @@ class RequestPlanner:
                     del self._in_flight[tile]
 
     def arrive(self, tile: int, time: float) -> None:
-        """Note that the contents of a tile arrived at ``time``."""
+        """Record that the contents of a tile arrived at ``time``."""
         self._recorder.arrive(tile, time)
         entry = self._in_flight.pop(tile, None)
         if entry is not None and entry.is_prefetch:
             self._ledger.arrive(tile, time)
 
     def fail(self, tile: int) -> None:
-        """Note that a request ended with an error."""
+        """Record that a tile request ended with an error."""
         self._in_flight.pop(tile, None)
 
     def fill(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
@@ -174,7 +174,7 @@ class _PrefetchLedger:
         return (self._seen + _PRIOR / 2) / (self._seen + self._late + _PRIOR)
 
     def arrive(self, tile: int, time: float) -> None:
-        """Note that a prefetched tile has arrived."""
+        """Record that a prefetched tile has arrived."""
         self._arrivals[tile] = time
         self.pending_bytes += int(self._size[tile])
 

@@ -41,7 +41,7 @@ class ResidentTiles:
         needed: Bool[np.ndarray, " n"],
         expected: Bool[np.ndarray, " n"] | None = None,
     ) -> None:
-        """Note the needs of a frame.
+        """Record the tiles that a frame needs.
 
         Args:
             time: In seconds.
@@ -61,7 +61,7 @@ class ResidentTiles:
         return marked
 
     def admit(self, tile: int, time: float) -> tuple[int, ...] | None:
-        """Make a tile resident.
+        """Make a tile resident in the pool.
 
         Returns:
             The tiles that leave for it; None where it does not fit beside those that stay.
@@ -80,7 +80,7 @@ class ResidentTiles:
         return evicted
 
     def remove(self, tile: int) -> None:
-        """Take a resident tile out."""
+        """Remove a resident tile from the pool."""
         self.resident[tile] = False
         self.used_slots -= int(self._slots[tile])
 

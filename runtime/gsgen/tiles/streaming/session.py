@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Final, Protocol, final
 
 import numpy as np
-from jaxtyping import Bool, Int64
+from jaxtyping import Bool, Float64, Int64
 
+from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.loading import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
@@ -32,7 +33,6 @@ from gsgen.tiles.streaming.planner import Link, RequestPlanner
 from gsgen.tiles.streaming.residency import ResidentTiles
 from gsgen.tiles.streaming.session_frame import DrawnTile, SessionFrame, TileArrival
 
-SLOT_ROWS: Final = 4096
 UPLOAD_BUDGET: Final = 4 << 20
 _COARSER: Final = 2**0.25  # step of the error while a cut does not fit the pool
 _MOST_STEPS: Final = 80
@@ -43,7 +43,7 @@ _MOST_PENDING: Final = 64  # decoded tiles that wait for their upload
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionOptions:
-    """How a tileset is streamed.
+    """The options of a streaming session.
 
     Attributes:
         max_error: Screen-space error above which tiles are refined, in pixels.
@@ -127,6 +127,7 @@ def open_session(
             sh_degree=reader.sh_degree,
             report=report or _print_line,
             store=store,
+            up=tileset.up,
         )
     except BaseException:
         store.close()
@@ -143,6 +144,7 @@ class TilesetSession:
 
     Attributes:
         tree: The tiles; keys are their indices.
+        up: Upward direction in the root frame.
         sh_degree: Of all arrivals.
         slot_rows: Rows of a slot.
         pool_slots: Slots of the pool.
@@ -156,6 +158,7 @@ class TilesetSession:
         sh_degree: Of all arrivals.
         report: Receives a line for each tile that cannot be had.
         store: Closed with the session.
+        up: Upward direction in the root frame; that of splat files if None.
     """
 
     def __init__(
@@ -168,7 +171,9 @@ class TilesetSession:
         sh_degree: int,
         report: Callable[[str], None] = _print_line,
         store: Store | None = None,
+        up: Float64[np.ndarray, " 3"] | None = None,
     ) -> None:
+        self.up = np.array([0.0, -1.0, 0.0]) if up is None else up
         self.tree, self.sh_degree, self.slot_rows = tree, sh_degree, options.slot_rows
         self.upload_budget = options.upload_budget
         self.pool_slots = -(-options.max_splats // options.slot_rows)
@@ -196,7 +201,7 @@ class TilesetSession:
 
     @property
     def resident(self) -> Bool[np.ndarray, " n"]:
-        """Which tiles are in the pool."""
+        """The mask of the tiles that are resident in the pool."""
         return self._residents.resident
 
     def frame(self, frustum: Frustum) -> SessionFrame:

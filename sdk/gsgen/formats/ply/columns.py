@@ -10,6 +10,7 @@ from gsgen.formats.ply.ascii import ascii_rows
 from gsgen.formats.ply.binary import binary_rows, first_row
 from gsgen.formats.ply.header import Element, Header
 
+_RELEASED_ROWS = 1 << 18
 CHUNK_ROWS = 1 << 10
 """Rows a chunk; they fit in a processor's cache while each group copies its columns."""
 
@@ -57,4 +58,6 @@ def _floats(
         for group, table in tables.items():
             # All columns exist: the mode only saves np.take a copy.
             np.take(rows[part], columns[group], axis=1, out=table[part], mode="clip")
+        if start % _RELEASED_ROWS == 0:  # pages that were read need not stay in memory
+            data.madvise(mmap.MADV_DONTNEED)
     return tables

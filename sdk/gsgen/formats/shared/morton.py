@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float32, Int64, Integer, UInt64
 
 _BITS = 10
+_ROWS = 1 << 18
 _LAST = (1 << _BITS) - 1
 _SPREAD = (
     (32, 0x001F00000000FFFF),
@@ -32,8 +33,12 @@ def grid_order(cells: Integer[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     G. M. Morton 1966, "A computer oriented geodetic data base": the bits of the coordinates,
     interleaved, are the index on the curve. Rows of the same cell keep their order.
     """
-    x, y, z = (spread_bits(cells[:, axis].astype(np.uint64)) for axis in range(3))
-    return np.argsort(x << 2 | y << 1 | z, kind="stable")
+    codes = np.zeros(len(cells), np.uint64)
+    for axis, shift in enumerate((2, 1, 0)):
+        for start in range(0, len(cells), _ROWS):
+            part = slice(start, start + _ROWS)
+            codes[part] |= spread_bits(cells[part, axis].astype(np.uint64)) << np.uint64(shift)
+    return np.argsort(codes, kind="stable")
 
 
 def spread_bits(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:

@@ -13,6 +13,8 @@ from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSuppo
 
 META: Final = "meta.json"
 """The file that describes the images."""
+STREAMED_META: Final = "lod-meta.json"
+"""The file that lists the SOG files of several levels of detail."""
 ANTIALIASED: Final = "antialiased"
 """The ``model`` of splats that were trained with the filter of Mip-Splatting."""
 PALETTE_WIDTH: Final = 64
@@ -49,7 +51,7 @@ class Meta:
             NotSupported: The version is not 2, or the file lists levels of detail.
             HeaderMalformed: The number of splats is missing or invalid.
         """
-        data = _object(content)
+        data = parse_object(content)
         if "lodLevels" in data or "tree" in data:
             raise NotSupported(
                 "a streamed SOG of several levels of detail",
@@ -128,7 +130,12 @@ class Meta:
         raise HeaderMalformed(actual, where=f"{META}, {group}.{key}", expected=expected)
 
 
-def _object(content: bytes) -> dict[str, Any]:
+def parse_object(content: bytes) -> dict[str, Any]:
+    """Parse a JSON object.
+
+    Raises:
+        NotRecognised: The content is not JSON, or not an object.
+    """
     try:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:

@@ -27,7 +27,8 @@ from gsgen.formats.shared.quantities import from_largest, logit, unit
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.sog.image import Image, decode_image, most_pixels
-from gsgen.formats.sog.meta import META, PALETTE_WIDTH, QUATERNION_TAG, Meta
+from gsgen.formats.sog.meta import META, PALETTE_WIDTH, QUATERNION_TAG, Meta, parse_object
+from gsgen.formats.sog.streamed import is_streamed, read_levels
 
 __all__ = ["read_sog"]
 
@@ -61,9 +62,31 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
     """
     with naming(path), opened(path) as file, np.errstate(all="ignore"):
         if file.read(len(ZIP_MAGIC)) != ZIP_MAGIC:
-            return _decode(_beside(path), Path(path).name, max_bytes)
+            return _read_unpacked(path, max_bytes)
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
             return _decode(_within(archive, Path(path).stat().st_size), META, max_bytes)
+
+
+def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
+    """Read a meta.json with its images, or a lod-meta.json with the SOG files that it lists."""
+    fetch, name = _beside(path), Path(path).name
+    data = parse_object(fetch(name, MAX_META))
+    if not is_streamed(data):
+        return _decode(fetch, name, max_bytes)
+
+    def read_part(part: str, limit: int) -> Splats:
+        file = Path(path).parent / part
+        if not file.resolve().is_relative_to(Path(path).parent.resolve()):
+            raise HeaderMalformed(shown(part), where=name, expected="a file below its folder")
+        with opened(file) as stream:
+            is_streamed_too = stream.read(len(ZIP_MAGIC)) != ZIP_MAGIC and is_streamed(
+                parse_object(_beside(file)(file.name, MAX_META))
+            )
+        if is_streamed_too:
+            raise HeaderMalformed(shown(part), where=name, expected="the meta.json of one SOG")
+        return read_sog(file, max_bytes=max(limit, 0))
+
+    return read_levels(data, read_part, max_bytes)
 
 
 def written_bytes(path: FilePath) -> int:

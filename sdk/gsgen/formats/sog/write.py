@@ -18,7 +18,14 @@ from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.formats.sog.codebook import codes, make_codebook
 from gsgen.formats.sog.image import encode_image
-from gsgen.formats.sog.meta import ANTIALIASED, META, MOST_PALETTE, PALETTE_WIDTH, QUATERNION_TAG
+from gsgen.formats.sog.meta import (
+    ANTIALIASED,
+    META,
+    MOST_PALETTE,
+    PALETTE_WIDTH,
+    QUATERNION_TAG,
+    STREAMED_META,
+)
 from gsgen.formats.sog.palette import make_palette, nearest_entries
 
 __all__ = ["sog_order", "write_sog"]
@@ -46,6 +53,10 @@ def write_sog(path: FilePath, splats: Splats) -> None:
     """
     with naming(path):
         require_drawable(splats)
+        if Path(path).name.lower() == STREAMED_META:
+            raise NotSupported(
+                "a streamed SOG, which gsgen only reads", expected=f"{META}, or a suffix .sog"
+            )
         if splats.degree > _MOST_DEGREE:
             raise NotSupported(
                 f"harmonics of degree {splats.degree}", expected=f"degree {_MOST_DEGREE} or less"
@@ -54,7 +65,7 @@ def write_sog(path: FilePath, splats: Splats) -> None:
             raise NotSupported(
                 f"{len(splats)} splats",
                 expected=f"{_WIDEST**2} or fewer, the pixels of an image",
-                hint="write lod-meta.json, whose files hold a part each",
+                hint="write several files, each of a box of the scene",
             )
         files = _files(splats)
     if Path(path).name.lower() == META:

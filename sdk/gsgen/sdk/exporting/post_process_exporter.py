@@ -1,6 +1,6 @@
 """Export a post-process model: run it in eager torch, trace and rewrite it, verify and validate it."""
 
-__all__ = ["IMAGE_CHANNELS", "ExportedImage", "export_post_process"]
+__all__ = ["ExportedImage", "export_post_process"]
 
 import copy
 import os
@@ -25,7 +25,7 @@ from gsgen.contract.spec.manifest import (
     PostProcessOutputs,
     Producer,
 )
-from gsgen.contract.spec.roles import POST_PROCESS, ROLES
+from gsgen.contract.spec.roles import IMAGE_CHANNELS, POST_PROCESS, ROLES
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.module_checks import validate_module
@@ -44,7 +44,6 @@ OUTPUT = "result"
 # Sets of inputs for each image size that is compared, and for the search for float16 nodes.
 _RUNS_PER_SIZE = 4
 _HALF_PROBES = 3
-IMAGE_CHANNELS = (3, 4)
 # Height and width: models of any size are traced at the first, and compared at both.
 _TRACED_SIZE, _SECOND_SIZE = (64, 64), (48, 80)
 

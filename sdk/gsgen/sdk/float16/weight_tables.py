@@ -110,7 +110,7 @@ def _size(shape: tuple[int, ...]) -> int:
 
 
 def _blocks(shape: tuple[int, int, int]) -> Iterator[Block]:
-    """Cut ``shape`` into blocks of about :data:`_BLOCK` numbers."""
+    """Divide the shape of a table into slices of limited size, to bound the memory."""
     _, middle, inner = shape
     sizes = (max(1, _BLOCK // (middle * inner)), max(1, _BLOCK // inner), _BLOCK)
     for position in np.ndindex(*(-(-n // size) for n, size in zip(shape, sizes, strict=True))):

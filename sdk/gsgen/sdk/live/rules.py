@@ -1,4 +1,4 @@
-"""GB rules of level live: on the GPU, captured and replayed, the model computes the same as on the CPU.
+"""Rules GB011 to GB017: captured and replayed on a GPU, a model computes the same as on the CPU.
 
 Registered in the entry point group ``gsgen.rules``; the module imports nothing heavy.
 """

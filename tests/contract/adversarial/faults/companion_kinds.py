@@ -55,9 +55,9 @@ for name, mistake, options, sentence, cause in PICTURES:
 STATES: list[tuple[str, str, dict[str, Any], Sentence | None, str]] = [
     ("path_without_step_seconds", "Forgot the time between two states.", {"step_seconds": None}, Sentence("manifest.md", "| `step_seconds` | number (≥ 0) | required |"), r"step_seconds"),
     ("path_of_six_declared_as_quaternion", "Declares quaternions for states of six numbers.", {"state": 6}, Sentence("manifest.md", "either as a quaternion (w, x, y, z), S = 7"), r"\b7\b|quaternion|representation|columns|shape"),
-    ("path_steps_stale", "Declares more steps than the model gives.", {"declared_steps": 5}, Sentence("manifest.md", "Predicted camera states, [steps, S], nearest first."), r"steps|shape"),
+    ("path_steps_stale", "Declares more steps than the model gives.", {"declared_steps": 5}, Sentence("manifest.md", "The output of predicted camera states, [steps, S], nearest first."), r"steps|shape"),
     ("path_uncertainty_per_step", "Gives one uncertainty a step.", {"sigma_columns": 1}, Sentence("manifest.md", "`standard-deviation` is [steps, S], one number for each of the state's."), r"uncertainty|sigma|shape|columns"),
-    ("path_uncertainty_is_log_variance", "Gives the logarithm of the variance as a standard deviation.", {"sigma": -1.3}, Sentence("manifest.md", "How sure the prediction is, one row a step."), r"uncertainty|sigma|negative|deviation|log"),
+    ("path_uncertainty_is_log_variance", "Gives the logarithm of the variance as a standard deviation.", {"sigma": -1.3}, Sentence("manifest.md", "The output of the prediction's uncertainty, one row per step."), r"uncertainty|sigma|negative|deviation|log"),
     ("path_covariance_declared_as_deviation", "Declares an upper triangle as standard deviations.", {"sigma_columns": 28}, Sentence("manifest.md", "`standard-deviation` is [steps, S], one number for each of the state's."), r"uncertainty|sigma|shape|columns|28"),
     ("path_representation_unknown", "Declares the rotation as Euler angles.", {"representation": "position+euler"}, Sentence("manifest.md", '| `representation` | one of `"position+quaternion-wxyz"`, `"position+axis-angle"` |'), r"representation"),
     ("path_quaternions_not_normalised", "Extrapolates quaternions and does not normalise them.", {"normalise": False}, None, r"quaternion|normalis|normaliz|unit|length"),

@@ -17,10 +17,8 @@ FAMILY = "consumers"
 BINDING = Sentence("targets.md", "Bytes of one storage buffer binding.")
 BUFFER = Sentence("targets.md", "Bytes of one buffer.")
 WORKGROUPS = Sentence("targets.md", "Workgroups of one dispatch along an axis.")
-SPLIT = Sentence(
-    "targets.md",
-    "A Split has no more outputs, and a Concat no more inputs, than the target can bind.",
-)
+SPLIT = Sentence("targets.md", "Outputs of one Split.")
+CONCAT = Sentence("targets.md", "Inputs of one Concat; newer releases than the viewer's join any")
 REPLAY = Sentence("targets.md", "kernels are recorded once and replayed")
 VISIONARY = Sentence("targets.md", "| `visionary` | 1.0.1 | 13 to 22 | up to 10 | `ai.onnx` |")
 WEBGPU = Sentence("targets.md", "| `webgpu` | 1.0 | 13 to 26 | up to 13 | `ai.onnx` |")
@@ -74,7 +72,7 @@ fault(
 )
 
 
-def _wide_concat(n: int) -> Draft:
+def wide_concat(n: int) -> Draft:
     """A time that moves ``n`` blocks of rows, joined by one Concat."""
     source = scene("surface", seed=60)
     graph = GraphBuilder()
@@ -115,16 +113,15 @@ def _wide_split() -> Draft:
     return generator(graph, joined, graph.constant(sh_columns(source, 3)), manifest)
 
 
-for target in ("webgpu", "visionary"):
-    fault(
-        f"concat_of_sixteen_{target}",
-        FAMILY,
-        "Joined sixteen blocks of rows by one Concat.",
-        r"concat",
-        build=partial(_wide_concat, 16),
-        sentence=SPLIT,
-        target=target,
-    )
+fault(
+    "concat_of_sixteen_visionary",
+    FAMILY,
+    "Joined sixteen blocks of rows by one Concat.",
+    r"concat",
+    build=partial(wide_concat, 16),
+    sentence=CONCAT,
+    target="visionary",
+)
 fault(
     "split_into_ten_webgpu",
     FAMILY,

@@ -334,7 +334,10 @@ EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         "depends_on_an_unknown_role",
         "Names an input in place of a role in `depends_on`.",
         _set(depends_on={"camera_matrix": False}),
-        Sentence("manifest.md", "`depends_on` has roles as keys and takes no extension fields."),
+        Sentence(
+            "manifest.md",
+            "`depends_on` has inputs and roles as keys and takes no extension fields.",
+        ),
         r"depends_on|role|camera_matrix",
     ),
     (
@@ -452,7 +455,7 @@ INPUT_EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         _set(depends_on={"view": False}),
         Sentence(
             "manifest.md",
-            "A role that maps to `false` promises that no output changes with that input",
+            "A key that maps to `false` promises that no output changes with that input",
         ),
         r"depends_on|depend",
     ),

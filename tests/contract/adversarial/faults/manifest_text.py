@@ -13,7 +13,7 @@ FAMILY = "manifest"
 
 Manifest = dict[str, Any]
 
-KEY = Sentence("index.md", "A file without this key is not a conforming generator.")
+KEY = Sentence("index.md", "A generator must carry it")
 MODEL_LEVEL = Sentence("index.md", "Metadata of the graph, of nodes or of values does not count")
 JSON_TEXT = Sentence("manifest.md", "The manifest is a JSON document (RFC 8259)")
 FINITE = Sentence("manifest.md", "Numbers are finite; an integer may be written `3.0`.")

@@ -161,7 +161,7 @@ fault(
     r"depends_on|depend",
     build=partial(_moving, _turns(TAU), TIME, declared={"depends_on": {"time": False}}),
     sentence=Sentence(
-        "manifest.md", "A role that maps to `false` promises that no output changes with that input"
+        "manifest.md", "A key that maps to `false` promises that no output changes with that input"
     ),
 )
 fault(
@@ -170,9 +170,7 @@ fault(
     "Declares a loop, but the motion ends at its farthest point.",
     r"loop|start.{0,40}end|end.{0,40}start",
     build=partial(_moving, _turns(TAU / 4), {**TIME, "loop": True}),
-    sentence=Sentence(
-        "manifest.md", "With `loop`, the end of the range shows the same moment as its start."
-    ),
+    sentence=Sentence("manifest.md", "the end of the range is the same moment as its start."),
 )
 fault(
     "nan_at_time_zero",

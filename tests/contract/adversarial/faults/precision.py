@@ -17,7 +17,7 @@ FAMILY = "precision"
 STEPS = (
     r"precision|round|resol|step|ulp|far from (the )?origin|bfloat16|quantis|quantiz|grid|lattice",
 )
-HALF = Sentence("layout.md", "no positions beyond 65504")
+HALF = Sentence("layout.md", "nor positions beyond 65504")
 SEMI_DEFINITE = Sentence("layout.md", "Σ is symmetric and positive semi-definite.")
 
 

@@ -23,6 +23,7 @@ from contract.adversarial.dynamic import (
     rodrigues,
     turned_covariance,
 )
+from contract.adversarial.faults.consumers import wide_concat
 from contract.adversarial.graph_builder import GraphBuilder, value_info
 from contract.adversarial.scenes import Scene, rows, scene, sh_columns
 
@@ -359,4 +360,13 @@ right_model(
     "trajectory-predictor",
     "synthetic",
     build=partial(trajectory, state=6, representation="position+axis-angle"),
+)
+# The releases that the target names were measured to join 256 inputs right.
+right_model(
+    "concat_of_sixteen_webgpu",
+    TOOL,
+    "surface",
+    "trained",
+    build=partial(wide_concat, 16),
+    target="webgpu",
 )

@@ -141,9 +141,15 @@ def _straight_on(steps: int, past: int) -> ModelProto:
     graph = GraphProto(
         name="straight_on",
         node=[
-            _node("MatMul", "onwards past", "future"),
-            _node("Abs", "future", "size"),
-            _node("Mul", "size doubt", "sigma"),
+            _node("MatMul", "onwards past", "straight"),
+            _node("Split", "straight widths", "place turn", axis=1),
+            _node("Mul", "turn turn", "squares"),
+            _node("ReduceSum", "squares along", "total", keepdims=1),
+            _node("Add", "total tiny", "safe"),
+            _node("Sqrt", "safe", "length"),
+            _node("Div", "turn length", "unit"),
+            _node("Concat", "place unit", "future", axis=1),
+            _node("Expand", "doubt shape", "sigma"),
         ],
     )
     _value(graph.input, "past", "float32", (past, 7))
@@ -161,7 +167,15 @@ def _straight_on(steps: int, past: int) -> ModelProto:
         ),
         step_seconds=1 / 30,
     )
-    return declared(_model(graph, {"onwards": onwards, "doubt": doubt}, 17), manifest)
+    weights = {
+        "onwards": onwards,
+        "doubt": doubt,
+        "shape": np.array([steps, 7]),
+        "widths": np.array([3, 4]),
+        "along": np.array([1]),
+        "tiny": np.array([1e-12], np.float32),
+    }
+    return declared(_model(graph, weights, 17), manifest)
 
 
 def _bounded_above() -> ModelProto:

@@ -9,7 +9,7 @@ from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.roles import CAMERA_ROLES, KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.gates import REPRODUCIBLE
+from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
 
@@ -24,8 +24,8 @@ def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
     "deterministic",
     Severity.ERROR,
     over="runs",
-    fixture="seeded_random",
-    needs=("GV025", "GG010"),
+    fixture="dropout_by_a_flag",
+    needs=(MODEL_RUNS, *NOT_RANDOM),
     kinds=KINDS,
 )
 def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
@@ -35,7 +35,8 @@ def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
         A still camera would show a flickering picture, and no test could compare results.
 
     Hint:
-        Remove random operators; draw the numbers before export and store them as weights.
+        Call model.eval() before the export, which switches Dropout off; draw random numbers before
+        export and store them as weights.
     """
     yield from _differences(behaviour.repeated, "the same bits as the run before")
 
@@ -69,7 +70,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="time_times_zero",
-    needs=REPRODUCIBLE,
+    needs=(*REPRODUCIBLE, "GV054"),
 )
 def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """Each input changes some output, unless `depends_on` declares that it does not.

@@ -98,7 +98,7 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="last_frame_unreachable",
-    needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"),
+    needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006", "GB040"),
 )
 def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     """If the manifest declares frames, each frame gives other outputs than the one before.
@@ -118,3 +118,28 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     if twice:
         actual = f"{len(twice)} of {len(runs)} frames show what the frame before did, {twice[0]}"
         yield Violation.at("role time", actual, "other outputs in each frame", certainty="possible")
+
+
+@rule(
+    "GB040",
+    "frames-are-distinct",
+    Severity.ERROR,
+    over="runs",
+    fixture="frames_divided_as_integers",
+    needs=(*REPRODUCIBLE, "GM010", "GI025", "GB003", "GI006"),
+)
+def frames_are_distinct(behaviour: Behaviour) -> Iterator[Violation]:
+    """Where frames are declared, most of those that were run show something else than the others.
+
+    Why:
+        The manifest says how many distinct frames there are. A division of whole numbers, or a
+        time in another unit than the range, repeats a few of them: the scene seems to stand still.
+
+    Hint:
+        Divide in float32, and check the unit of the range and the number of frames.
+    """
+    runs = [run for run in behaviour.visits("frames") if run.digest]
+    distinct = len({run.digest for run in runs})
+    if len(runs) > 2 and 2 * distinct <= len(runs):
+        actual = f"{distinct} of {len(runs)} frames differ"
+        yield Violation.at("role time", actual, "distinct frames, as many as declared")

@@ -43,12 +43,13 @@ def _outcomes_text(placement: Placement) -> str:
 @rule(
     "GG004",
     "no-dynamic-shapes",
-    Severity.WARNING,
+    Severity.ERROR,
     over="model",
     fixture="kept_rows_by_value",
     kinds=KINDS,
     needs=WELL_FORMED,
     limit=_CAPTURE,
+    settled_by=("GB014", "GB015"),
 )
 def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
     """No tensor's shape depends on the values of a frame's inputs.
@@ -72,7 +73,7 @@ def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
 @rule(
     "GG005",
     "no-int64-compute",
-    Severity.WARNING,
+    Severity.ERROR,
     over="model",
     fixture="int64_times_minus_one",
     kinds=KINDS,
@@ -100,7 +101,7 @@ def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
 @rule(
     "GG006",
     "operators-have-kernels",
-    Severity.WARNING,
+    Severity.ERROR,
     over="model",
     fixture="modulo_of_time",
     kinds=KINDS,
@@ -129,7 +130,7 @@ def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
 @rule(
     "GG007",
     "narrow-concat-and-split",
-    Severity.WARNING,
+    Severity.ERROR,
     over="model",
     fixture="split_in_eight",
     kinds=KINDS,
@@ -141,7 +142,8 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         WebGPU guarantees eight storage buffers a stage, one of them for the whole tensor. A Split
-        of more fails at the first frame; onnxruntime-web 1.22 gives garbage for a wide Concat.
+        of more fails at the first frame; onnxruntime-web 1.22 gives garbage for a wide Concat, which
+        newer releases join in steps.
 
     Hint:
         Nest them: join or split seven at a time.
@@ -162,7 +164,7 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
 @rule(
     "GG008",
     "norms-have-kernels",
-    Severity.WARNING,
+    Severity.ERROR,
     over="model",
     fixture="group_normalised",
     kinds=KINDS,
@@ -189,7 +191,7 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
 @rule(
     "GG018",
     "opset-has-kernels",
-    Severity.WARNING,
+    Severity.ERROR,
     over="model",
     fixture="sine_of_opset_22",
     kinds=KINDS,

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from onnx import NodeProto
 
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN, RANDOM_OPERATORS
+from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -70,7 +70,15 @@ def standard_operators(subject: InspectedModel) -> Iterator[Violation]:
             )
 
 
-@rule("GG003", "no-control-flow", Severity.WARNING, over="model", fixture="if_node", kinds=KINDS)
+@rule(
+    "GG003",
+    "no-control-flow",
+    Severity.WARNING,
+    over="model",
+    fixture="if_node",
+    kinds=KINDS,
+    settled_by=("GB014",),
+)
 def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
     """The graph has no If, Loop or Scan.
 
@@ -83,29 +91,6 @@ def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
     for node in subject.graph.all_nodes():
         if node.op_type in CONTROL_FLOW and node.domain in MAIN_DOMAIN:
             yield Violation.at(_node_location(node), node.op_type, "a graph without control flow")
-
-
-@rule(
-    "GG010",
-    "no-unseeded-random",
-    Severity.ERROR,
-    over="model",
-    fixture="unseeded_random",
-    kinds=KINDS,
-)
-def no_unseeded_random(subject: InspectedModel) -> Iterator[Violation]:
-    """Random operators have a seed.
-
-    Why:
-        The same camera and time would give another picture every frame and on every machine.
-
-    Hint:
-        Draw the numbers before export and store them as weights.
-    """
-    for node in subject.graph.all_nodes():
-        seeded = any(attribute.name == "seed" for attribute in node.attribute)
-        if node.op_type in RANDOM_OPERATORS and node.domain in MAIN_DOMAIN and not seeded:
-            yield Violation.at(_node_location(node), "no seed", "a seed, or stored numbers")
 
 
 @rule(

@@ -28,6 +28,7 @@ def _node_location(node: NodeProto) -> str:
     fixture="output_from_reshape",
     kinds=KINDS,
     needs=("GG019",),
+    settled_by=("GB014", "GB016", "GB011"),
 )
 def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
     """Every output that varies is written by a computing operator, not by a view of a buffer.

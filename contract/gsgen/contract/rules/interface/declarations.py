@@ -1,17 +1,24 @@
 """Rules of declarations (GM): colours, time, provenance and dependencies."""
 
+import hashlib
 import json
 import re
 from collections.abc import Iterator
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.spec.manifest import ReferenceImage
 from gsgen.contract.spec.roles import KINDS, ROLES
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
 _PREFIX = "gsgen."
+# A PNG file begins with these bytes, and a reference image has this size at most.
+_PNG = b"\x89PNG\r\n\x1a\n"
+_MOST_IMAGE_BYTES = 32 * MEBIBYTE
 _NAME = r"[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?"
 _TERM = rf"\(*\s*{_NAME}\s*\)*"
 _SPDX = re.compile(rf"^{_TERM}(?:\s+(?:AND|OR|WITH)\s+{_TERM})*$")
@@ -160,7 +167,7 @@ def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
 @rule(
     "GM016",
     "dependencies-are-inputs",
-    Severity.WARNING,
+    Severity.ERROR,
     over="model",
     fixture="depends_on_unknown",
     needs=MANIFEST_PARSED,
@@ -170,7 +177,8 @@ def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         A misspelt name says nothing of the one that was meant, which then counts as one that the
-        outputs depend on: the model runs at every move of a camera that it does not look at.
+        outputs depend on: the model runs at every move of a camera that it does not look at. A
+        role that exists but that no input has is harmless, and probably a remainder.
 
     Hint:
         Write the name or the role as it stands in the inputs, or remove the entry.
@@ -183,4 +191,62 @@ def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
         if role not in known:
             actual = "no input has this role" if role in ROLES else "neither an input nor a role"
             listed = ", ".join(known) or "none: there are no inputs"
-            yield Violation.at(f"manifest depends_on {role!r}", actual, f"one of {listed}")
+            yield Violation.at(
+                f"manifest depends_on {role!r}",
+                actual,
+                f"one of {listed}",
+                certainty="possible" if role in ROLES else "confirmed",
+            )
+
+
+@rule(
+    "GM025",
+    "reference-images-present",
+    Severity.ERROR,
+    over="model",
+    fixture="reference_image_left_behind",
+    needs=MANIFEST_PARSED,
+)
+def reference_images_present(subject: InspectedModel) -> Iterator[Violation]:
+    """Every declared reference image is a PNG in the model's folder or below it, as it was drawn.
+
+    Why:
+        A picture that was not shipped compares nothing, and a path that leads out of the folder
+        reads files of the machine that validates the model.
+
+    Hint:
+        Ship the pictures beside the model; draw them again with
+        `gsgen references MODEL -o MODEL --force` if the model has changed.
+    """
+    folder = subject.file.path.resolve().parent
+    for index, image in enumerate(subject.generator.reference_images if subject.generator else ()):
+        fault = _image_fault(folder, image)
+        if fault is not None:
+            yield Violation.at(f"manifest reference_images.{index} {image.path!r}", *fault)
+
+
+def _image_fault(folder: Path, image: ReferenceImage) -> tuple[str, str] | None:
+    """Return the fault of a reference image's file and the expectation, or None."""
+    expected = "a PNG in the model's folder or below it"
+    windows = PureWindowsPath(image.path)
+    if "\0" in image.path or PurePosixPath(image.path).is_absolute() or windows.anchor:
+        return "an absolute path", expected
+    if ".." in windows.parts:
+        return "leads out of the model's folder", expected
+    try:
+        path = (folder / image.path).resolve()
+        if not path.is_relative_to(folder):
+            return f"is a link to {path}", expected
+        if not path.is_file():
+            return "no such file", expected
+        if path.stat().st_size > _MOST_IMAGE_BYTES:
+            return format_mebibytes(path.stat().st_size), f"{format_mebibytes(_MOST_IMAGE_BYTES)}"
+        content = path.read_bytes()
+    except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
+        return f"cannot be read: {error}", expected
+    if not content.startswith(_PNG):
+        return "is not a PNG", expected
+    digest = hashlib.sha256(content).hexdigest()
+    if digest != image.sha256:
+        return f"sha256 {digest}", f"the declared {image.sha256}"
+    return None

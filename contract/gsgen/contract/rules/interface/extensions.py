@@ -181,8 +181,9 @@ def unit_agrees_with_scale(subject: InspectedModel) -> Iterator[Violation]:
         Write "unit": "arbitrary" beside a "metres_per_unit" other than 1.
     """
     manifest = subject.manifest
-    declares_space = isinstance(manifest, (GeneratorManifest, TrajectoryManifest))
-    space = manifest.space if declares_space else None
+    space = None
+    if isinstance(manifest, (GeneratorManifest, TrajectoryManifest)):
+        space = manifest.space
     if space is not None and space.unit == "metre" and space.metres_per_unit not in (None, 1.0):
         actual = f"unit metre with {space.metres_per_unit:g} metres_per_unit"
         yield Violation.at("manifest space", actual, "1, or unit arbitrary")

@@ -8,7 +8,7 @@ from math import prod
 from gsgen.contract.model.graph import static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.manifest import Input, TrajectoryManifest
-from gsgen.contract.spec.roles import CONVENTION_SHAPES, KINDS, ROLES, matches_shape
+from gsgen.contract.spec.roles import CONVENTION_SHAPES, JOINTS, KINDS, ROLES, matches_shape
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
@@ -163,6 +163,10 @@ def input_convention_known(subject: InspectedModel) -> Iterator[Violation]:
         elif shape is not None and not _holds(entry, shape):
             expected = "a shape that can hold it"
             yield Violation.at(_place(entry), f"{actual} for shape {list(shape)}", expected)
+        elif shape is not None and shape[0] not in JOINTS.get(entry.convention, shape[:1]):
+            joints = " or ".join(map(str, JOINTS[entry.convention]))
+            expected = f"{joints} joints; a skeleton of its own has no convention of SMPL"
+            yield Violation.at(_place(entry), f"{actual} for {shape[0]} joints", expected)
 
 
 def _holds(entry: Input, shape: tuple[int, ...]) -> bool:
@@ -206,6 +210,33 @@ def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
             yield Violation.at(_place(entry), "fps 0", "frames per second above 0")
     if isinstance(subject.manifest, TrajectoryManifest) and not subject.manifest.step_seconds:
         yield Violation.at("manifest step_seconds", "0 seconds", "a time above 0")
+
+
+@rule(
+    "GI025",
+    "frames-fit-range",
+    Severity.ERROR,
+    over="model",
+    fixture="more_frames_than_numbers",
+    needs=("GM004", "GI013"),
+)
+def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
+    """A frame index has at least as many numbers in its range as there are frames.
+
+    Why:
+        A runtime steps through the whole numbers of the range. Frames beyond them are never shown,
+        and the speed of frames / fps is wrong.
+
+    Hint:
+        Declare "range": [0, frames - 1] for a frame index; the range [0, 1] belongs to a time.
+    """
+    for entry in declared_inputs(subject):
+        if entry.role != "frame_index" or entry.range is None or entry.frames is None:
+            continue
+        numbers = int(entry.range[1] - entry.range[0]) + 1
+        if entry.frames > numbers:
+            actual = f"{entry.frames} frames in the range {list(entry.range)}"
+            yield Violation.at(_place(entry), actual, f"{numbers} distinct frames at most")
 
 
 @rule(

@@ -7,7 +7,7 @@ import numpy as np
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs
-from gsgen.contract.spec.roles import GENERATOR, KINDS, ROLES, matching_shape
+from gsgen.contract.spec.roles import GENERATOR, KINDS, POST_PROCESS, ROLES, matching_shape
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
@@ -158,12 +158,31 @@ def _feedable(tensor: Tensor, role: str, kind: str) -> Iterator[Violation]:
     if dims is None:
         if kind == GENERATOR:
             yield Violation.at(location, f"shape {_shape_text(tensor)}", "a static shape")
+        elif kind == POST_PROCESS and not _is_open_image(tensor, role):
+            shapes = " or ".join(f"[{', '.join(map(str, shape))}]" for shape in ROLES[role].shapes)
+            expected = f"{shapes}, channels first; only height and width may be open, not the batch"
+            yield Violation.at(location, f"shape {_shape_text(tensor)}", expected)
         return
     if matching_shape(ROLES[role], dims) is None:
         shapes = " or ".join(f"[{', '.join(map(str, shape))}]" for shape in ROLES[role].shapes)
         yield Violation.at(
             location, f"shape {_shape_text(tensor)}", f"{shapes}, as the role {role} has"
         )
+
+
+def _is_open_image(tensor: Tensor, role: str) -> bool:
+    """Return whether only the height and the width of an image are open."""
+    if tensor.dims is None:
+        return False
+    sizes = {"H", "W"}
+    return any(
+        len(shape) == len(tensor.dims)
+        and all(
+            expected in sizes or (isinstance(dim, int) and expected in (dim, str(expected)))
+            for expected, dim in zip(shape, tensor.dims, strict=True)
+        )
+        for shape in ROLES[role].shapes
+    )
 
 
 @rule(

@@ -38,7 +38,7 @@ def _fault(folder: Path, location: str, sha256: str) -> tuple[str, str] | None:
 @rule(
     "GM033",
     "vector-files-whole",
-    Severity.ERROR,
+    Severity.WARNING,
     over="model",
     fixture="vector_file_changed",
     kinds=KINDS,

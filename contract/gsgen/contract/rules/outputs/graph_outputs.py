@@ -20,17 +20,20 @@ from gsgen.contract.validation.rule import rule
     needs=("GG019",),
 )
 def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
-    """Every output is computed by an operator, and is not itself a weight.
+    """Every output but a constant count is made by an operator, and is not a weight itself.
 
     Why:
         Exporters and optimisers rename weights: the output's name is lost, and has been repaired by
-        string surgery before. Some runtimes cannot bind a buffer to it.
+        string surgery before. Some runtimes cannot bind a buffer to it. The count is one number,
+        which the contract asks to be a constant where it never changes.
 
     Hint:
         End the output on an operator, such as Mul by one; Identity may be removed again.
     """
+    count = subject.declared_count
     for tensor in subject.graph.outputs:
-        if tensor.name in subject.graph.initializers:
+        is_count = count is not None and tensor.name == count.name
+        if tensor.name in subject.graph.initializers and not is_count:
             yield Violation.at(f"output {tensor.name}", "a weight", "the result of an operator")
 
 

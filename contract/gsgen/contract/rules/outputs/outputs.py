@@ -117,14 +117,15 @@ def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO001", "GO003"),
 )
 def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
-    """The number of packed rows is a positive number in the graph, not a symbol.
+    """The sizes of the rows and of the appearance are positive numbers in the graph, not symbols.
 
     Why:
         Viewers allocate buffers from it before the first frame: a symbol becomes NaN bytes. Graph
         capture needs fixed shapes too.
 
     Hint:
-        Export with a fixed capacity, fill it with inert rows, and return the count in num_points.
+        Export with a fixed capacity (without dynamic_axes or dynamic_shapes), fill it with inert
+        rows, and return the count in num_points.
     """
     tensor = subject.gaussians
     first = _dim(tensor, 0)
@@ -132,6 +133,12 @@ def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
         yield Violation.at(
             f"output {tensor.name}", f"shape {tensor}", "a fixed, positive number of rows"
         )
+        return
+    names = [part.name for part in (tensor, subject.appearance) if part is not None]
+    for declared in subject.graph.declared_outputs:
+        if declared.name in names and not all(isinstance(d, int) for d in declared.dims or ()):
+            expected = "static sizes in place of symbols, although they can be inferred"
+            yield Violation.at(f"output {declared.name}", f"shape {declared}", expected)
 
 
 @rule(

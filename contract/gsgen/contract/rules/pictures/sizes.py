@@ -54,7 +54,7 @@ _MISTAKES: tuple[tuple[str, tuple[float, float], Callable[[Sigma], Sigma]], ...]
     Severity.WARNING,
     over="sample",
     fixture="scales_are_logarithms",
-    needs=VALID_ROWS,
+    needs=(*VALID_ROWS, "GV049"),
 )
 def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
     """Gaussians are neither far larger nor far smaller than the distance to their neighbours.

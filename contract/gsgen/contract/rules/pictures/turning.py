@@ -120,7 +120,7 @@ def _same_place(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Boo
     Severity.WARNING,
     over="runs",
     fixture="culls_what_lies_ahead",
-    needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002"),
+    needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002", "GV054"),
 )
 def forward_axis(behaviour: Behaviour) -> Iterator[Violation]:
     """A camera that looks at the scene draws more rows than one that looks away from it.

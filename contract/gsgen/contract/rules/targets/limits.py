@@ -48,7 +48,7 @@ def _larger(subject: InspectedModel, limit: int) -> Iterator[Violation]:
 @rule(
     "GL001",
     "fits-binding",
-    Severity.WARNING,
+    Severity.ERROR,
     over="model",
     fixture="large_binding",
     kinds=KINDS,
@@ -73,7 +73,7 @@ def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
 @rule(
     "GL002",
     "fits-buffer",
-    Severity.WARNING,
+    Severity.ERROR,
     over="model",
     fixture="large_buffer",
     kinds=KINDS,

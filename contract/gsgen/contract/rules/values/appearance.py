@@ -44,7 +44,7 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
     rgb = color[:, :3].astype(np.float32)
     in_range = ((rgb >= -_COLOR_SLACK) & (rgb <= 1 + _COLOR_SLACK)).all(axis=1)
     guessed = rows.emission.subject.candidate is not None
-    invalid = rows.drawn & ~in_range & (not rows.emission.zeros)
+    invalid = rows.drawn & ~in_range
     expected = "0 <= rgb <= 1"
     if invalid.any():
         expected += f"; {diagnose_rgb(rgb[rows.drawn])}"

@@ -6,6 +6,7 @@ import numpy as np
 
 from gsgen.contract._array_types import Bool
 from gsgen.contract.probing.outputs import Rows
+from gsgen.contract.rules.values.range_diagnosis import diagnose_variances
 from gsgen.contract.spec.geometry import smallest_eigenvalue
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation
@@ -37,14 +38,19 @@ def variance_not_negative(rows: Rows) -> Iterator[Violation]:
         A negative variance has no axes: the projected ellipse is NaN or covers the screen.
 
     Hint:
-        Build the covariance as R S Sᵀ Rᵀ, and check the order of the six entries: xx xy xz yy yz zz.
+        Build the covariance as R S Sᵀ Rᵀ of standard deviations (exp of log scales), and check the
+        order of the six entries: xx xy xz yy yz zz.
     """
     lowest = rows.covariance[[0, 3, 5]].min(axis=0)
+    invalid = rows.drawn & ~(lowest >= 0)
+    expected = "xx, yy, zz >= 0"
+    if invalid.any():
+        expected += diagnose_variances(rows.covariance[[0, 3, 5]][:, rows.drawn].T)
     yield Violation.rows(
         Location(rows.emission.rows_place, "covariance"),
-        rows.drawn & ~(lowest >= 0),
+        invalid,
         lowest,
-        "xx, yy, zz >= 0",
+        expected,
         checked=rows.drawn_count,
         magnitude=-lowest,
     )
@@ -119,8 +125,6 @@ def covariance_not_zero(rows: Rows) -> Iterator[Violation]:
     Hint:
         Normalise rotations safely; scale the scene up before float16.
     """
-    if rows.emission.zeros:
-        return  # a frame of zeroed matrices only has to be finite
     yield Violation.rows(
         Location(rows.emission.rows_place, "covariance"),
         rows.drawn & (rows.trace == 0) & (rows.covariance == 0).all(axis=0),

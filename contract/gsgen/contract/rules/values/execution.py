@@ -78,7 +78,7 @@ def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
     Severity.ERROR,
     over="execution",
     fixture="nothing_live",
-    needs=("GV025", "GO004", "GO010", "GO011"),
+    needs=("GV025", "GO004", "GO010", "GO011", "GV054"),
 )
 def something_is_drawn(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """The row count is above 0 at some probe.

@@ -93,27 +93,29 @@ def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
     needs=ORDERED_ROWS,
 )
 def position_resolution(rows: Rows) -> Iterator[Violation]:
-    """The spacing of float16 numbers at a Gaussian's position does not exceed the Gaussian's size.
+    """The step between numbers at a Gaussian's position does not exceed the Gaussian's size.
 
     Why:
-        Float16 has steps of 0.0078 at 8 and of 0.5 at 512. Where a step is larger than a Gaussian's
+        Float16 has steps of 0.0078 at 8 and of 0.5 at 512, float32 of 0.5 at 5,000,000, where UTM
+        coordinates lie. Where a step is larger than a Gaussian's
         largest standard deviation, surfaces break into a grid, and motion jumps.
 
     Hint:
-        Centre the scene, emit float32, or split it into tiles with origins of their own.
+        Centre the scene, emit float32 for float16, or split it into tiles with origins of their own.
     """
-    if rows.packed.dtype != np.float16:
-        return
-    bound = np.square(
-        np.abs(rows.corners).max(initial=0) * _EPSILON
-    )  # with NaN, all rows are checked
+    if rows.emission.zeros:
+        return  # a frame of zeroed inputs only has to be finite
+    is_half = rows.packed.dtype == np.float16
+    epsilon = _EPSILON if is_half else np.finfo(np.float32).eps
+    # With NaN, all rows are checked.
+    bound = np.square(np.abs(rows.corners).max(initial=0) * epsilon)
     farthest, coarse = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
     small = np.flatnonzero(rows.drawn & (rows.widest > 0) & ~(rows.widest >= bound))
     if len(small):
         far = np.abs(rows.position[:, small]).max(axis=0)
         power = np.floor(np.log2(np.maximum(far, _SMALLEST_NORMAL)))
-        beyond = np.square(np.exp2(power) * _EPSILON) > rows.widest[small]
-        coarse[small] = beyond & (far < FLOAT16_MAX)
+        beyond = np.square(np.exp2(power) * epsilon) > rows.widest[small]
+        coarse[small] = beyond & ((far < FLOAT16_MAX) | (not is_half))
         farthest[small] = far
     yield Violation.rows(
         Location(rows.emission.rows_place, "position"),
@@ -165,7 +167,7 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     Severity.ERROR,
     over="rows",
     fixture="outside_bounds",
-    needs=(*ORDERED_ROWS, "GM009", "GM019"),
+    needs=(*ORDERED_ROWS, "GM009", "GM019", "GV059"),
 )
 def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     """The declared bounds contain the centres of 99.9 % of the drawn rows, at every probe.
@@ -179,7 +181,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
         them.
     """
     generator = rows.emission.subject.generator
-    if generator is None or generator.bounds is None or rows.emission.zeros:
+    if generator is None or generator.bounds is None:
         return
     low, high = np.asarray([generator.bounds.min, generator.bounds.max], np.float64)
     slack = _OUTSIDE_SLACK * float(np.linalg.norm(high - low))

@@ -1,6 +1,6 @@
 """Diagnoses the usual mistake behind opacities or colours outside [0, 1]."""
 
-__all__ = ["diagnose_opacity", "diagnose_rgb"]
+__all__ = ["diagnose_opacity", "diagnose_rgb", "diagnose_variances"]
 
 import numpy as np
 
@@ -11,6 +11,10 @@ _NEARLY_ALL = 0.995
 _SLACK = 1e-3
 _BYTE = 255.0
 _PERCENT = 100.0
+# Natural logarithms of scales, or of their squares, that scenes have.
+_LOWEST_LOG, _HIGHEST_LOG = -40.0, 8.0
+# Logarithms of lengths below one unit are negative, as are nearly all of a scene.
+_MOSTLY = 0.9
 # Fewer values than this fit any mistake by chance.
 _FEWEST = 8
 
@@ -50,6 +54,22 @@ def diagnose_rgb(values: Float[np.ndarray, "n 3"]) -> str:
         "values on both sides suggest SH coefficients (0.5 + 0.28209479 · f_dc) "
         "or logits (apply the sigmoid activation)"
     )
+
+
+def diagnose_variances(values: Float[np.ndarray, "n 3"]) -> str:
+    """Return the likely cause of negative variances, to be appended; empty if unclear.
+
+    Args:
+        values: Finite xx, yy, zz of drawn rows, [n, 3].
+    """
+    if len(values) < _FEWEST:
+        return ""
+    most_negative = bool(np.mean(values < 0) > _MOSTLY)
+    if most_negative and values.min() >= _LOWEST_LOG and values.max() <= _HIGHEST_LOG:
+        return "; these look like logarithms of scales: apply exp, then square"
+    if most_negative:
+        return "; nearly all are negative: the sign was turned"
+    return ""
 
 
 def _extent(values: Float[np.ndarray, "..."]) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.model.graph import static_dims
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.rules.values.range_diagnosis import diagnose_opacity
-from gsgen.contract.spec.layout import CULL_OPACITY, MOSTLY_INVISIBLE
+from gsgen.contract.spec.layout import CULL_OPACITY, MOSTLY_INVISIBLE, OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_MAX
 from gsgen.contract.validation.finding import Location, Violation
@@ -31,8 +31,11 @@ def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iter
     if not checked:
         return
     packed = ~np.isfinite(rows.wide).all(axis=0) & among
+    expected = "finite values"
+    if rows.packed.dtype == np.float16 and np.isinf(rows.wide[:, packed]).any():
+        expected += f"; float16 overflows to infinity beyond {FLOAT16_MAX:g}: use float32 or metres"
     yield Violation.rows(
-        Location(rows.emission.rows_place), packed, rows.packed, "finite values", checked=checked
+        Location(rows.emission.rows_place), packed, rows.packed, expected, checked=checked
     )
     color = rows.color
     if color is None or not color.size:
@@ -56,11 +59,10 @@ def rows_finite(rows: Rows) -> Iterator[Violation]:
         with a depth that sorts on top of everything.
 
     Hint:
-        Find the division, logarithm or norm that sees zero, and clamp before it. The row and the
-        probe are given.
+        Find the division, logarithm or norm that sees zero, and clamp before it; where float16
+        overflows, scale the scene or emit float32. The row and the probe are given.
     """
-    if not rows.emission.zeros:
-        yield from _not_finite(rows, rows.counted, rows.live_rows)
+    yield from _not_finite(rows, rows.counted, rows.live_rows)
 
 
 @rule(
@@ -75,8 +77,7 @@ def padding_finite(rows: Rows) -> Iterator[Violation]:
     Hint:
         Pad with constants, not with arithmetic on live rows: x − x is NaN where x is infinite.
     """
-    if not rows.emission.zeros:
-        yield from _not_finite(rows, ~rows.counted, len(rows) - rows.live_rows)
+    yield from _not_finite(rows, ~rows.counted, len(rows) - rows.live_rows)
 
 
 @rule(
@@ -120,7 +121,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="all_transparent",
-    needs=ORDERED_ROWS,
+    needs=(*ORDERED_ROWS, "GV054"),
 )
 def mostly_visible(rows: Rows) -> Iterator[Violation]:
     """Most live rows are opaque enough to change a pixel.
@@ -130,7 +131,8 @@ def mostly_visible(rows: Rows) -> Iterator[Violation]:
         If nearly all are, the activation is probably missing or applied twice.
 
     Hint:
-        Check the opacity activation; prune dead Gaussians before export.
+        Check the opacity activation; prune dead Gaussians before export. If the model culls, check
+        that +z is forward, and the matrix order.
     """
     dead = rows.counted & rows.finite & (rows.opacity < CULL_OPACITY)
     yield Violation.rows(
@@ -220,13 +222,31 @@ def padding_inert(rows: Rows) -> Iterator[Violation]:
         Some viewers ignore the count and draw all rows: a visible row there is seen.
 
     Hint:
-        Fill rows behind the count with zeros; the SDK pads so.
+        Move the live rows to the front, in both outputs, and fill rows behind the count with zeros;
+        the SDK pads so.
     """
+    visible_padding = ~rows.counted & np.isfinite(rows.opacity) & (rows.opacity != 0)
+    expected = "opacity 0 in rows behind the count"
+    if visible_padding.any():
+        expected += _diagnose_padding(rows.emission)
     yield Violation.rows(
         Location(rows.emission.rows_place, "opacity"),
-        ~rows.counted & np.isfinite(rows.opacity) & (rows.opacity != 0),
+        visible_padding,
         rows.opacity,
-        "opacity 0 in rows behind the count",
+        expected,
         checked=len(rows) - rows.live_rows,
         magnitude=rows.opacity,
     )
+
+
+def _diagnose_padding(emission: ModelOutputs) -> str:
+    """Return why rows behind the count are visible, to be appended; empty if unclear."""
+    if emission.gaussians is None:
+        return ""
+    visible = emission.gaussians[:, OPACITY] != 0
+    if not visible[: emission.count].all():
+        return (
+            f"; of the {emission.count} rows before it {np.count_nonzero(visible[: emission.count])}"
+            " are visible: live rows do not stand first, sort them to the front"
+        )
+    return ""

@@ -17,7 +17,7 @@ that is thicker than opaque hides what it would add, and growing Σ* until it fi
 κ and f are this project's. A cell that is filled evenly has a standard deviation of h/√12, and
 Gaussians of that size at distance h leave gaps, through which one looks into a surface. κ = 2
 fills them where they come from, between the members; f = 1.1 does the rest. Both conserve mass.
-``tests/bench/bench_tiles.py`` measures the gain.
+``tests/bench/tiles/bench_tiles.py`` measures the gain.
 """
 
 __all__ = ["MAX_OPACITY", "SPREAD", "WIDEN", "ellipsoids", "merge_clusters"]

@@ -1,6 +1,6 @@
 """Tilesets: how good levels are for their splats and bytes, and what a build costs.
 
-    python -m pytest tests/bench/bench_tiles.py -o python_files='bench_*.py' \
+    python -m pytest tests/bench/tiles/bench_tiles.py -o python_files='bench_*.py' \
         -o python_functions='bench_*' -s -q
 
 Levels are drawn and compared with the whole scene by SSIM, from near, middle and far. Beside the
@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.pages import DOCS, blocks
 
 from gsgen.formats import Splats, write_ply
 from gsgen.runtime.renderer.renderer import Renderer
@@ -36,6 +35,7 @@ from gsgen.tiles.build.progress import Silent
 from gsgen.tiles.build.tile import mixture_of, splats_of
 from gsgen.tiles.gltf.encoding import write_content
 from gsgen.tiles.leaves import read_leaves
+from support.reports.pages import DOCS, blocks
 from support.tiles.level_scenes import (
     SHARED,
     Judge,

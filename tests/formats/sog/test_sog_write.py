@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.cluster.vq import kmeans2
 
-from formats.test_sog import naive_read
+from formats.sog.test_sog import naive_read
 from gsgen.formats import NotSupported, Splats, open_splats, read_ply, read_sog, write_sog
 from gsgen.formats.shared.morton import grid_order
 from gsgen.formats.sog.codebook import codes, make_codebook

@@ -1,0 +1,142 @@
+"""GB rules of the root: a translation is added, and a rotation turns the body as the text says."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.probing.run_comparison import Behaviour
+from gsgen.contract.spec.geometry import rotation_matrix
+from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import REPRODUCIBLE
+from gsgen.contract.validation.rule import rule
+
+_FEWEST = 4
+# All rows move alike if they differ by less than this fraction, and as told within the second.
+_ALIKE = 5e-3
+_AGREES = 0.02
+# Distances of rotations, as the Frobenius norm of their difference.
+_SAME_TURN, _OTHER_TURN = 0.02, 0.2
+
+_Pair = tuple[Probe, Probe, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
+
+
+def _pairs(behaviour: Behaviour, role: str) -> Iterator[_Pair]:
+    """Yield two probes that differ in one role, and the centres of rows that both draw."""
+    declared = behaviour.subject.declared_gaussians
+    runs = behaviour.variants(role)
+    if declared is None or len(behaviour.subject.inputs_of(role)) != 1 or len(runs) < 2:
+        return
+    base, first = runs[0][0], np.asarray(runs[0][1][declared.name], np.float64)
+    for probe, outputs in runs[1:]:
+        second = np.asarray(outputs[declared.name], np.float64)
+        if first.shape != second.shape:
+            continue
+        drawn = (first[:, OPACITY] >= CULL_OPACITY) & (second[:, OPACITY] >= CULL_OPACITY)
+        drawn &= np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
+        if np.count_nonzero(drawn) >= _FEWEST:
+            yield base, probe, first[drawn, POSITION], second[drawn, POSITION]
+
+
+@rule(
+    "GB041",
+    "root-translation-added",
+    Severity.ERROR,
+    over="runs",
+    fixture="root_in_centimetres",
+    needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016"),
+)
+def root_translation_added(behaviour: Behaviour) -> Iterator[Violation]:
+    """A root translation that moves all rows alike moves them by itself, in local units.
+
+    Why:
+        It is added to the body after posing and rotating. A model that adds it before the rotation
+        walks in another direction than it looks; one in centimetres hardly moves.
+
+    Hint:
+        Add the translation to the centres last, in the unit of the positions.
+    """
+    for base, probe, first, second in _pairs(behaviour, "root_translation"):
+        name = behaviour.subject.inputs_of("root_translation")[0][0].name
+        told = (probe.inputs[name] - base.inputs[name]).astype(np.float64)
+        moves = second - first
+        moved, length = moves.mean(axis=0), float(np.linalg.norm(told))
+        alike = np.abs(moves - moved).max() <= _ALIKE * max(length, float(np.abs(moved).max()))
+        if alike and length > 0 and np.linalg.norm(moved - told) > _AGREES * length:
+            factor = float(np.linalg.norm(moved)) / length
+            actual = f"a translation by {_vector(told)} moves all rows by {_vector(moved)}"
+            cause = (
+                "the translation is rotated, so it is added before the rotation"
+                if abs(factor - 1) <= _AGREES
+                else f"a factor of {factor:.3g}: another unit"
+            )
+            expected = f"the translation itself, added last; {cause}"
+            yield Violation.at(f"input {name}", actual, expected)
+            return
+
+
+def _vector(vector: Float[np.ndarray, "3"]) -> str:
+    return f"({', '.join(f'{value:.3g}' for value in vector)})"
+
+
+@rule(
+    "GB042",
+    "root-rotation-as-stored",
+    Severity.ERROR,
+    over="runs",
+    fixture="root_turns_backwards",
+    needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016", "GI015"),
+)
+def root_rotation_as_stored(behaviour: Behaviour) -> Iterator[Violation]:
+    """A root rotation that turns the body rigidly turns it forwards: M maps p to M p.
+
+    Why:
+        A matrix that is multiplied from the wrong side, or read in the other memory order, is its
+        inverse: the body turns the other way, and is right at rest alone.
+
+    Hint:
+        Multiply rows from the right by Mᵀ (p Mᵀ), as the tensor holds M row by row.
+    """
+    for base, probe, first, second in _pairs(behaviour, "root_rotation"):
+        name = behaviour.subject.inputs_of("root_rotation")[0][0].name
+        old, new = (_rotation(entry.inputs[name]) for entry in (base, probe))
+        turn = _fitted_rotation(first, second)
+        if old is None or new is None or turn is None:
+            continue
+        forwards, backwards = new @ old.T, new.T @ old
+        if (
+            np.linalg.norm(turn - backwards) <= _SAME_TURN
+            and np.linalg.norm(turn - forwards) >= _OTHER_TURN
+        ):
+            actual = "the body turns backwards, by the inverse rotation: the matrix is transposed"
+            yield Violation.at(f"input {name}", actual, "M p for each centre p")
+            return
+
+
+def _rotation(value: np.ndarray) -> Float[np.ndarray, "3 3"] | None:
+    if value.shape == (3, 3):
+        return np.asarray(value, np.float64)
+    if value.shape != (3,):
+        return None
+    vector = np.asarray(value, np.float64)
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle if angle else vector
+    quaternion = np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])
+    return np.asarray(rotation_matrix(quaternion[None])[0])
+
+
+def _fitted_rotation(
+    first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "3 3"] | None:
+    """Return the rotation between two clouds (Kabsch 1976); None unless it maps all points."""
+    a, b = first - first.mean(axis=0), second - second.mean(axis=0)
+    left, sizes, right = np.linalg.svd(a.T @ b)
+    if sizes[1] <= np.finfo(np.float32).eps * sizes[0]:
+        return None  # the points lie on a line
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    turn = (left @ flip @ right).T
+    rigid = np.abs(a @ turn.T - b).max() <= _ALIKE * np.abs(b).max()
+    return np.asarray(turn) if rigid else None

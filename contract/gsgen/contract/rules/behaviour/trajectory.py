@@ -1,0 +1,254 @@
+"""GV and GB rules of trajectory predictors: valid states, and the symmetries of motion."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gsgen.contract.probing.behaviour_probes import PATH_OFFSET
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
+from gsgen.contract.spec.manifest import TrajectoryManifest
+from gsgen.contract.spec.roles import STATE_SIZES, TRAJECTORY
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import MODEL_RUNS, REPRODUCIBLE
+from gsgen.contract.validation.rule import rule
+
+_POSITION = slice(0, 3)
+_ROTATION = slice(3, None)
+# The largest difference of a quaternion's length from 1.
+_UNIT_SLACK = 1e-3
+# The largest drift of a predicted state, relative to the size of the coordinates.
+_DRIFT = 2e-3
+
+
+@rule(
+    "GV060",
+    "prediction-finite",
+    Severity.ERROR,
+    over="execution",
+    fixture="path_divides_by_speed",
+    needs=(MODEL_RUNS, "GO019"),
+    kinds=(TRAJECTORY,),
+)
+def prediction_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
+    """Every predicted state and every uncertainty is finite, also for a camera at rest.
+
+    Why:
+        A prefetcher turns states into frustums. NaN makes every comparison false: it fetches
+        nothing or everything, and says neither.
+
+    Hint:
+        A division by a speed, a length or a difference sees zero: add a small number to it.
+    """
+    for name, value, label in _values(probe_runs):
+        if not np.isfinite(value).all():
+            row = int(np.flatnonzero(~np.isfinite(value).all(axis=1))[0])
+            actual = f"row {row} is {value[row].tolist()!r:.80} at probe {label!r}"
+            yield Violation.at(f"output {name}", actual, "finite numbers")
+
+
+@rule(
+    "GV061",
+    "uncertainty-positive",
+    Severity.ERROR,
+    over="execution",
+    fixture="log_variance_as_deviation",
+    needs=(MODEL_RUNS, "GO019", "GV060"),
+    kinds=(TRAJECTORY,),
+)
+def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
+    """Every standard deviation, or every variance on the diagonal, is above 0.
+
+    Why:
+        A prefetcher spreads sigma points by it. Zero claims certainty, which no camera path
+        allows, and a negative number is usually the logarithm of a variance.
+
+    Hint:
+        Return exp(log_variance / 2) or a softplus, plus a small floor.
+    """
+    manifest = probe_runs.subject.manifest
+    assert isinstance(manifest, TrajectoryManifest)
+    doubt = manifest.outputs.uncertainty
+    for name, value, label in _values(probe_runs):
+        if name != doubt.name:
+            continue
+        if doubt.semantics == "covariance-upper":
+            size = STATE_SIZES[manifest.outputs.future.representation]
+            rows = np.arange(size)
+            value = value[:, rows * size - rows * (rows - 1) // 2]
+        if not (value > 0).all():
+            actual = f"{float(value.min()):.4g} at probe {label!r}"
+            yield Violation.at(f"output {name}", actual, "numbers above 0")
+
+
+@rule(
+    "GV062",
+    "predicted-quaternions-unit",
+    Severity.ERROR,
+    over="execution",
+    fixture="quaternions_not_normalised",
+    needs=(MODEL_RUNS, "GO019", "GV060"),
+    kinds=(TRAJECTORY,),
+)
+def predicted_quaternions_unit(probe_runs: ProbeRuns) -> Iterator[Violation]:
+    """Predicted quaternions have length 1.
+
+    Why:
+        A reader that does not normalise them scales its frustum with the length; lengths far
+        from 1 show that the model interpolates numbers in place of rotations.
+
+    Hint:
+        Divide by the length at the end of the model; add a small number to it for zeros.
+    """
+    manifest = probe_runs.subject.manifest
+    assert isinstance(manifest, TrajectoryManifest)
+    if manifest.outputs.future.representation != "position+quaternion-wxyz":
+        return
+    for name, value, label in _values(probe_runs, with_zeros=False):
+        if name != manifest.outputs.future.name:
+            continue
+        length = np.linalg.norm(value[:, _ROTATION].astype(np.float64), axis=1)
+        if not (np.abs(length - 1) <= _UNIT_SLACK).all():
+            row = int(np.abs(length - 1).argmax())
+            actual = f"length {length[row]:.4g} in row {row} at probe {label!r}"
+            yield Violation.at(f"output {name}", actual, f"1 ± {_UNIT_SLACK:g}")
+
+
+def _values(
+    probe_runs: ProbeRuns, *, with_zeros: bool = True
+) -> Iterator[tuple[str, np.ndarray, str]]:
+    """Yield name, value and probe of both outputs at the probes of value rules."""
+    manifest = probe_runs.subject.manifest
+    if not isinstance(manifest, TrajectoryManifest):
+        return
+    names = (manifest.outputs.future.name, manifest.outputs.uncertainty.name)
+    for run, probe in zip(
+        probe_runs.execution.runs[: probe_runs.plan.values], probe_runs.plan.probes, strict=False
+    ):
+        outputs = probe_runs.execution.samples[run.sample].outputs if run.sample >= 0 else {}
+        for name in names:
+            value = outputs.get(name)
+            if value is not None and value.ndim == 2 and (with_zeros or not probe.zeros):
+                yield name, value, probe.label
+
+
+@rule(
+    "GB050",
+    "prediction-moves-along",
+    Severity.ERROR,
+    over="runs",
+    fixture="path_pulled_to_the_origin",
+    needs=(*REPRODUCIBLE, "GO019", "GV060"),
+    kinds=(TRAJECTORY,),
+)
+def prediction_moves_along(behaviour: Behaviour) -> Iterator[Violation]:
+    """Moving all past cameras by an offset moves all predicted ones by the same.
+
+    Why:
+        A world has no special place. A model that learned where people stood in one scene
+        predicts that place in every other one.
+
+    Hint:
+        Subtract the last position from the history inside the model, and add it to the result.
+    """
+    runs = behaviour.visits("paths")
+    if len(runs) < 2:
+        return
+    expected = _future(behaviour, runs[0])
+    actual = _future(behaviour, runs[1])
+    if expected is None or actual is None:
+        return
+    expected = expected.copy()
+    expected[:, _POSITION] += PATH_OFFSET
+    yield from _compare(behaviour, actual, expected, f"a history moved by {list(PATH_OFFSET)}")
+
+
+@rule(
+    "GB051",
+    "rest-stays-at-rest",
+    Severity.ERROR,
+    over="runs",
+    fixture="path_that_drifts",
+    needs=(*REPRODUCIBLE, "GO019", "GV060"),
+    kinds=(TRAJECTORY,),
+)
+def rest_stays_at_rest(behaviour: Behaviour) -> Iterator[Violation]:
+    """A camera that has not moved is predicted to stay.
+
+    Why:
+        Most of the time viewers look around or stand still. A drift fetches tiles that are
+        never seen, over and over.
+
+    Hint:
+        Predict from differences of states, without a bias in the last layer.
+    """
+    runs = behaviour.visits("paths")
+    manifest = behaviour.subject.manifest
+    if len(runs) < 3 or not isinstance(manifest, TrajectoryManifest):
+        return
+    name = next(entry.name for entry in manifest.inputs if entry.role == "camera_history")
+    actual = _future(behaviour, runs[2])
+    if actual is not None:
+        state = runs[2].probe.inputs[name][-1].astype(np.float64)
+        yield from _compare(behaviour, actual, np.tile(state, (len(actual), 1)), "a camera at rest")
+
+
+@rule(
+    "GB052",
+    "quaternion-sign-ignored",
+    Severity.ERROR,
+    over="runs",
+    fixture="path_by_the_sign_of_quaternions",
+    needs=(*REPRODUCIBLE, "GO019", "GV060"),
+    kinds=(TRAJECTORY,),
+)
+def quaternion_sign_ignored(behaviour: Behaviour) -> Iterator[Violation]:
+    """Quaternions q and −q in the history give the same prediction.
+
+    Why:
+        Both are the same rotation, and trackers, engines and files give either. A model that
+        tells them apart predicts another path after a change of sign that means nothing.
+
+    Hint:
+        Multiply the history by the sign of its last w, or predict from relative rotations.
+    """
+    runs = behaviour.visits("paths")
+    if len(runs) < 4:
+        return
+    expected, actual = (_future(behaviour, runs[index]) for index in (0, 3))
+    if expected is not None and actual is not None:
+        yield from _compare(behaviour, actual, expected, "a history with quaternions negated")
+
+
+def _future(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:
+    """Return the predicted states of a run in float64; None if they are not finite numbers."""
+    manifest = behaviour.subject.manifest
+    assert isinstance(manifest, TrajectoryManifest)
+    value = run.outputs.get(manifest.outputs.future.name)
+    if value is None or value.ndim != 2 or not np.isfinite(value).all():
+        return None
+    return value.astype(np.float64)
+
+
+def _compare(
+    behaviour: Behaviour, actual: np.ndarray, expected: np.ndarray, situation: str
+) -> Iterator[Violation]:
+    """Yield a violation where states differ by more than rounding; q and −q are equal."""
+    manifest = behaviour.subject.manifest
+    assert isinstance(manifest, TrajectoryManifest)
+    future = manifest.outputs.future
+    if actual.shape != expected.shape:
+        return
+    if future.representation == "position+quaternion-wxyz":
+        products = (actual[:, _ROTATION] * expected[:, _ROTATION]).sum(axis=1)
+        actual = actual.copy()
+        actual[products < 0, _ROTATION] *= -1
+    scale = max(1.0, float(np.abs(expected).max(initial=0)))
+    difference = np.abs(actual - expected)
+    if not (difference <= _DRIFT * scale).all():
+        row, column = np.unravel_index(int(difference.argmax()), difference.shape)
+        yield Violation.at(
+            f"output {future.name}",
+            f"row {row} is off by {difference[row, column]:.4g} in column {column} for {situation}",
+            f"a difference of {_DRIFT * scale:.2g} at most",
+        )

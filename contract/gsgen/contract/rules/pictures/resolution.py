@@ -1,0 +1,104 @@
+"""Rules of resolution (GV, GI): positions on a coarse lattice, and ranges that float32 cannot divide."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.drawn_sample import DrawnSample
+from gsgen.contract.spec.layout import POSITION
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import DECLARED, VALID_ROWS
+from gsgen.contract.validation.rule import rule
+
+# Positions lie on a lattice if their differences are multiples of the smallest one, within this
+# fraction of it, and it is this many steps of float32 long: shorter ones are steps of float32.
+_MULTIPLE, _STEPS = 0.02, 64
+_AXES = 2
+# A lattice shows if its step exceeds the thinnest axis, and this fraction of the middle one. In
+# files that quantise positions, the fraction is below 0.05.
+_SHOWS = 0.1
+# Gaussians on purpose on a grid, such as voxels, are not turned.
+_TURNED = 0.5
+
+# A range is divided too coarsely if float32 has fewer numbers in it than this.
+_FEWEST_NUMBERS = 64
+
+
+@rule(
+    "GV049",
+    "positions-not-on-lattice",
+    Severity.WARNING,
+    over="sample",
+    fixture="positions_in_bfloat16",
+    needs=(*VALID_ROWS, "GV009"),
+)
+def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
+    """Positions of turned Gaussians do not lie on a lattice coarser than the Gaussians are thin.
+
+    Why:
+        Positions that were trained or stored in bfloat16, cast to integers or quantised to few bits
+        lie on a lattice: surfaces become stairs, and thin Gaussians stand beside each other.
+
+    Hint:
+        Keep positions in float32 from the checkpoint to the file; quantise them with more bits. If
+        the lattice is meant, ignore this rule.
+    """
+    position = sample.rows[:, POSITION]
+    steps = [step for axis in range(3) if (step := _lattice_step(position[:, axis])) > 0]
+    turned = float((sample.rows[:, [5, 6, 8]] != 0).any(axis=1).mean())
+    if len(steps) < _AXES or turned < _TURNED:
+        return
+    step, thin, middle = min(steps), *(float(np.median(sample.sigma[:, i])) for i in (0, 1))
+    if step > thin and step > _SHOWS * middle:
+        actual = (
+            f"positions are multiples of {step:.4g} along {len(steps)} axes, {step / thin:.3g} times "
+            "the smallest standard deviation, as bfloat16, integers or a coarse grid leave them"
+        )
+        expected = "a precision finer than the smallest standard deviation"
+        location = Location(sample.emission.rows_place, "position")
+        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+
+
+def _lattice_step(values: Float[np.ndarray, " n"]) -> float:
+    """Return the step of the lattice that all values lie on; 0 if they lie on none."""
+    distinct = np.unique(values)
+    if len(distinct) < _AXES + 1:
+        return 0.0
+    step = float(np.diff(distinct).min())
+    if step < _STEPS * np.spacing(np.float32(np.abs(distinct).max())):
+        return 0.0
+    multiples = (distinct - distinct[0]) / step
+    return step if np.abs(multiples - np.rint(multiples)).max() < _MULTIPLE else 0.0
+
+
+@rule(
+    "GI045",
+    "range-resolved",
+    Severity.WARNING,
+    over="model",
+    fixture="seconds_since_1970",
+    needs=DECLARED,
+)
+def range_resolved(subject: InspectedModel) -> Iterator[Violation]:
+    """float32 has enough numbers within the declared range of a float32 input.
+
+    Why:
+        Float32 has steps of 128 at 1.7 billion, the seconds since 1970. A range of ten seconds
+        there holds one number: time stands still.
+
+    Hint:
+        Count from the start of the recording, and let the range begin at 0.
+    """
+    for entry in subject.manifest.inputs if subject.manifest else ():
+        tensor = subject.graph.input(entry.name)
+        if entry.range is None or tensor is None or tensor.dtype != "float32":
+            continue
+        low, high = entry.range
+        step = float(np.spacing(np.float32(max(abs(low), abs(high)))))
+        if 0 < high - low < _FEWEST_NUMBERS * step:
+            actual = f"float32 has steps of {step:g} in the range {low:g} to {high:g}"
+            expected = f"{_FEWEST_NUMBERS} steps or more within the range"
+            yield Violation.at(f"input {entry.name}", actual, expected, certainty="possible")

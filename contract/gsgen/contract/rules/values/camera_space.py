@@ -1,0 +1,184 @@
+"""GV rules of camera conventions: rows lie in local space, and the camera looks along +z."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gsgen.contract.probing.probes import as_tensor
+from gsgen.contract.probing.run_comparison import ProbeRuns
+from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
+from gsgen.contract.spec.roles import CAMERA_ROLES
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM
+from gsgen.contract.validation.rule import rule
+
+_FEWEST = 4
+# Positions follow the camera if they move by more than the first fraction of their spread, and by
+# less than the second once the camera is undone.
+_MOVES = 0.05
+_RESTS = 2e-3
+# Culling is backwards if this fraction of the rows that are drawn behind the camera, or less, is
+# drawn in front of it.
+_FEW = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Seen:
+    """The drawn rows of one camera.
+
+    Attributes:
+        view: The matrix from local to camera space.
+        projection: The matrix from camera to clip space; None without that input.
+        position: Centres of all rows.
+        drawn: Mask of the rows that are drawn.
+    """
+
+    view: Float[np.ndarray, "4 4"]
+    projection: Float[np.ndarray, "4 4"] | None
+    position: Float[np.ndarray, "n 3"]
+    drawn: Bool[np.ndarray, " n"]
+
+
+def _seen(probe_runs: ProbeRuns, index: int) -> _Seen | None:
+    subject, probe = probe_runs.subject, probe_runs.plan.probes[index]
+    run = probe_runs.execution.runs[index] if index < len(probe_runs.execution.runs) else None
+    declared, count = subject.declared_gaussians, subject.declared_count
+    views, lenses = subject.inputs_of("view"), subject.inputs_of("projection")
+    if run is None or run.sample < 0 or declared is None or count is None or not views:
+        return None
+    outputs = probe_runs.execution.samples[run.sample].outputs
+    rows, live = outputs.get(declared.name), outputs.get(count.name)
+    if rows is None or rows.ndim != 2 or rows.shape[1] != ROW or live is None or not live.size:
+        return None
+    space = subject.generator.space if subject.generator else None
+    order = space.matrix_order if space else "column"
+
+    def matrix(name: str) -> Float[np.ndarray, "4 4"]:
+        return as_tensor(probe.inputs[name], order).astype(np.float64)
+
+    lens = matrix(lenses[0][0].name) if lenses else None
+    drawn = np.asarray(rows[:, OPACITY] >= CULL_OPACITY)
+    live_share = max(0, int(live.reshape(-1)[0])) / max(declared.capacity, 1)
+    drawn[math.ceil(live_share * len(rows)) :] = False  # of many rows, a part was kept
+    return _Seen(
+        view=matrix(views[0][0].name),
+        projection=lens,
+        position=rows[:, POSITION].astype(np.float64),
+        drawn=drawn,
+    )
+
+
+def _isolated_views(probe_runs: ProbeRuns) -> list[_Seen]:
+    """Return runs that differ in the camera alone."""
+    plan = probe_runs.plan
+    base, variants = plan.variants.get("view", (0, ()))
+    indices = [base, *variants] if variants else []
+    manifest = probe_runs.subject.manifest
+    roles = {entry.role for entry in manifest.inputs} if manifest else set()
+    if not indices and roles <= set(CAMERA_ROLES):
+        indices = [index for index in range(plan.values) if not plan.probes[index].zeros]
+    seen = (_seen(probe_runs, index) for index in indices)
+    return [entry for entry in seen if entry is not None]
+
+
+@rule(
+    "GV059",
+    "rows-in-local-space",
+    Severity.ERROR,
+    over="execution",
+    fixture="rows_in_camera_space",
+    needs=(MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002", "GO010", "GO011", "GI001", "GM006"),
+)
+def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
+    """Centres are given in local space: they do not follow the camera.
+
+    Why:
+        A renderer applies the view matrix to the rows. Rows that are in camera or clip space
+        already are moved twice: the scene hangs before the camera, wherever that goes.
+
+    Hint:
+        Return the centres before the view and projection matrices are applied to them.
+    """
+    declared = probe_runs.subject.declared_gaussians
+    runs = _isolated_views(probe_runs)
+    for first, second in combinations(runs[:3], 2):
+        if first.position.shape != second.position.shape:
+            continue
+        drawn = first.drawn & second.drawn
+        if np.count_nonzero(drawn) < _FEWEST or declared is None:
+            continue
+        for space in ("camera space", "clip space"):
+            if _follows(first, second, drawn, space):
+                actual = f"the centres are in {space}: they follow the view matrix"
+                yield Violation.at(f"output {declared.name}", actual, "centres in local space")
+                return
+
+
+def _follows(first: _Seen, second: _Seen, drawn: Bool[np.ndarray, " n"], space: str) -> bool:
+    """Return whether the centres of two cameras agree once the camera is undone, and only then."""
+    undone = [_undone(seen, space) for seen in (first, second)]
+    if undone[0] is None or undone[1] is None:
+        return False
+    local = [points[drawn] for points in undone if points is not None]
+    spread = float(np.linalg.norm(np.ptp(local[0], axis=0)))
+    if not np.isfinite(local).all() or spread <= 0:
+        return False
+    moved = np.linalg.norm(first.position[drawn] - second.position[drawn], axis=1)
+    rest = np.linalg.norm(local[0] - local[1], axis=1)
+    here = float(np.linalg.norm(np.ptp(first.position[drawn], axis=0)))
+    return bool(np.median(moved) > _MOVES * here and rest.max() < _RESTS * spread)
+
+
+def _undone(seen: _Seen, space: str) -> Float[np.ndarray, "n 3"] | None:
+    matrix = seen.view
+    if space == "clip space":
+        if seen.projection is None:
+            return None
+        matrix = seen.projection @ seen.view
+    if abs(np.linalg.det(matrix)) < np.finfo(np.float64).eps:
+        return None
+    points = np.concatenate([seen.position, np.ones((len(seen.position), 1))], axis=1)
+    local = points @ np.linalg.inv(matrix).T
+    return np.asarray(local[:, :3] / local[:, 3:])
+
+
+@rule(
+    "GV054",
+    "camera-looks-along-z",
+    Severity.ERROR,
+    over="execution",
+    fixture="culls_in_front",
+    needs=(MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002", "GO010", "GO011", "GI001", "GM006"),
+)
+def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
+    """Culling keeps what is in front of the camera, along +z.
+
+    Why:
+        All probes look at the middle of the bounds. A model that culls as if the camera looked
+        along −z, as in OpenGL, hides what is seen and draws what is behind: nothing is shown.
+
+    Hint:
+        Cull rows whose depth along +z is below the near plane; the view matrix is OpenCV's, with
+        +x right, +y down and +z forward.
+    """
+    declared = probe_runs.subject.declared_gaussians
+    away = probe_runs.plan.trials.get("away", ())
+    behind = _seen(probe_runs, away[0]) if away else None
+    seen = [_seen(probe_runs, index) for index in range(probe_runs.plan.values)]
+    labels = probe_runs.plan.probes
+    ahead = [s for s, probe in zip(seen, labels, strict=False) if s is not None and not probe.zeros]
+    if behind is None or not ahead or declared is None:
+        return
+    hidden = float(np.mean(behind.drawn))
+    visible = max(float(np.mean(entry.drawn)) for entry in ahead)
+    if hidden > 0 and visible <= _FEW * hidden:
+        actual = (
+            f"{visible:.1%} of the rows are drawn where the camera looks at the scene, "
+            f"{hidden:.1%} where it looks away"
+        )
+        yield Violation.at(f"output {declared.name}", actual, "culling with +z forward, not -z")

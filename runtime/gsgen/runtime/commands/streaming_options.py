@@ -1,0 +1,70 @@
+"""The options of commands that draw tilesets: budgets, cache, prediction and patience."""
+
+__all__ = ["with_streaming_options"]
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gsgen.contract.spec.units import parse_bytes
+from gsgen.runtime.sources.stream_settings import StreamSettings
+
+
+def _settings(
+    sse: Annotated[
+        float, typer.Option(help="Error in pixels above which tiles are refined.", min=0.1)
+    ] = 16.0,
+    budget: Annotated[
+        int, typer.Option(help="Most Gaussians of tilesets in GPU memory.", min=65_536)
+    ] = 2_000_000,
+    cache: Annotated[
+        str, typer.Option(help="Most bytes on disk for files of servers, such as 2GB; 0 for none.")
+    ] = "2GB",
+    predictor: Annotated[
+        str,
+        typer.Option(
+            help="What tells where the camera goes: constant-velocity, none, or an ONNX model."
+        ),
+    ] = "constant-velocity",
+    log: Annotated[
+        Path | None, typer.Option(help="Write what streaming does to this file, as JSON lines.")
+    ] = None,
+    allow_origin: Annotated[
+        list[str] | None,
+        typer.Option(help="Another origin that a server may redirect to; repeatable."),
+    ] = None,
+) -> StreamSettings:
+    return StreamSettings(
+        max_error=sse,
+        max_splats=budget,
+        cache_bytes=parse_bytes(cache, "--cache"),
+        predictor=predictor,
+        log=log,
+        allow_origins=tuple(allow_origin or ()),
+    )
+
+
+_OPTIONS = inspect.signature(_settings).parameters
+
+
+def with_streaming_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command that takes the options of streaming, and passes them as ``streaming``."""
+    own = inspect.signature(command).parameters
+
+    def streaming_command(**values: Any) -> None:
+        settings = _settings(**{name: values.pop(name) for name in _OPTIONS})
+        command(**values, streaming=settings)
+
+    merged = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for parameter in (*own.values(), *_OPTIONS.values())
+        if parameter.name != "streaming"
+    ]
+    # typer reads the signature and the annotations.
+    streaming_command.__signature__ = inspect.Signature(merged)  # type: ignore[attr-defined]
+    streaming_command.__annotations__ = {entry.name: entry.annotation for entry in merged}
+    streaming_command.__name__, streaming_command.__doc__ = command.__name__, command.__doc__
+    return streaming_command

@@ -1,0 +1,51 @@
+"""Settings of sources that stream what a camera needs, such as tilesets."""
+
+__all__ = ["StreamOpener", "StreamSettings"]
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, final
+
+if TYPE_CHECKING:
+    from gsgen.runtime.sources.source import Source
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamSettings:
+    """How a tileset is streamed.
+
+    Attributes:
+        max_error: Screen-space error above which tiles are refined, in pixels.
+        max_splats: Most Gaussians in GPU memory at once.
+        cache_bytes: Most bytes of files in the disk cache; 0 for no cache.
+        predictor: Name of a predictor of camera paths, or its ONNX file.
+        log: File of events as JSON lines; None for none.
+        allow_origins: Other origins that redirects of a server may lead to.
+        wait: Most seconds that a frame waits for all tiles that its camera needs; 0 to draw what
+            is there, as a window does, with cross-fades.
+    """
+
+    max_error: float = 16.0
+    max_splats: int = 2_000_000
+    cache_bytes: int = 2 << 30
+    predictor: str = "constant-velocity"
+    log: Path | None = None
+    allow_origins: tuple[str, ...] = ()
+    wait: float = 30.0
+
+
+class StreamOpener(Protocol):
+    """A plug-in that opens streamed sources (entry point group ``gsgen.sources``)."""
+
+    def recognises(self, path: Path) -> bool:
+        """Return whether ``path`` names a file or an address that this plug-in streams."""
+        ...
+
+    def open_stream(self, path: Path, settings: StreamSettings) -> "Source":
+        """Open a streamed source.
+
+        Raises:
+            GsgenError: The file is invalid, or cannot be read.
+        """
+        ...

@@ -1,0 +1,133 @@
+"""Reads streamed SOG: a lod-meta.json, whose tree lists parts of several SOG files by level.
+
+The format is that of PlayCanvas (playcanvas/splat-transform, "Streamed SOG", version 1). A leaf
+of the tree names the rows of a file for each level of detail; level 0 is the finest.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import PurePosixPath
+from typing import Any, Final
+
+import numpy as np
+
+from gsgen.formats.shared.errors import HeaderMalformed, SizeExceeded, shown
+from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.splat_values import ARRAYS
+from gsgen.formats.shared.splats import Splats
+from gsgen.formats.sog.meta import STREAMED_META
+
+_MOST_DEPTH: Final = 64
+_MOST_LEAVES: Final = 1 << 20
+
+
+def is_streamed(data: dict[str, Any]) -> bool:
+    """Return whether a parsed JSON object lists levels of detail."""
+    return "lodLevels" in data or "tree" in data
+
+
+def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_bytes: int) -> Splats:
+    """Return the finest level of every leaf, and the environment if there is one.
+
+    Args:
+        data: The parsed lod-meta.json.
+        read: Reads the SOG of a name, if it takes no more than so many bytes.
+        max_bytes: The limit of the memory of all splats, in bytes.
+
+    Raises:
+        HeaderMalformed: The tree breaks the rules of the format.
+        SizeExceeded: The splats need more than ``max_bytes``.
+    """
+    names = data.get("filenames")
+    if not isinstance(names, list) or not all(_is_inside(name) for name in names):
+        raise HeaderMalformed(
+            shown(str(names)),
+            where=f"{STREAMED_META}, filenames",
+            expected="names below its folder",
+        )
+    ranges: dict[int, list[tuple[int, int]]] = defaultdict(list)
+    for leaf in _leaves(data.get("tree")):
+        index, offset, count = _finest(leaf, len(names))
+        ranges[index].append((offset, count))
+    parts: list[Splats] = []
+    for index in sorted(ranges):
+        used = sum(_bytes_of(part) for part in parts)
+        splats = read(names[index], max_bytes - used)
+        rows = [np.arange(offset, offset + count) for offset, count in sorted(ranges[index])]
+        selected = np.concatenate(rows)
+        if selected[-1] >= len(splats) or len(np.unique(selected)) < len(selected):
+            raise HeaderMalformed(
+                f"rows up to {selected[-1]} of {shown(names[index])}",
+                where=f"{STREAMED_META}, tree",
+                expected=f"different rows below {len(splats)}",
+            )
+        parts.append(_rows(splats, selected))
+    environment = data.get("environment")
+    if environment is not None:
+        if not _is_inside(environment):
+            raise HeaderMalformed(shown(str(environment)), where=f"{STREAMED_META}, environment")
+        parts.append(read(environment, max_bytes - sum(_bytes_of(part) for part in parts)))
+    if sum(_bytes_of(part) for part in parts) > max_bytes:
+        raise SizeExceeded("more splats than allowed", expected=f"{max_bytes} bytes or fewer")
+    return joined(parts)
+
+
+def _rows(splats: Splats, rows: np.ndarray) -> Splats:
+    arrays = {name: getattr(splats, name)[rows] for name in ARRAYS}
+    return Splats(**arrays, antialiased=splats.antialiased)
+
+
+def _bytes_of(splats: Splats) -> int:
+    return sum(getattr(splats, name).nbytes for name in ARRAYS)
+
+
+def _is_inside(name: object) -> bool:
+    """Return whether a name is a relative path that stays in the folder."""
+    if not isinstance(name, str) or not name or "\0" in name or "\\" in name:
+        return False
+    path = PurePosixPath(name)
+    return not path.is_absolute() and ".." not in path.parts and ":" not in path.parts[0]
+
+
+def _leaves(root: object) -> Iterator[dict[str, Any]]:
+    nodes: list[tuple[object, int]] = [(root, 0)]
+    count = 0
+    while nodes:
+        node, depth = nodes.pop()
+        count += 1
+        if not isinstance(node, dict) or depth > _MOST_DEPTH or count > _MOST_LEAVES:
+            raise HeaderMalformed(
+                f"a node of type {type(node).__name__} at depth {depth}",
+                where=f"{STREAMED_META}, tree",
+                expected=f"objects, at most {_MOST_DEPTH} deep and {_MOST_LEAVES} in all",
+            )
+        children = node.get("children")
+        if isinstance(children, list) and children:
+            nodes += [(child, depth + 1) for child in reversed(children)]
+        else:
+            yield node
+
+
+def _finest(leaf: dict[str, Any], files: int) -> tuple[int, int, int]:
+    """Return the file, the first row and the number of rows of a leaf's finest level."""
+    levels = leaf.get("lods")
+    numbers = [key for key in levels if key.isdecimal()] if isinstance(levels, dict) else []
+    entry = levels[min(numbers, key=int)] if isinstance(levels, dict) and numbers else None
+    values: list[int] = []
+    if isinstance(entry, dict):
+        members = [entry.get(key) for key in ("file", "offset", "count")]
+        values = [value for value in members if type(value) is int and value >= 0]
+    if len(values) != 3:
+        raise HeaderMalformed(
+            shown(str(levels)),
+            where=f"{STREAMED_META}, lods",
+            expected="file, offset and count of a level",
+        )
+    index, offset, count = values
+    if index >= files or count < 1 or offset + count >= 1 << 31:
+        raise HeaderMalformed(
+            shown(str(entry)),
+            where=f"{STREAMED_META}, lods",
+            expected=f"one of {files} files, and rows",
+        )
+    return index, offset, count

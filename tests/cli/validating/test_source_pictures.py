@@ -1,0 +1,154 @@
+"""`gsgen references --from`: pictures of the training code, and what the model makes of them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsgen.conformance.fixtures import find
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.spec.manifest_io import loads
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
+from gsgen.runtime.checks import level, source_pictures
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from support.commands import gsgen_here
+
+SIZE = {"width": 96, "height": 64}
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer(Device.open(), rasteriser="tiles")
+
+
+@pytest.fixture(autouse=True)
+def _one_device(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    quads = Renderer(renderer.device, rasteriser="quads") if renderer.device.blends_floats else None
+    both = {"tiles": renderer, "quads": quads}
+    for module in (level, source_pictures):
+        monkeypatch.setattr(module, "Renderer", lambda *_, rasteriser: both[rasteriser])
+
+
+@pytest.fixture
+def trained(tmp_path: Path, renderer: Renderer) -> Path:
+    """A folder with a model, its training code's renders, and their cameras."""
+    spec = find("still_sh1").draw()
+    find("still_sh1").write(tmp_path)
+    rows, colors = spec.weights["rows"], spec.weights["colors"]
+    scene = Scene([SplatSet(SplatData(rows, colors, "sh", count=len(rows)))], "srgb")
+    (tmp_path / "renders").mkdir()
+    frames = []
+    for number, azimuth in enumerate((0.0, 120.0, 240.0)):
+        camera = Camera.orbit(
+            [0, 0, 0], 3.0, azimuth=azimuth, elevation=10, up=(0, -1, 0), fov_y=50, **SIZE
+        )
+        drawn = renderer.render(scene, camera, background=(0, 0, 0, 1)).srgb8[..., :3]
+        Image.fromarray(drawn).save(tmp_path / "renders" / f"view_{number}.png")
+        matrix = np.linalg.inv(camera.view) @ np.diag([1, -1, -1, 1])  # OpenGL's axes
+        lens = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
+        size = {"w": camera.width, "h": camera.height}
+        path = f"images/view_{number}.png"
+        frames.append({"file_path": path, "transform_matrix": matrix.tolist()} | lens | size)
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    return tmp_path
+
+
+def recorded(folder: Path, *options: object):
+    words = ("--from", folder / "renders", "--cameras", folder / "transforms.json")
+    source = folder / "still_sh1.onnx"
+    return gsgen_here("references", source, "-o", folder / "copy.onnx", *words, *options)
+
+
+def judged(path: Path) -> tuple[str, int]:
+    report = validate(path, Settings(level=Level.RENDER))
+    found = sum(finding.rule == "GB021" for finding in report.findings)
+    return report.outcome("GB021").status, found
+
+
+def test_pictures_of_the_training_code_are_declared_and_compared(trained: Path) -> None:
+    ran = recorded(trained, "--json")
+    assert ran.code == 0, ran.err
+    document = json.loads(ran.out)
+    images = loads(open_model(trained / "copy.onnx").manifest_text).reference_images
+    assert [image.from_ for image in images] == ["source"] * 3
+    assert [entry["from"] for entry in document["reference_images"]] == ["source"] * 3
+    assert {image.psnr for image in images} == {35.0}
+    assert min(document["decibels"]) > 50
+    assert judged(trained / "copy.onnx") == ("pass", 0)
+
+
+def test_swapped_channels_are_seen_only_against_the_source(trained: Path) -> None:
+    spec = find("still_sh1").draw()
+    colors = spec.weights["colors"].reshape(-1, 4, 3)[..., ::-1].reshape(-1, 12)
+    spec.weighing(colors=np.ascontiguousarray(colors)).write(trained / "still_sh1.onnx")
+    ran = recorded(trained)
+    assert ran.code == 0, ran.err
+    assert "less than the declared 35" in ran.out
+    status, count = judged(trained / "copy.onnx")
+    assert (status, count > 0) == ("fail", True)
+    own = gsgen_here(
+        "references", trained / "still_sh1.onnx", "-o", trained / "own.onnx", "--width", "96"
+    )
+    assert "drawn by the model itself: a fault that it has now is part of the pictures" in own.err
+    assert judged(trained / "own.onnx")[0] == "pass"  # the fault is frozen
+
+
+def test_pictures_are_laid_over_black_and_scale_their_cameras(trained: Path) -> None:
+    for path in (trained / "renders").iterdir():
+        with Image.open(path) as image:
+            large = image.resize((192, 128)).convert("RGBA")
+        large.save(path)
+    ran = recorded(trained)
+    assert ran.code == 0, ran.err
+    images = loads(open_model(trained / "copy.onnx").manifest_text).reference_images
+    assert images[0].center == (96.0, 64.0)
+    with Image.open(trained / images[0].path) as image:
+        assert (image.mode, image.size) == ("RGB", (192, 128))
+
+
+def test_pictures_without_a_camera_are_named_and_none_at_all_is_an_error(trained: Path) -> None:
+    Image.new("RGB", (96, 64)).save(trained / "renders" / "other.png")
+    ran = recorded(trained, "--count", "2")
+    assert ran.code == 0
+    assert "no camera is named like other.png" in ran.err
+    assert len(loads(open_model(trained / "copy.onnx").manifest_text).reference_images) == 2
+    for path in (trained / "renders").glob("view_*"):
+        path.unlink()
+    ran = recorded(trained, "--force")
+    assert ran.code == 2
+    assert "holds 1 pictures, and none is named like a camera (view_0" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--from", "renders"), "--from, --cameras: are only used together"),
+        (("--from", "nowhere", "--cameras", "transforms.json"), "is not a folder of pictures"),
+        (
+            ("--from", "renders", "--cameras", "transforms.json", "--probe", "time=9"),
+            "--probe: unknown probe 'time=9'",
+        ),
+    ],
+)
+def test_wrong_options_are_named(trained: Path, options: tuple[str, ...], words: str) -> None:
+    model = trained / "still_sh1.onnx"
+    ran = gsgen_here("references", model, "-o", trained / "c.onnx", *options, cwd=trained)
+    assert ran.code in (2, 4)
+    assert words in ran.err
+    assert not (trained / "c.onnx").exists()
+
+
+def test_a_model_of_the_camera_is_refused(trained: Path) -> None:
+    source = find("fade_column").write(trained)
+    words = ("--from", trained / "renders", "--cameras", trained / "transforms.json")
+    ran = gsgen_here("references", source, "-o", trained / "c.onnx", *words)
+    assert ran.code == 2
+    assert "depends on the camera (view)" in ran.err
