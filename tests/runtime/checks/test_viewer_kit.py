@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsgen.conformance.viewer_kit.check_viewer import check_viewer, read_index
 from gsgen.conformance.viewer_kit.faults import FAULTS
-from gsgen.conformance.viewer_kit.judge import judge, read_index
 from gsgen.conformance.viewer_kit.write import kit_cases, write_kit
 from gsgen.runtime import Camera, Renderer, Scene
 from gsgen.runtime.gpu.device import Device
@@ -40,7 +40,7 @@ def _drawn_by(renderer: Renderer) -> Render:
 def _failed(kit: Path, viewer: Viewer, render: Render, folder: Path) -> dict[str, set[str]]:
     for case in kit_cases():
         viewer.draw(kit / "models" / f"{case.name}.onnx", case, render, folder)
-    result = judge(kit, folder)
+    result = check_viewer(kit, folder)
     return {
         "cases": {case["name"] for case in result["cases"] if case["verdict"] == "failed"},
         "faults": {fault["id"] for fault in result["faults"]},

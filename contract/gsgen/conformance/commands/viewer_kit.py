@@ -1,4 +1,4 @@
-"""The command group `gsgen viewer-kit`: writes the viewer kit, and judges a viewer by it."""
+"""The command group `gsgen viewer-kit`: writes the viewer kit, and checks a viewer against it."""
 
 __all__ = ["app"]
 
@@ -27,18 +27,20 @@ def write(
         Path, typer.Argument(help="The folder to write; must be empty.", show_default=False)
     ],
 ) -> None:
-    """Write the kit to OUTPUT: models, cameras and inputs, expected pictures, and a judging script.
+    """Write the kit to OUTPUT: models, cameras and inputs, expected pictures, and a script that compares.
 
     Exits 0 if it was written, 2 if it cannot be.
     """
     from gsgen.conformance.viewer_kit.write import kit_cases, write_kit
 
     index = write_kit(output)
-    typer.echo(f"{index}: {len(kit_cases())} cases; judge pictures with {output / 'judge.py'}")
+    typer.echo(
+        f"{index}: {len(kit_cases())} cases; check pictures with {output / 'check_viewer.py'}"
+    )
 
 
-@app.command("judge")
-def judge(
+@app.command("check")
+def check(
     kit: Annotated[Path, typer.Argument(help="The folder of the kit.", show_default=False)],
     pictures: Annotated[
         Path,
@@ -53,18 +55,18 @@ def judge(
 
     Exits 0 if every case passes, 1 if one fails, 4 if the kit cannot be read.
     """
-    from gsgen.conformance.viewer_kit import judge as judging
+    from gsgen.conformance.viewer_kit import check_viewer as checking
     from gsgen.contract.process.atomic_files import atomic_write, refuse_model
 
     if html is not None:
         refuse_model(html)
     try:
-        result = judging.judge(kit, pictures)
-    except judging.KitUnreadable as error:
+        result = checking.check_viewer(kit, pictures)
+    except checking.KitUnreadable as error:
         raise InputUnreadable(str(error)) from error
     if html is not None:
         with atomic_write(html) as draft:
-            draft.write_text(judging.page_of(kit, pictures, result), "utf-8")
+            draft.write_text(checking.page_of(kit, pictures, result), "utf-8")
     text = json.dumps(result, indent=2, ensure_ascii=False) if as_json else None
-    typer.echo(text or judging.summary_of(result).rstrip())
+    typer.echo(text or checking.summary_of(result).rstrip())
     raise typer.Exit(ExitCode.FAILURE if result["verdict"] == "failed" else ExitCode.SUCCESS)

@@ -20,7 +20,6 @@ HEIGHT: Final = 48
 
 _NEAR: Final = 0.01
 _FOCAL: Final = 60.0
-_UP: Final = (0.0, -1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,7 +87,7 @@ def kit_camera(
     **lens: float,
 ) -> KitCamera:
     """Return a camera at ``eye`` that looks at ``target``, with other intrinsics if named."""
-    view = look_at(np.array(eye), np.array(target), np.array(_UP))
+    view = look_at(np.array(eye), np.array(target), np.array([0.0, -1.0, 0.0]))
     return KitCamera(view=view, **lens)  # type: ignore[arg-type]
 
 

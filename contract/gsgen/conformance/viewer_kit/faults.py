@@ -15,7 +15,7 @@ FAULTS: Final[Mapping[str, tuple[str, str]]] = {
         "A row holds coefficient after coefficient, each with red, green and blue.",
     ),
     "sh-stride": (
-        "rows of SH have the stride of degree 3 whatever their degree",
+        "rows of SH are read with the stride of degree 3",
         "The stride is 3 (degree + 1)²; the manifest declares the degree.",
     ),
     "sh-direction": (
@@ -95,4 +95,4 @@ FAULTS: Final[Mapping[str, tuple[str, str]]] = {
         )
     },
 }
-"""Fault id → what the viewer does wrong, and the hint that mends it."""
+"""Fault id → what the viewer does wrong, and the hint that repairs it."""

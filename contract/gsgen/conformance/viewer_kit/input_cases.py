@@ -36,7 +36,7 @@ def _projected() -> ModelSpec:
 
 def _resized() -> ModelSpec:
     entry = Input(name="pixels", role="viewport", default=(1280.0, 720.0))
-    shift = "all = ReduceSum <keepdims = 1> (pixels) shift = Mul (all, small)"
+    shift = "all = ReduceSum <keepdims = 1> (pixels) part = Mul (all, small) shift = Tanh (part)"
     return driven("float[2] pixels", entry, shift).weighing(small=np.array([4e-3], np.float32))
 
 

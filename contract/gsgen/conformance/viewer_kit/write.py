@@ -1,4 +1,4 @@
-"""Writes the viewer kit to a folder: models, expected pictures, index and the judging script."""
+"""Writes the viewer kit to a folder: models, expected pictures, index and the comparing script."""
 
 __all__ = ["PICTURES_GROUP", "DrawFrames", "kit_cases", "picture_name", "write_kit"]
 
@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from gsgen.conformance.viewer_kit import judge
+from gsgen.conformance.viewer_kit import check_viewer
 from gsgen.conformance.viewer_kit.case import KitCase, KitFrame
 from gsgen.conformance.viewer_kit.faults import FAULTS
 from gsgen.conformance.viewer_kit.input_cases import INPUT_CASES
@@ -61,7 +61,7 @@ def write_kit(folder: Path, draw: DrawFrames | None = None) -> Path:
         document = _index([_write_case(draft.parent, case, draw_frames) for case in kit_cases()])
         text = json.dumps(document, indent=1, ensure_ascii=False)
         draft.write_text(text + "\n", "utf-8")
-        shutil.copyfile(judge.__file__, draft.parent / "judge.py")
+        shutil.copyfile(check_viewer.__file__, draft.parent / "check_viewer.py")
     return index_path
 
 
@@ -104,7 +104,7 @@ def _frame_entry(name: str, frame: KitFrame) -> dict[str, Any]:
 
 def _index(cases: list[dict[str, Any]]) -> dict[str, Any]:
     return {
-        "schema": judge.INDEX_SCHEMA,
+        "schema": check_viewer.INDEX_SCHEMA,
         "tool": {"name": "gsgen", "version": version("gsgen")},
         "tolerance": TOLERANCE,
         "faults": [

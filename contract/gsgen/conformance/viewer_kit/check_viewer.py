@@ -1,6 +1,6 @@
-"""Judge the pictures of a viewer against a viewer kit, with NumPy and nothing of gsgen.
+"""Compare the pictures of a viewer with those of a viewer kit, with NumPy and nothing of gsgen.
 
-    python judge.py PICTURES [--kit KIT] [--html page.html] [--json result.json]
+    python check_viewer.py PICTURES [--kit KIT] [--html page.html] [--json result.json]
 
 A picture of frame N of a case is PICTURES/CASE-N.npy or CASE-N.png: what the screen shows over
 black, [height, width, 3 or 4]. Floats of four channels are multiplied by alpha; PNGs are not.
@@ -36,14 +36,14 @@ class PictureUnreadable(ValueError):
     """Raised if a viewer's picture is missing or cannot be read."""
 
 
-def judge(kit: Path, pictures: Path) -> dict[str, Any]:
+def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
     """Compare the pictures of a viewer with those of a kit.
 
     Returns:
         The result as docs describe it: verdict, cases with their frames, and suspected faults.
     """
     index = read_index(kit)
-    cases = [_judge_case(kit, pictures, case, index["tolerance"]) for case in index["cases"]]
+    cases = [_check_case(kit, pictures, case, index["tolerance"]) for case in index["cases"]]
     failed = {case["name"] for case in cases if case["verdict"] == "failed"}
     return {
         "schema": RESULT_SCHEMA,
@@ -91,10 +91,10 @@ def suspected_faults(index: dict[str, Any], failed: set[str]) -> list[dict[str, 
     ]
 
 
-def _judge_case(
+def _check_case(
     kit: Path, pictures: Path, case: dict[str, Any], tolerance: dict[str, float]
 ) -> dict[str, Any]:
-    frames = [_judge_frame(kit, pictures, frame, tolerance) for frame in case["frames"]]
+    frames = [_check_frame(kit, pictures, frame, tolerance) for frame in case["frames"]]
     passed = all(frame["verdict"] == "passed" for frame in frames)
     return {
         "name": case["name"],
@@ -104,7 +104,7 @@ def _judge_case(
     }
 
 
-def _judge_frame(
+def _check_frame(
     kit: Path, pictures: Path, frame: dict[str, Any], tolerance: dict[str, float]
 ) -> dict[str, Any]:
     name = frame["picture"]
@@ -149,19 +149,18 @@ def read_picture(folder: Path, name: str) -> np.ndarray:
         raise PictureUnreadable(f"{name}: there is neither {array_path.name} nor {image_path.name}")
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise PictureUnreadable(f"{path}: has more than {_MAX_BYTES:,} bytes, the limit")
+            raise PictureUnreadable(f"has more than {_MAX_BYTES:,} bytes, the limit")
         if path is image_path:
             return _over_black(decode_png(path.read_bytes()))
         array = np.load(path, allow_pickle=False)
-    except PictureUnreadable:
-        raise
+    except PictureUnreadable as error:
+        raise PictureUnreadable(f"{path}: {error}") from error
     except (OSError, ValueError, EOFError, KeyError, zlib.error, struct.error) as error:
-        raise PictureUnreadable(f"{path}: cannot be read: {error}") from error
-    if array.ndim != 3 or array.shape[2] not in (3, 4) or array.dtype.kind not in "fui":
+        raise PictureUnreadable(f"{path}: cannot be read: {error!r}") from error
+    if array.ndim != 3 or array.shape[2] not in (3, 4) or array.dtype.kind != "f":
         message = f"is {array.dtype}{list(array.shape)}, expected floats [height, width, 3 or 4]"
         raise PictureUnreadable(f"{path}: {message}")
-    scale = 255.0 if array.dtype == np.uint8 else 1.0
-    return np.clip(array[..., :3].astype(np.float64) / scale, 0, 1)
+    return np.clip(array[..., :3].astype(np.float64), 0, 1)
 
 
 def _over_black(picture: np.ndarray) -> np.ndarray:
@@ -169,7 +168,7 @@ def _over_black(picture: np.ndarray) -> np.ndarray:
     values = picture.astype(np.float64) / 255
     if values.shape[2] in (2, 4):
         values = values[..., :-1] * values[..., -1:]
-    return np.broadcast_to(values, (*values.shape[:2], 3)).copy()
+    return np.array(np.broadcast_to(values, (*values.shape[:2], 3)))
 
 
 def decode_png(raw: bytes) -> np.ndarray:
@@ -303,7 +302,7 @@ def summary_of(result: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Judge the pictures that the command line names, and return the exit code."""
+    """Compare the pictures that the command line names, and return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("pictures", type=Path, help="folder of the viewer's pictures")
     parser.add_argument("--kit", type=Path, default=Path(__file__).parent, help="folder of the kit")
@@ -311,7 +310,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, help="write the result here")
     options = parser.parse_args(arguments)
     try:
-        result = judge(options.kit, options.pictures)
+        result = check_viewer(options.kit, options.pictures)
         if options.html:
             options.html.write_text(page_of(options.kit, options.pictures, result), "utf-8")
         if options.json:
@@ -319,7 +318,7 @@ def main(arguments: list[str] | None = None) -> int:
                 json.dumps(result, indent=2, ensure_ascii=False) + "\n", "utf-8"
             )
     except (KitUnreadable, OSError) as error:
-        sys.stderr.write(f"judge: {error}\n")
+        sys.stderr.write(f"check_viewer: {error}\n")
         return 2
     sys.stdout.write(summary_of(result))
     return 1 if result["verdict"] == "failed" else 0
