@@ -236,7 +236,8 @@ def _opposite(color: np.ndarray) -> np.ndarray:
     """Negate the odd degrees, as the opposite direction does."""
     degree_of = np.repeat(np.arange(4), (1, 3, 5, 7))[: color.shape[1] // 3]
     sign = np.where(degree_of % 2, -1, 1).astype(color.dtype)
-    return (color.reshape(len(color), -1, 3) * sign[:, None]).reshape(color.shape)
+    signed = color.reshape(len(color), -1, 3) * sign[:, None]
+    return np.asarray(signed.reshape(color.shape))
 
 
 def _voigt(rows: np.ndarray) -> np.ndarray:

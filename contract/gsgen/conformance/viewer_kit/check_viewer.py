@@ -160,7 +160,7 @@ def read_picture(folder: Path, name: str) -> np.ndarray:
     if array.ndim != 3 or array.shape[2] not in (3, 4) or array.dtype.kind != "f":
         message = f"is {array.dtype}{list(array.shape)}, expected floats [height, width, 3 or 4]"
         raise PictureUnreadable(f"{path}: {message}")
-    return np.clip(array[..., :3].astype(np.float64), 0, 1)
+    return np.asarray(np.clip(array[..., :3], 0, 1), np.float64)
 
 
 def _over_black(picture: np.ndarray) -> np.ndarray:
