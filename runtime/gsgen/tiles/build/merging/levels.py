@@ -36,7 +36,7 @@ class Level:
 def choose_cells(
     code: UInt64[np.ndarray, " n"], depth: int, target: float
 ) -> tuple[int, Int64[np.ndarray, " m"]]:
-    """Choose a cell size with which about ``target`` cells are occupied by splats.
+    """Choose a grid cell size with which splats occupy about ``target`` cells.
 
     The side of a cell is that of the tile divided by a power of two: lattices of tiles nest, and
     no cell crosses the edge of a tile.
@@ -87,7 +87,7 @@ def merge_level(mixture: Mixture, depth: int, most: int, side: float) -> Level:
 
 
 def _largest(mixture: Mixture, cell: float, count: int) -> Bool[np.ndarray, " n"]:
-    """Return the mask of at most ``count`` largest splats that are large relative to ``cell``."""
+    """Return the mask of the largest splats, at most ``count``, that are large for their cell."""
     x, y, z = mixture.scale.T
     size = np.maximum(np.maximum(x, y), z)
     order = np.argsort(-size, kind="stable")[:count]
