@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from gsgen.contract._array_types import Bool, Float, Int
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.geometry import symmetric
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION

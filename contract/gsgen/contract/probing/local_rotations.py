@@ -5,8 +5,8 @@ __all__ = ["LocalRotations", "fit_local_rotations"]
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.layout import POSITION
 

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.spec.geometry import rotation_matrix

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.rules.pictures.displayed_colors import SH_OFFSET, displayed_colors
 from gsgen.contract.spec.layout import OPACITY

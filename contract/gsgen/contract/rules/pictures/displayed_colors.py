@@ -3,8 +3,8 @@
 __all__ = ["SH_OFFSET", "displayed_colors"]
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.spherical_harmonics import SH_DC
 

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from itertools import permutations, product
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.drawn_sample import FEWEST_DRAWN, LINEAR, PLANAR, DrawnSample
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation

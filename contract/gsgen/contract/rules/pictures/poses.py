@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample, draw_sample
 from gsgen.contract.probing.local_rotations import LocalRotations, fit_local_rotations
 from gsgen.contract.probing.outputs import read_outputs

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.behaviour_probes import AWAY, TILTED
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs

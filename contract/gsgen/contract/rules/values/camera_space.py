@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.probes import as_tensor
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
