@@ -202,7 +202,7 @@ def show_broken(
     doubt = "" if match["certainty"] == "confirmed" else " (possible)"
     console.print(f"  [red]{match['rule']} {match['severity']}{doubt}[/] {match['slug']}")
     console.print(f"  {match['where']['subject']}: {match['message']}")
-    console.print(f"  hint: {match['mend']}\n")
+    console.print(f"  hint: {match['hint']}\n")
 
 
 def expect(completed: "subprocess.CompletedProcess[str]", code: int) -> None:
