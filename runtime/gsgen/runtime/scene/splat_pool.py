@@ -166,7 +166,7 @@ class SplatPool:
             self.fade[self._slots_of[tile]] = fade
 
     def take_writes(self) -> list[SlotWrite]:
-        """Return the rows that are not in GPU memory yet, and forget them: one renderer copies them."""
+        """Return the pool's rows that wait for their upload, once: one renderer uploads them."""
         writes, self._writes = self._writes, []
         return writes
 

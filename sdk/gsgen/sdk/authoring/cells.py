@@ -58,7 +58,7 @@ class Cells:
 def expect_shape(
     where: str, value: Tensor | None, *shapes: tuple[int, ...], hint: str = ""
 ) -> None:
-    """Raise if the shape of a tensor is none of the allowed ``shapes``; None as a tensor passes."""
+    """Raise if a tensor's shape is not one of the allowed shapes; None is accepted as a tensor."""
     if value is None or tuple(value.shape) in shapes:
         return
     expected = " or ".join(str(list(shape)) for shape in shapes)

@@ -121,7 +121,7 @@ def export_constant(
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> ExportedConstant:
-    """Write ``source`` as a generator that emits the same rows, bit for bit, at every frame.
+    """Export a constant scene as a generator that emits the same Gaussians in every frame.
 
     Options are those of :func:`gsgen.sdk.export`; the graph needs no rewrites. ``dtype`` is the
     source's own by default. Rows up to ``capacity`` are zero. The bits of the outputs are compared,
@@ -151,7 +151,7 @@ def export_constant(
 def constant_manifest(
     packed: ConstantRows, name: str, *, family: str | None, capacity: int | None = None
 ) -> GeneratorManifest:
-    """Return the manifest of a generator that emits ``packed``."""
+    """Return the manifest of a generator that emits constant packed Gaussians."""
     count = len(packed.rows)
     total = count if capacity is None else capacity
     if total < count:
@@ -185,7 +185,7 @@ def write_constant(
     count: int | None = None,
     opset: int = OPSET,
 ) -> None:
-    """Write a generator that emits ``rows`` and ``appearance``, bit for bit, at every frame.
+    """Write a generator that emits given packed Gaussians and appearance, bit for bit, every frame.
 
     ``manifest`` names the outputs; rows up to its capacity are zero, and the first ``count`` rows
     are live, by default all. Write to the draft of
