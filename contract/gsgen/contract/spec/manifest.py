@@ -178,7 +178,7 @@ class Input:
         return low + (high - low) * frame / count
 
     def frame_at(self, time: float) -> int:
-        """Return the frame shown at a time; the end shows the last frame, or the first of a loop."""
+        """Return the frame shown at a time; the end shows the last frame, or a loop's first."""
         low, high, count = self._frames()
         frame = math.floor(count * (time - low) / (high - low) + _FRAME_ROUNDING)
         return frame % count if self.loop else min(max(frame, 0), count - 1)
