@@ -130,7 +130,7 @@ class Parity:
         ]
         if self.rows_at_threshold:
             parts.append(
-                f"{self.rows_at_threshold} rows at a threshold match slightly changed inputs"
+                f"{self.rows_at_threshold} Gaussians at a threshold match slightly changed inputs"
             )
         return ", ".join(parts)
 

@@ -43,7 +43,7 @@ class Timeline:
         self._models, self._tracks, self._time = list(models), list(tracks), time
         if time is not None and not any(_of_role(model, "time") for model in models):
             raise ConfigInvalid(
-                f"is {time}, but no scene has a time input",
+                f"the time is {time}, but no scene has a time input",
                 where="--time",
                 hint="Leave the option out.",
             )

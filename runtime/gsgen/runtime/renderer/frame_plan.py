@@ -431,7 +431,7 @@ class Plan:
         most = MOST_GROUPS * WALK_THREADS * self._kernels.cut.walk
         if visible > most:
             raise CapacityExceeded(
-                f"has {visible:,} splats in the image; {self._device.name} draws at most {most:,}",
+                f"the scene has {visible:,} splats in the image; {self._device.name} draws at most {most:,}",
                 where="scene",
                 hint="Draw fewer Gaussians, or a smaller part of the scene.",
             )

@@ -114,7 +114,9 @@ def read_scene(path: str | Path) -> SceneFile:
     models = tuple(_model(part, file.parent) for part in fields.parts("models"))
     meshes = tuple(_mesh(part, file.parent) for part in fields.parts("meshes"))
     if not models and not meshes:
-        refuse("has neither models nor meshes", str(file), "Name a file in `models`.")
+        refuse(
+            "the scene file has neither models nor meshes", str(file), "Name a file in `models`."
+        )
     scene_file = SceneFile(
         path=file,
         models=models,

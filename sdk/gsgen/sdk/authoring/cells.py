@@ -72,4 +72,4 @@ def expect_spread(
     """Raise unless Gaussians have either scale and rotation or covariances."""
     presence = (scale is not None, rotation is not None, covariance is not None)
     if presence not in ((True, True, False), (False, False, True)):
-        raise GeneratorInvalid("give scale and rotation, or covariance", where=where)
+        raise GeneratorInvalid("expected either scale and rotation, or covariance", where=where)

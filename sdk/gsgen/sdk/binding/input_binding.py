@@ -78,8 +78,8 @@ class InputBinding:
             raise self._invalid(f"is not an array: {error}") from error
         if array.shape != self.shape:
             if array.ndim or self.shape.count(1) != len(self.shape):
-                actual = f"has shape {list(array.shape)}"
-                raise self._invalid(f"{actual}, expected {list(self.shape)}")
+                actual = f"the value has shape {list(array.shape)}"
+                raise self._invalid(f"{actual}, expected shape {list(self.shape)}")
             array = array.reshape(self.shape)
         if array.dtype == self.dtype:
             return array

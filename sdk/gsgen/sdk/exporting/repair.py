@@ -162,7 +162,7 @@ def _steps(
         steps.append((Repair(description, "GV014"), ReorderHarmonics(color.name)))
     if rows and color and count and broken & {"GV002", "GV018"}:
         silence = SilencePadding((rows.name, color.name), count.name)
-        steps.append((Repair("rows behind the count are zero", "GV018"), silence))
+        steps.append((Repair("packed Gaussians behind the count are zero", "GV018"), silence))
     if rows and color and count and request.rename:
         color_name = APPEARANCE_SH if color.space == "sh" else APPEARANCE_RGB
         names = {rows.name: GAUSSIANS, color.name: color_name, count.name: COUNT}

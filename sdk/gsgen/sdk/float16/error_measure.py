@@ -54,7 +54,7 @@ class ErrorProbe:
         assert declared.gaussians is not None
         if declared.appearance is None or declared.count is None:
             raise RewriteFailed(
-                "names no appearance or count, expected both", where="manifest.outputs"
+                "the manifest names no appearance or count, expected both", where="manifest.outputs"
             )
         self.names = (
             declared.gaussians.name,
