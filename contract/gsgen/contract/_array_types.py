@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 else:
 
     class _Array:
-        """Stands for the array type of an annotation."""
+        """A stand-in for jaxtyping's array types at run time."""
 
         def __class_getitem__(cls, item: tuple[type, str]) -> type:
             return item[0]
