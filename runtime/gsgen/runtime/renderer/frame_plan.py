@@ -54,11 +54,23 @@ Placed = tuple[SplatSet, Page]
 
 @final
 class Kernels:
-    """The rendering kernels of a device, each compiled when it is first needed."""
+    """The rendering kernels of a device, each compiled when it is first needed.
 
-    def __init__(self, device: Device) -> None:
-        self.cut = cut_for(device)
-        self.scan = Scan(device, self.cut.block, WALK_THREADS * self.cut.walk, RANGE_BLOCK)
+    Args:
+        device: Device of the kernels.
+        one_shape: Whether a plan's steps are the same for all sizes of scenes and images, except
+            that larger images need more passes of the tile sort.
+    """
+
+    def __init__(self, device: Device, *, one_shape: bool = False) -> None:
+        self.cut, self._one_shape = cut_for(device), one_shape
+        self.scan = Scan(
+            device,
+            self.cut.block,
+            WALK_THREADS * self.cut.walk,
+            RANGE_BLOCK,
+            always_in_blocks=one_shape,
+        )
         self.sort = RadixSort(device, self.cut, self.scan)
         self.bin = cache(lambda panorama: BinTiles(device, self.cut.walk, panorama=panorama))
         self.ranges = TileRanges(device)
@@ -87,6 +99,12 @@ class Kernels:
         )
         self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
 
+    def tile_bits(self, last: int) -> int:
+        """Return the bits to sort tiles by, up to the number ``last``: whole digits if ``one_shape``."""
+        bits = max(1, last.bit_length())
+        digit = self.cut.digit_bits
+        return -(-bits // digit) * digit if self._one_shape else bits
+
 
 @final
 class Plan:
@@ -108,7 +126,10 @@ class Plan:
     Attributes:
         stages: Steps of a frame, by stage.
         buffers: Buffers of the plan, by name.
+        clears: Buffers whose bytes are zero at the start of a frame, from an offset on; None for
+            all further bytes.
         images: The buffers that :meth:`collect` reads, by output.
+        inputs: The uniforms that :meth:`submit` writes, and the counts, by name.
 
     Raises:
         CapacityExceeded: A buffer would be larger than the device binds.
@@ -150,6 +171,17 @@ class Plan:
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
         self._splats = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
+        self.inputs = {
+            "frame": self._frame,
+            "bare frame": self._bare_frame,
+            "pages": self._slots,
+            "counts": self._counts,
+        }
+        self.clears: list[tuple[Buffer, int, int | None]] = [
+            (self._ranges, 0, None),
+            (self._counts, 4 * Counts.TIED, 8),  # and UNSORTED
+        ]
+        self.clears += [(page.slots.dispatch, 0, 4) for _, page in placed if page.slots is not None]
         self.images: dict[str, Buffer] = {}
         # Weighted sets become a layer, which the hardware's blending does not support.
         quads = quads and not summed
@@ -311,7 +343,7 @@ class Plan:
             self._counts,
             self._kernels.sort.histogram(self.pair_capacity),
             pairs,
-            bits=max(1, last.bit_length()),
+            bits=self._kernels.tile_bits(last),
             source=Counts.PAIRS,
             groups=Counts.SORT_PAIRS_GROUPS,
         )
@@ -378,11 +410,8 @@ class Plan:
         encoder = device.raw.create_command_encoder(label="frame")
         if clock is not None:
             clock.begin()
-        encoder.clear_buffer(self._ranges)
-        encoder.clear_buffer(self._counts, 4 * Counts.TIED, 8)  # and UNSORTED
-        for _, page in placed:
-            if page.slots is not None:
-                encoder.clear_buffer(page.slots.dispatch, 0, 4)
+        for buffer, offset, size in self.clears:
+            encoder.clear_buffer(buffer, offset, size)
         if self._weighted is not None:
             self._weighted.clear(encoder)
         if self._meshes is not None:
