@@ -177,11 +177,7 @@ class Plan:
             "pages": self._slots,
             "counts": self._counts,
         }
-        self.clears: list[tuple[Buffer, int, int | None]] = [
-            (self._ranges, 0, None),
-            (self._counts, 4 * Counts.TIED, 8),  # and UNSORTED
-        ]
-        self.clears += [(page.slots.dispatch, 0, 4) for _, page in placed if page.slots is not None]
+        self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
         # Weighted sets become a layer, which the hardware's blending does not support.
         quads = quads and not summed
@@ -220,6 +216,15 @@ class Plan:
     def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
         self.buffers[name] = self._device.storage(name, size, extra=extra)
         return self.buffers[name]
+
+    def _cleared(self, placed: Sequence[Placed]) -> list[tuple[Buffer, int, int | None]]:
+        """Return the buffers that are cleared before a frame, with offset and size in bytes."""
+        dispatches = [page.slots.dispatch for _, page in placed if page.slots is not None]
+        return [
+            (self._ranges, 0, None),
+            (self._counts, 4 * Counts.TIED, 8),  # and UNSORTED
+            *((dispatch, 0, 4) for dispatch in dispatches),
+        ]
 
     def _record(
         self, placed: Sequence[Placed], outputs: frozenset[Output], *, quads: bool

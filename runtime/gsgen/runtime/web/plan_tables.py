@@ -159,9 +159,13 @@ class _PlanWriter:
         if buffer not in self._buffers:
             number = self._labels.get(buffer.label, 0)
             self._labels[buffer.label] = number + 1
-            row = {"label": f"{buffer.label} {number}" if number else buffer.label}
-            row |= {"size": self._size(buffer), "usage": buffer.usage}
-            self._buffers[buffer] = self._tables.row("buffers", row | self._data(buffer))
+            row = {
+                "label": f"{buffer.label} {number}" if number else buffer.label,
+                "size": self._size(buffer),
+                "usage": buffer.usage,
+                **self._data(buffer),
+            }
+            self._buffers[buffer] = self._tables.row("buffers", row)
         return self._buffers[buffer]
 
     def _size(self, buffer: RecordedBuffer) -> Tree:
@@ -176,14 +180,12 @@ class _PlanWriter:
             return {}
         assert list(buffer.data) == [0], f"{buffer.label} is written in parts"
         words = np.frombuffer(buffer.data[0], np.uint32).copy()
-        sizes = [
-            [4 * index, name]
-            for name in _FOLLOWED
-            for index in np.flatnonzero(words == self._recorded.sizes[name]).tolist()
-        ]
-        for offset, _ in sizes:
-            words[offset // 4] = 0
-        data = {"data": base64.b64encode(words.tobytes()).decode()}
+        sizes: list[list[int | str]] = []
+        for name in _FOLLOWED:
+            for index in np.flatnonzero(words == self._recorded.sizes[name]).tolist():
+                sizes.append([4 * index, name])
+                words[index] = 0
+        data: dict[str, Any] = {"data": base64.b64encode(words.tobytes()).decode()}
         return data | ({"sizes": sizes} if sizes else {})
 
     def _tree(self, tree: Tree, slot: int | None = None) -> Tree:
