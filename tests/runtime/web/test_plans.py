@@ -11,7 +11,8 @@ import pytest
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Page
-from gsgen.runtime.renderer.frame_plan import Kernels, Plan
+from gsgen.runtime.renderer.frame_plan import Plan
+from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.web import plans
 from gsgen.runtime.web.formulas import Formula, evaluate
 from gsgen.runtime.web.recording import APPEARANCES, Appearance, recorded_pages

@@ -1,9 +1,8 @@
 """The frame plan: all GPU buffers and dispatches of a frame, recorded once and reused."""
 
-__all__ = ["Kernels", "Placed", "Plan"]
+__all__ = ["Placed", "Plan"]
 
 from collections.abc import Sequence
-from functools import cache
 from typing import final
 
 import numpy as np
@@ -15,18 +14,10 @@ from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.readback import Staging
 from gsgen.runtime.gpu.splat_residency import Page
-from gsgen.runtime.kernels.project.cull_slots import CullSlots
-from gsgen.runtime.kernels.project.normals import NormalsKernel
-from gsgen.runtime.kernels.project.project import (
-    FRAME,
-    PAGE,
-    ProjectKernel,
-    frame_uniform,
-    page_uniforms,
-)
+from gsgen.runtime.kernels.project.project import FRAME, PAGE, frame_uniform, page_uniforms
 from gsgen.runtime.kernels.project.slots import slot_table
-from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes, MeshesStep
-from gsgen.runtime.kernels.raster.draw_quads import DrawQuads, QuadsStep
+from gsgen.runtime.kernels.raster.draw_meshes import MeshesStep
+from gsgen.runtime.kernels.raster.draw_quads import QuadsStep
 from gsgen.runtime.kernels.raster.mesh_place import (
     MESH_UNIFORM,
     PlacedMesh,
@@ -37,73 +28,17 @@ from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
 from gsgen.runtime.kernels.shared.shader import ABSENT, TILE
-from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for
-from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS, BinTiles
-from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles, Layers
-from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK, TileRanges
-from gsgen.runtime.renderer.depth_sort import DepthOrder
-from gsgen.runtime.renderer.weighted_plan import WeightedKernels, WeightedPart
+from gsgen.runtime.kernels.sort.sort import Columns
+from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
+from gsgen.runtime.kernels.tiles.blend_tiles import Layers
+from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 
 Placed = tuple[SplatSet, Page]
 """A splat set with one of its GPU pages."""
-
-
-@final
-class Kernels:
-    """The rendering kernels of a device, each compiled when it is first needed.
-
-    Args:
-        device: Device of the kernels.
-        one_shape: Whether a plan's steps are the same for all sizes of scenes and images, except
-            that larger images need more passes of the tile sort.
-    """
-
-    def __init__(self, device: Device, *, one_shape: bool = False) -> None:
-        self.cut, self._one_shape = cut_for(device), one_shape
-        self.scan = Scan(
-            device,
-            self.cut.block,
-            WALK_THREADS * self.cut.walk,
-            RANGE_BLOCK,
-            always_in_blocks=one_shape,
-        )
-        self.sort = RadixSort(device, self.cut, self.scan)
-        self.bin = cache(lambda panorama: BinTiles(device, self.cut.walk, panorama=panorama))
-        self.ranges = TileRanges(device)
-        self.blend = cache(
-            lambda pick, panorama, layers: BlendTiles(
-                device, pick=pick, panorama=panorama, layers=layers
-            )
-        )
-        self.project = cache(
-            lambda half, words, panorama, packed, slot_rows: ProjectKernel(
-                device, words, half=half, panorama=panorama, packed=packed, slot_rows=slot_rows
-            )
-        )
-        self.cull_slots = cache(
-            lambda slot_rows, panorama: CullSlots(device, slot_rows, panorama=panorama)
-        )
-        self.normals = cache(
-            lambda packed, slot_rows: NormalsKernel(device, packed=packed, slot_rows=slot_rows)
-        )
-        self.order = DepthOrder(device, self.cut, self.sort)
-        self.weighted = cache(
-            lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.order, self.ranges)
-        )
-        self.quads = cache(
-            lambda tested, panorama: DrawQuads(device, tested=tested, panorama=panorama)
-        )
-        self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
-
-    def tile_bits(self, last: int) -> int:
-        """Return the bits to sort tiles by, up to the number ``last``: whole digits if ``one_shape``."""
-        bits = max(1, last.bit_length())
-        digit = self.cut.digit_bits
-        return -(-bits // digit) * digit if self._one_shape else bits
 
 
 @final

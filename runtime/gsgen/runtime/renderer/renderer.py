@@ -21,7 +21,8 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
-from gsgen.runtime.renderer.frame_plan import Kernels, Placed, Plan
+from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.rasteriser_choice import Rasteriser, RasteriserOption, choose
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, NOTHING, Frame, Output

@@ -79,8 +79,7 @@ class Formula(int):
         return Formula(value, _simple(name, tree_of(left), tree_of(right)), self.guards)
 
     def _compare(self, name: str, other: object) -> bool:
-        if not isinstance(other, int):
-            return NotImplemented
+        assert isinstance(other, int), "a size is compared with another type"
         holds = bool(_BINARY[name](int(self), int(other)))
         if other != UNLIMITED:
             opposite = {"lt": "ge", "ge": "lt", "gt": "le", "le": "gt", "eq": "ne", "ne": "eq"}
