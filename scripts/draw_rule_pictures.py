@@ -42,9 +42,7 @@ def _drawn(renderer: Renderer, spec: ModelSpec) -> Image.Image:
     assert isinstance(spec.manifest, GeneratorManifest)
     rows = spec.weights["rows"].astype(np.float32)
     splats = SplatData(
-        rows,
-        spec.weights["colors"].astype(np.float32),
-        spec.manifest.outputs.appearance.space,
+        rows, spec.weights["colors"].astype(np.float32), spec.manifest.outputs.appearance.space
     )
     low, high = rows[:, :3].min(axis=0), rows[:, :3].max(axis=0)
     middle, radius = (low + high) / 2, 1.1 * float(np.linalg.norm(high - low))

@@ -27,6 +27,7 @@ from docs_parts import (
     rooms,
     rules,
     runs,
+    viewer_kit,
 )
 
 from gsgen.contract.reporters.document import schema
@@ -69,6 +70,8 @@ PARTS: dict[str, Part] = {
     "splat-formats": formats.splat_formats,
     "targets": contract.targets,
     "tolerances": contract.tolerances,
+    "viewer-kit-cases": viewer_kit.cases,
+    "viewer-kit-faults": viewer_kit.faults,
     "waiver-keys": contract.waiver_keys,
 }
 

@@ -44,7 +44,7 @@ class BuildRecord:
 
 
 def read_build_record(store: Store, index: str) -> BuildRecord | None:
-    """Return the build record in the folder of the tileset's index; None if it is missing.
+    """Return the build record beside a tileset's ``tileset.json``; None if it is missing.
 
     Raises:
         TilesetInvalid: The record is not valid JSON, or a member is wrong.

@@ -1,4 +1,4 @@
-"""Reads a file of splats on a web server, with the files that it names."""
+"""Reads a splat file on a web server, with the files that the splat file names."""
 
 __all__ = ["names_one_file", "read_download"]
 
@@ -20,7 +20,7 @@ MAX_DOWNLOAD: Final = 8 << 30
 
 
 def names_one_file(source: str | os.PathLike[str]) -> bool:
-    """Return whether ``source`` is an address whose suffix is that of a file of splats."""
+    """Return whether a source is a web address with the suffix of a splat file."""
     parts = urlsplit(_address(source))
     return parts.scheme in ("http", "https") and codec_of_suffix(parts.path) is not None
 
@@ -54,5 +54,5 @@ def read_download(source: str | os.PathLike[str]) -> Splats | PointCloud | Packe
 
 
 def _address(source: str | os.PathLike[str]) -> str:
-    """Return the address with two slashes after its scheme, of which a Path keeps one."""
+    """Return a web address with two slashes after its scheme, of which a Path keeps one."""
     return re.sub(r"^(https?):/+", r"\1://", os.fspath(source), flags=re.IGNORECASE)

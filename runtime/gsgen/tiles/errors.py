@@ -1,4 +1,4 @@
-"""Errors about tilesets, each with its location in the file."""
+"""Errors about tilesets, each with the location of the fault in a file."""
 
 __all__ = ["ContentMissing", "Fault", "StoreUnavailable", "TilesetInvalid"]
 
@@ -8,7 +8,7 @@ from gsgen.contract.errors import InputUnreadable
 
 
 class Fault(StrEnum):
-    """The kinds of faults of a tileset; each value is the id of the rule that reports it."""
+    """The kinds of faults of a tileset; each value is the id of the rule for the fault."""
 
     SCHEMA = "GT001"
     CONTENT = "GT005"

@@ -1,4 +1,4 @@
-"""Writes the index of a tileset, ``tileset.json``, and the record of the build.
+"""Writes the ``tileset.json`` of a tileset, and the record of the build.
 
 Equal tiles give equal bytes: keys are sorted, numbers are written in full, no time is noted.
 """
@@ -62,7 +62,7 @@ class ContentRecord:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TileRecord:
-    """A tile to write into an index, with its descendants.
+    """A tile to write into ``tileset.json``, with its descendants.
 
     The index gets boxes that hold the content and all tiles below, and ``low`` and ``high``
     are grown where necessary.
@@ -99,7 +99,7 @@ class TileRecord:
 @final
 @dataclass(frozen=True, slots=True)
 class _Written:
-    """The JSON of a tile, and its bounding box."""
+    """The JSON of a tile in ``tileset.json``, and the tile's bounding box."""
 
     document: JsonDict = field(repr=False)
     low: Corner
@@ -107,7 +107,7 @@ class _Written:
 
 
 def morton(coordinates: tuple[int, int, int]) -> int:
-    """Return the index of an octree cell on the Morton curve; x is the lowest of each three bits."""
+    """Return an octree cell's Morton code; x is the lowest of each three bits."""
     index = 0
     for axis, value in enumerate(coordinates):
         for bit in range(value.bit_length()):
@@ -131,7 +131,7 @@ def write_tileset(
     quality: int = 0,
     transform: Float64[np.ndarray, "4 4"] | None = None,
 ) -> None:
-    """Write ``tileset.json`` for the tree below ``root``, atomically.
+    """Write the ``tileset.json`` of a tree of tiles, atomically.
 
     Args:
         path: The file to write; the contents' uris are relative to its folder.
@@ -238,7 +238,7 @@ def box_numbers(low: Corner, high: Corner) -> list[float]:
 def write_build_record(
     path: Path, *, key: str, source_splats: int, files: Mapping[str, bytes | tuple[int, str]]
 ) -> None:
-    """Write the build record: the size and SHA-256 of every file, for the validator.
+    """Write a tileset's build record: the size and SHA-256 of every file, for the validator.
 
     Args:
         path: ``gsgen.tiles.json`` beside the index.
@@ -263,6 +263,6 @@ def write_build_record(
 
 
 def json_bytes(document: Mapping[str, object]) -> bytes:
-    """Return JSON bytes with sorted keys and no spaces, which are equal on every machine."""
+    """Return JSON as bytes with sorted keys and no spaces, the same on every machine."""
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return text.encode() + b"\n"

@@ -50,7 +50,7 @@ def _refuse_constant(name: str) -> Never:
 
 
 def shorten(value: object) -> str:
-    """Return ``value`` as one short line for error messages."""
+    """Return a JSON value as one short line for error messages."""
     text = repr(value)
     return text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 1]}…"
 

@@ -1,4 +1,4 @@
-"""Reads splats of a tileset: all leaves, or the content of one tile, in the root frame."""
+"""Reads splats of a tileset, from all leaf tiles or one tile, in the root tile's frame."""
 
 __all__ = [
     "decode_tile_content",
@@ -53,7 +53,7 @@ def read_tile_content(
 def decode_tile_content(
     store: Store, tileset: Tileset, tile: Tile, content: Content, data: bytes
 ) -> list[PlacedSplats]:
-    """Return the splats of a content whose file was read; see :func:`read_tile_content`."""
+    """Decode the splats of a tile's content file whose bytes were read already."""
 
     def fetch(uri: str, location: str, size: int) -> bytes:
         path = resolve_uri(content.uri, uri, location)
@@ -76,7 +76,7 @@ def finest_contents(tileset: Tileset) -> Iterator[tuple[Tile, Content]]:
 
 
 def recognises(path: str | os.PathLike[str]) -> bool:
-    """Return whether ``path`` names a tileset: by its suffix, as an address, or as a folder."""
+    """Return whether a path names a tileset: a file by its suffix, an address, or a folder."""
     text = os.fspath(path)
     name = Path(text).name.lower()
     if text.lower().startswith(("http:/", "https:/")) or name.endswith(".3tz"):
@@ -87,7 +87,7 @@ def recognises(path: str | os.PathLike[str]) -> bool:
 
 
 def read_leaves(source: str | os.PathLike[str]) -> Splats | PointCloud | PackedRows:
-    """Return all leaves of a tileset as one set of splats, in the frame of the root tile.
+    """Return the splats of all leaf tiles of a tileset as one set, in the root tile's frame.
 
     The address of one file of splats, such as a PLY, gives the content of this file.
 

@@ -1,4 +1,4 @@
-"""Reads a tileset: its index, external tilesets and subtrees become one tree of tiles."""
+"""Reads a tileset: ``tileset.json``, external tilesets and subtrees become one tile tree."""
 
 __all__ = ["Limits", "LoadReport", "load_tileset", "open_tileset"]
 
@@ -38,7 +38,7 @@ _TOLERANCE: Final = 1e-4
 
 
 def open_tileset(source: str | Path, *, limits: Limits | None = None) -> Tileset:
-    """Read the tree of tiles of the tileset at ``source``; contents are not read.
+    """Read the tree of tiles of a tileset from a path or address; contents are not read.
 
     Args:
         source: ``tileset.json``, its folder, a ``.3tz`` archive, or an address.
@@ -61,7 +61,7 @@ def load_tileset(
     report: LoadReport | None = None,
     name: str = "",
 ) -> Tileset:
-    """Read the tree of tiles of the tileset with the index file ``index`` in ``store``.
+    """Read the tree of tiles of a tileset from a file store; contents are not read.
 
     Args:
         store: Where its files lie.
@@ -96,7 +96,7 @@ class _Loader:
         self._tiles = 0
 
     def tileset(self, index: str, name: str) -> Tileset:
-        """Read the outermost index of the tileset."""
+        """Read the outermost ``tileset.json`` of a tileset."""
         document = self._documents.read_index(index)
         asset = document.child("asset")
         source = self._documents.describe(index, document, ())
@@ -176,7 +176,7 @@ class _Loader:
         children.append(self._tile(entry, document, parent))
 
     def _guard(self, read: Callable[[], None]) -> None:
-        """Read a part of a tileset; omit it and report the fault if it is invalid."""
+        """Read a part of a tileset; report the fault and omit the part if the part is invalid."""
         try:
             read()
         except TilesetInvalid as error:

@@ -1,4 +1,4 @@
-"""A tileset in memory: a tree of tiles that does not depend on files."""
+"""A tileset in memory: a tree of tiles, independent of files."""
 
 __all__ = ["Content", "Refine", "Tile", "Tileset"]
 
@@ -73,7 +73,7 @@ class Tile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tileset:
-    """A tree of tiles with the declarations of the tileset's index.
+    """A tree of tiles with the declarations of the tileset's ``tileset.json``.
 
     Attributes:
         name: The file, address or archive, as the caller gave it.
@@ -104,12 +104,12 @@ class Tileset:
 
     @property
     def content_axes(self) -> Float64[np.ndarray, "4 4"]:
-        """The 4×4 matrix from the frame of a content to that of its tile."""
+        """The 4×4 matrix from the frame of a content file to the frame of its tile."""
         return Z_UP_FROM_Y_UP if self.y_up else np.eye(4)
 
     @property
     def up(self) -> Float64[np.ndarray, " 3"]:
-        """The up direction in the root frame: z of the world, or away from the globe's centre."""
+        """The up direction of a tileset's root frame: world z, or away from the globe's centre."""
         linear, origin = self.transform[:3, :3], self.transform[:3, 3]
         is_on_globe = np.linalg.norm(origin) > _ON_GLOBE
         up = linear.T @ (origin if is_on_globe else np.array([0.0, 0.0, 1.0]))
@@ -124,7 +124,7 @@ class Tileset:
             pending += reversed(tile.children)
 
     def pairs(self) -> Iterator[tuple[Tile, Tile]]:
-        """Yield every tile with each of its children."""
+        """Yield every pair of a parent tile and a child tile."""
         for tile in self.tiles():
             for child in tile.children:
                 yield tile, child

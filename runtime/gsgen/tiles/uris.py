@@ -1,4 +1,4 @@
-"""Resolves the uris of a tileset to files within it.
+"""Resolves the URIs in a tileset to paths of files within the tileset's folder.
 
 Generic syntax: RFC 3986. A tileset refers to files below its own folder only; anything else
 is refused, so that a downloaded file cannot make a reader open another one.
@@ -18,7 +18,7 @@ _LONGEST = 2048
 
 
 def resolve_uri(base: str, uri: str, location: str) -> str:
-    """Return the path of a file that ``base`` refers to, relative to the tileset's folder.
+    """Resolve a URI in one of a tileset's files to a path relative to the tileset's folder.
 
     Args:
         base: The path of the file that holds the uri, relative to the tileset's folder.

@@ -33,21 +33,21 @@ class Box:
 
     @property
     def size(self) -> float:
-        """The length of the box's diagonal."""
+        """The length of the bounding box's diagonal."""
         return 2 * float(np.sqrt(np.square(self.half_axes).sum()))
 
     def transformed(self, matrix: Matrix) -> "Box":
-        """Return the box transformed by ``matrix``."""
+        """Return the bounding box transformed by a 4×4 matrix."""
         linear = matrix[:3, :3]
         return Box(linear @ self.center + matrix[:3, 3], self.half_axes @ linear.T)
 
     def samples(self) -> Points:
-        """Return the eight corners of the box."""
+        """Return the eight corners of the bounding box."""
         signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
         return np.asarray(self.center + signs @ self.half_axes)
 
     def outside(self, points: Points) -> Float64[np.ndarray, " n"]:
-        """Return the largest distance of points beyond a face of the box; 0 for points within.
+        """Return the largest distance of each point beyond a face of the box; 0 within the box.
 
         Axes have to be at right angles, as 3D Tiles asks for.
         """
@@ -57,7 +57,7 @@ class Box:
         return np.asarray(np.maximum(along - lengths, 0).max(axis=1))
 
     def child(self, offsets: tuple[int, ...], level: int) -> "Box":
-        """Return the cell of the box at ``level`` of a quadtree or octree, by its ``offsets``."""
+        """Return a quadtree or octree cell of the box, by the cell's level and coordinates."""
         split = np.ones(3)
         split[: len(offsets)] = 2.0 ** min(level, _MOST_LEVEL)
         cells = np.zeros(3)
@@ -81,11 +81,11 @@ class Sphere:
 
     @property
     def size(self) -> float:
-        """The diameter of the sphere."""
+        """The diameter of the bounding sphere."""
         return 2 * self.radius
 
     def transformed(self, matrix: Matrix) -> "Sphere":
-        """Return the sphere transformed by ``matrix``; its largest scale applies to the radius."""
+        """Transform a bounding sphere by a 4×4 matrix; the largest scale applies to the radius."""
         linear = matrix[:3, :3]
         scale = float(np.linalg.norm(linear, 2))
         return Sphere(linear @ self.center + matrix[:3, 3], self.radius * scale)
@@ -118,13 +118,13 @@ class Region:
 
     @property
     def size(self) -> float:
-        """The approximate length of the region's diagonal, in metres."""
+        """The approximate length of a globe region's diagonal, in metres."""
         corners = self.samples()
         return float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
 
     @property
     def width(self) -> float:
-        """The angle from the region's west to its east, also across the date line."""
+        """The angle from a globe region's west to its east, also across the date line."""
         return (
             (self.east - self.west) % (2 * np.pi)
             if self.east < self.west
@@ -132,12 +132,12 @@ class Region:
         )
 
     def transformed(self, matrix: Matrix) -> "Region":
-        """Return the region unchanged, since transforms do not apply to regions."""
+        """Return the globe region unchanged, since tile transforms do not apply to regions."""
         del matrix
         return self
 
     def samples(self) -> Points:
-        """Return 18 sample points of the region (ECEF)."""
+        """Return 18 sample points of a globe region, in ECEF coordinates."""
         longitude = self.west + self.width * np.array([0.0, 0.5, 1.0])
         latitude = np.linspace(self.south, self.north, 3)
         grid = np.meshgrid(longitude, latitude, [self.minimum, self.maximum])
@@ -154,7 +154,7 @@ class Region:
         return np.asarray(np.maximum(np.maximum(east, north), up))
 
     def child(self, offsets: tuple[int, ...], level: int) -> "Region":
-        """Return the cell of the region at ``level`` of a quadtree or octree, by ``offsets``."""
+        """Return a quadtree or octree cell of the region, by the cell's level and coordinates."""
         count = 2.0 ** min(level, _MOST_LEVEL)
         width, height = self.width / count, (self.north - self.south) / count
         low, high = self.minimum, self.maximum

@@ -51,7 +51,7 @@ class Reference:
 
     @property
     def nbytes(self) -> int:
-        """The size of all arrays in bytes."""
+        """The size of all expected outputs, in bytes."""
         g, cells = self.gaussians, self.cells
         arrays = [g.position, g.opacity, g.covariance, g.sh, g.rgb]
         if cells is not None:
@@ -76,12 +76,12 @@ class ModelOutput:
     cells: np.ndarray | None = None  # packed cells, [N / K, 10]; None if the model has no cells
 
     def copy(self) -> "ModelOutput":
-        """Return a copy in memory, which outlives the run."""
+        """Return a copy of the outputs that stays valid after the run."""
         cells = None if self.cells is None else np.array(self.cells)
         return ModelOutput(np.array(self.rows), np.array(self.color), self.count, cells)
 
     def every(self, step: int) -> "ModelOutput":
-        """Return every ``step``-th Gaussian, or every ``step``-th cell with all of its Gaussians."""
+        """Return every n-th Gaussian of the outputs, or every n-th cell with all its Gaussians."""
         if step == 1:
             return self
         cells = len(self.rows) if self.cells is None else len(self.cells)
@@ -130,7 +130,7 @@ class Parity:
         ]
         if self.rows_at_threshold:
             parts.append(
-                f"{self.rows_at_threshold} rows at a threshold match slightly changed inputs"
+                f"{self.rows_at_threshold} Gaussians at a threshold match slightly changed inputs"
             )
         return ", ".join(parts)
 
@@ -146,7 +146,7 @@ def compare(
     roundings: int = 1,
     nearby: Nearby | None = None,
 ) -> Parity:
-    """Compare a model's outputs with the expected ones, one probe after the other.
+    """Compare a model's outputs with the expected outputs for each set of test inputs.
 
     Iterators are advanced together, so that a caller may hold one probe's arrays at a time.
 
@@ -209,7 +209,7 @@ def _compare_probe(
     roundings: int,
     nearby: Nearby | None,
 ) -> tuple[list[FieldParity], int]:
-    """Return each field's largest error for one probe, and the count of rows matching nearby ones."""
+    """Return each field's largest error for a test input, and the count of excused rows."""
     label, n = reference.probe.label, reference.count
     if output.count != n:
         return [_failure("count", abs(output.count - n), label)], 0
@@ -250,7 +250,7 @@ def _failure(field: str, error: float, probe: str) -> FieldParity:
 def _excused(
     measured: "_Measure", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
 ) -> tuple["_Errors", int]:
-    """Return each field's error, here or at nearby inputs, and the number of rows that match those."""
+    """Return each field's error at a test input or a nearby one, and the count of excused rows."""
     errors = measured(rows, reference)
     jumps = np.zeros(len(rows), bool)
     for neighbour in nearby:
@@ -273,7 +273,7 @@ def _collect(
     counts: Bool[np.ndarray, " n"],
     probe: str,
 ) -> None:
-    """Keep each field's largest error among the rows that count."""
+    """Update each field's largest error by the errors of the compared rows."""
     if not counts.any():
         return
     for name, (error, ratio) in errors.items():

@@ -33,6 +33,7 @@ from support.tiles.journeys import (
 )
 
 CHOICE_BAR, CERTIFICATE_BAR = 2.0, 1e-3
+ARRIVALS_BAR = 1.1  # times a steady frame
 TREE_BAR, TREE_CERTIFICATE_BAR = 5.0, 1e-2
 _ROUNDS = 30
 
@@ -113,3 +114,46 @@ def bench_journeys(tmp_path: Path, connections: int) -> None:
             print(
                 f"{journey:8} {network:7} hits {hits}  waste {waste}  p95 {delay} s  holes {holes}"
             )
+
+
+def bench_frames_with_arrivals() -> None:
+    """Frames into which tiles arrive beside frames of the same pool without, taken in turn."""
+    from gsgen.runtime.renderer.renderer import Renderer
+    from gsgen.runtime.scene.camera import Camera
+    from gsgen.runtime.scene.scene import Scene
+    from gsgen.runtime.scene.splat_pool import SplatPool
+    from support.rendering.splat_scenes import cloud
+
+    rows_of_tile, tiles = 8192, 48
+    pool = SplatPool((tiles + 8) * rows_of_tile, 48)
+    data = [cloud(rows_of_tile, seed, degree=3) for seed in range(tiles + 8)]
+
+    def arrive(tile: int) -> None:
+        pool.insert(tile, data[tile].rows, data[tile].appearance, np.zeros(3))
+
+    for tile in range(tiles):
+        arrive(tile)
+    camera = Camera(np.eye(4), width=640, height=360, fx=500.0, fy=500.0, cx=320.0, cy=180.0)
+    renderer, scene = Renderer(rasteriser="tiles"), Scene([], pools=[pool])
+    spent: dict[str, list[float]] = {"steady": [], "arrivals": []}
+    newest = tiles - 1
+    for number in range(44):
+        kind = "arrivals" if number % 2 else "steady"
+        start = time.process_time()
+        if kind == "arrivals":  # two tiles of 1.9 MB: the upload budget of a frame
+            for _ in range(2):
+                pool.evict(pool.tiles[number % len(pool.tiles)])
+                newest = (newest + 1) % len(data)
+                while newest in pool.tiles:
+                    newest = (newest + 1) % len(data)
+                arrive(newest)
+        pool.draw(dict.fromkeys(pool.tiles, 1.0))
+        renderer.render(scene, camera)
+        if number >= 4:
+            spent[kind].append(time.process_time() - start)
+    steady, arrivals = (float(np.median(spent[kind])) for kind in ("steady", "arrivals"))
+    print(
+        f"\n{tiles} tiles of {rows_of_tile:,} splats at 640×360: steady {1e3 * steady:.0f} CPU-ms, "
+        f"with arrivals {1e3 * arrivals:.0f} ({arrivals / steady:.3f}; bar {ARRIVALS_BAR})"
+    )
+    assert arrivals <= ARRIVALS_BAR * steady

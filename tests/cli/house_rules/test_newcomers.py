@@ -135,12 +135,18 @@ def test_a_dry_run_may_be_added_to_any_command_line(good: Path, tmp_path: Path) 
 
 
 def test_a_folder_of_models_says_what_it_holds(logits: Path) -> None:
-    ran = gsgen_here("validate", Path())
+    ran = gsgen_here("inspect", Path())
     assert (ran.code, ran.err) == (
         4,
         "gsgen: .: is a folder, expected an ONNX file\n"
         "  It holds 1: name opacity_is_logits.onnx, or ./*.onnx.\n",
     )
+
+
+def test_a_folder_of_models_is_validated(logits: Path) -> None:
+    alone, folder = gsgen_here("validate", logits), gsgen_here("validate", Path())
+    assert (folder.code, folder.err) == (alone.code, "")
+    assert "opacity_is_logits.onnx" in folder.out
 
 
 def test_a_setting_outside_of_its_table_is_sent_there(logits: Path) -> None:

@@ -173,7 +173,7 @@ def test_what_cannot_be_promised_is_refused_and_leaves_nothing(tmp_path: Path) -
     for name, document in (
         ("no_manifest", "has no manifest"),
         ("count_is_int64", "breaks GO011 at output num_points"),
-        ("seeded_random", "gives other outputs in a second run"),
+        ("seeded_random", "breaks GG010 at node noise"),
     ):
         with pytest.raises(RecordingRefused, match=document) as caught:
             record_vectors(find(name).write(tmp_path), out, count=1)

@@ -131,7 +131,7 @@ def test_channels_that_mean_nothing_are_refused() -> None:
 
 
 def test_a_capacity_below_the_rows_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(GsgenError, match="4 is less than the 10 rows"):
+    with pytest.raises(GsgenError, match="4 is less than the 10 packed Gaussians"):
         write_scene(from_content(torus_knot(10)), tmp_path / "m.onnx", capacity=4)
     assert list(tmp_path.iterdir()) == []
 

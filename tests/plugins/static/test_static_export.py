@@ -96,7 +96,7 @@ def test_packed_rows_keep_their_dtype_unless_another_is_requested(
 
 
 def test_a_capacity_below_the_rows_is_refused_with_a_hint(tmp_path: Path) -> None:
-    with pytest.raises(ConfigInvalid, match="3 is less than the 5 rows") as caught:
+    with pytest.raises(ConfigInvalid, match="3 is less than the 5 packed Gaussians") as caught:
         export_constant(StaticScene(content=torus_knot(5)), tmp_path / "m.onnx", capacity=3)
     assert (caught.value.where, caught.value.hint) == (
         "--capacity",

@@ -94,7 +94,7 @@ def test_a_network_of_the_view_is_fitted(models: Path, tmp_path: Path, renderer:
     """The network of this model also makes the opacity: the mean stands for all cameras."""
     report = bake(models / "lit.onnx", tmp_path / "lit.ply")
     assert report.view_dependence == "rows and colors"
-    assert "rows depend on the camera" in report.notes[0]
+    assert "Gaussians depend on the camera" in report.notes[0]
     assert len(report.fit_error) == 4
     # How much harmonics explain depends on the random network: 2.4 to 4 times with these sizes.
     assert report.fit_error[report.frames[0].sh_degree] < report.fit_error[0] / 2

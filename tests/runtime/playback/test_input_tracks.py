@@ -115,7 +115,7 @@ def test_a_time_for_all_frames_stops_what_goes_on() -> None:
     assert not score.is_animated
     assert fed(score, "time", 3) == [0.75] * 3
     assert score.values(1, 3)[1] == {}
-    with pytest.raises(ConfigInvalid, match=r"--time: is 0\.5, but no scene has a time"):
+    with pytest.raises(ConfigInvalid, match=r"--time: the time is 0\.5, but no scene has a time"):
         Timeline([AnimatedInputs(amount=(1,))], [], time=0.5)
 
 

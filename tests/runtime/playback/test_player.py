@@ -246,7 +246,7 @@ def test_several_sources_play_together(models: Path, renderer: Renderer) -> None
     played = [frame.rgba for frame in player.play(shots)]
     assert all(np.array_equal(*pair) for pair in zip(alone, played, strict=True))
     assert not np.array_equal(alone[0], alone[1])
-    with pytest.raises(GsgenError, match=r"avatar\.onnx, frame 8, input pose: has shape"):
+    with pytest.raises(GsgenError, match=r"avatar\.onnx, frame 8, input pose: the value has shape"):
         player.render(FrameRequest(CAMERA, ({}, {"pose": np.zeros((3, 3))})))
     with pytest.raises(GsgenError, match=r"drift\.onnx, frame 42, input time: is 7"):
         player.render(FrameRequest(CAMERA, ({"time": 7},), number=42))

@@ -186,7 +186,7 @@ HOSTILE = {
     "many.stl": (b"\0" * 80 + b"\xff\xff\xff\xff" + b"\0" * 50, "triangles: is 4294967295"),
     "nan.obj": (b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "vertices: 1 of 3 rows"),
     "far.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "far.obj: "),
-    "points.obj": (b"v 0 0 0\nv 1 0 0\n", "has no triangles"),
+    "points.obj": (b"v 0 0 0\nv 1 0 0\n", "the mesh file has no triangles"),
     "x.fbx": (
         b"Kaydara FBX",
         "begins with the bytes 4b 61 79 64, expected a mesh\n.*GLB, glTF, OBJ",

@@ -187,7 +187,7 @@ def test_the_command_s_exit_codes(folder: Path, capsys: pytest.CaptureFixture[st
 
 A = {"path": "a.npz"}
 WRONG = {
-    "empty": ({}, "has neither models nor meshes"),
+    "empty": ({}, "the scene file has neither models nor meshes"),
     "version": ({"gsgen_scene": "2.0", "models": [A]}, r"gsgen_scene: is '2.0', expected 1.0"),
     "unknown": ({"models": [A], "mesh": []}, "unknown field 'mesh'\n.*'meshes'"),
     "nearest": (

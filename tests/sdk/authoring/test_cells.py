@@ -103,7 +103,9 @@ def test_cells_behind_the_count_are_not_visible() -> None:
 
 
 def test_a_capacity_that_splits_a_cell_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(GeneratorInvalid, match=r"(?s)25 rows are not a multiple of 3.* 3 divides"):
+    with pytest.raises(
+        GeneratorInvalid, match=r"(?s)25 packed Gaussians are not a multiple of 3.* 3 divides"
+    ):
         export(Bunches(), tmp_path / "m.onnx", capacity=25)
     assert not (tmp_path / "m.onnx").exists()
 
@@ -131,8 +133,11 @@ def test_cells_and_weights_go_together(
     [
         ({"position": torch.zeros(CELLS, 2)}, r"Cells.position: shape is \[8, 2\]"),
         ({"visibility": torch.zeros(CELLS, 3)}, r"Cells.visibility.*\[8\] or \[8, 1\]"),
-        ({"scale": None}, "Cells: give scale and rotation, or covariance"),
-        ({"covariance": torch.zeros(CELLS, 6)}, "Cells: give scale and rotation"),
+        ({"scale": None}, "Cells: expected either scale and rotation, or covariance"),
+        (
+            {"covariance": torch.zeros(CELLS, 6)},
+            "Cells: expected either scale and rotation, or covariance",
+        ),
     ],
 )
 def test_cells_of_another_shape_are_refused(changes: dict[str, object], said: str) -> None:
@@ -181,7 +186,7 @@ def test_cells_of_a_wrapped_module_must_be_cells() -> None:
 
 def test_rows_that_never_change_are_written_without_cells(made: Exported, tmp_path: Path) -> None:
     rows, color = np.zeros((24, 10), np.float32), np.zeros((24, 3), np.float32)
-    with pytest.raises(GeneratorInvalid, match="declares cells"):
+    with pytest.raises(GeneratorInvalid, match="the manifest declares cells"):
         write_constant(rows, color, made.manifest, tmp_path / "m.onnx")
 
 

@@ -42,8 +42,8 @@ def session(tmp_path_factory):
     ("values", "said"),
     [
         ({"pos": 0}, "unknown input 'pos'"),
-        ({"pose": np.zeros(3)}, "input pose: has shape [3], expected [1, 3]"),
-        ({"pose": 1}, "input pose: has shape [], expected [1, 3]"),
+        ({"pose": np.zeros(3)}, "input pose: the value has shape [3], expected shape [1, 3]"),
+        ({"pose": 1}, "input pose: the value has shape [], expected shape [1, 3]"),
         ({"pose": [[1, 2], [3]]}, "input pose: is not an array: "),
         ({"pose": [["x", "y", "z"]]}, "input pose: is <U1, expected float32"),
         ({"a": 1.5}, "input a (role control): is 1.5, expected 0 … 1"),

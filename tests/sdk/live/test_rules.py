@@ -144,7 +144,7 @@ def test_a_model_of_images_passes(tmp_path):
 
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_a_static_scene_passes(dtype, tmp_path):
-    write_ply(tmp_path / "knot.ply", torus_knot(64))
+    write_ply(tmp_path / "knot.ply", torus_knot(512))
     scene = from_content(open_splats(tmp_path / "knot.ply"), dtype=dtype)
     write_scene(scene, tmp_path / "a.onnx")
     report = judged(tmp_path / "a.onnx")

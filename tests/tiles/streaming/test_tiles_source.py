@@ -113,7 +113,9 @@ def test_a_fade_has_no_hole_and_no_pop(town: Path, renderer: Renderer) -> None:
             if not source.is_streaming:
                 break
             session.wait(0.05)
-    zoomed = Camera.look_at((90, -70, 40), (0.5, 0.2, 0), up=(0, 0, 1), width=96, height=64, fov_y=4)
+    zoomed = Camera.look_at(
+        (90, -70, 40), (0.5, 0.2, 0), up=(0, 0, 1), width=96, height=64, fov_y=4
+    )
     while True:
         before = player.render(FrameRequest(zoomed)).rgba
         if not source.is_streaming:

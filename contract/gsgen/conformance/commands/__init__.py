@@ -1,1 +1,1 @@
-"""The commands of the conformance suite: `gsgen conformance` and `gsgen repro`."""
+"""The commands of the conformance suite: `gsgen conformance`, `gsgen repro`, `gsgen viewer-kit`."""

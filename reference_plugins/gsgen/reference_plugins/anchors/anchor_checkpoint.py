@@ -304,7 +304,7 @@ def describe_anchors(checkpoint: AnchorCheckpoint) -> str:
 def require_appearance(
     checkpoint: AnchorCheckpoint, appearance: int | None, option: str
 ) -> int | None:
-    """Return ``appearance``, the number of a training camera, if the checkpoint has it."""
+    """Return the number of a training camera; raise if the checkpoint has no such appearance."""
     embedding = checkpoint.nets.embedding
     if appearance is None:
         return None

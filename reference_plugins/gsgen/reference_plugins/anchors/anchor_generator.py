@@ -36,7 +36,7 @@ class Decoding:
     rows: Int[Tensor, " n"] | None = None  # row numbers of the anchors; all in order if absent
 
     def of(self, table: Tensor) -> Tensor:
-        """Return the rows of ``table`` that belong to the decoded anchors."""
+        """Return the rows of a table that belong to the decoded anchors."""
         if self.rows is None:
             return table
         return torch.index_select(table, 0, self.rows)
@@ -112,7 +112,7 @@ class AnchorGenerator(GaussianGenerator):
         return False
 
     def forward(self, camera: Float[Tensor, "4 4"], *extra_inputs: Tensor) -> Gaussians:
-        """Decode the anchors for ``camera``, the world→camera matrix in column order."""
+        """Decode the anchors to Gaussians for a camera: a world→camera matrix in column order."""
         centre = camera_centre(camera).reshape(1, 3)
         visible = self._combined_share(camera, centre, extra_inputs)
         rows = count = None
@@ -180,7 +180,7 @@ class AnchorGenerator(GaussianGenerator):
 
     @abstractmethod
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"] | None:
-        """Return each anchor's visible share from ``centre``, 0 to 1; None if all are 1."""
+        """Return each anchor's visible share for a camera centre, 0 to 1; None if all are 1."""
 
 
 def _views(

@@ -56,7 +56,7 @@ class _Layers(nn.Module):
         )
 
     def forward(self, inputs: Tensor, bias: Tensor | None = None) -> list[Tensor]:
-        """Apply both dense layers; ``bias`` replaces that of the first layer."""
+        """Apply two dense layers; a given bias replaces that of the first layer."""
         first = self.hidden
         hidden = torch.relu(first(inputs) if bias is None else inputs @ first.weight + bias)
         return [out(hidden) for out in self.outs]

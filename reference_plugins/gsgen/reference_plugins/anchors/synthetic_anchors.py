@@ -42,7 +42,7 @@ class AnchorOptions:
 
 
 def write_scaffold(folder: Path, options: AnchorOptions = AnchorOptions()) -> Path:
-    """Write a synthetic checkpoint of Scaffold-GS, and return ``folder``."""
+    """Write a synthetic checkpoint of Scaffold-GS, and return the folder."""
     rng = np.random.default_rng(options.seed)
     columns = _positions(options) | {axis: np.zeros(options.anchors) for axis in ("nx", "ny", "nz")}
     columns |= _payload(options, rng)
@@ -60,7 +60,7 @@ def write_octree(
     levels: int = 3,
     distance: float = 6.0,
 ) -> Path:
-    """Write a synthetic checkpoint of Octree-GS, and return ``folder``.
+    """Write a synthetic checkpoint of Octree-GS, and return the folder.
 
     ``mode`` rounds levels: round, floor, ceil or progressive. ``fork`` is the ratio of the cell
     sizes of two levels, and ``distance`` belongs to level 0.
@@ -83,7 +83,7 @@ def write_duplex(
     sigma: float = 9.0,
     depth: bool = True,
 ) -> Path:
-    """Write a synthetic checkpoint of Duplex-GS, and return ``folder``.
+    """Write a synthetic checkpoint of Duplex-GS, and return the folder.
 
     ``mode``, ``fork`` and ``levels`` are as in :func:`write_octree`; ``degree`` is the SH degree of
     the visibility, and weights fall to 0 at the depth ``sigma`` if ``depth``.

@@ -85,7 +85,7 @@ def required_body(requested: Path | None, candidates: Mapping[str, Path], joints
 
 
 def read_body(path: Path, joints: int) -> Body:
-    """Read a body model of ``joints`` joints from a ``.pkl`` or ``.npz``."""
+    """Read a body model with a given number of joints from a ``.pkl`` or ``.npz``."""
     required_body(path, {}, joints)
     read = _arrays(path)
     missing = [name for name in _NEEDED if name not in read]

@@ -34,7 +34,7 @@ class MotionPlayback(GaussianGenerator):
         *,
         spacing: float = 1.0,
     ) -> None:
-        """Store the motion's values for each input of ``avatar`` as a table of frames.
+        """Store a motion's values for each input of an avatar as a table of frames.
 
         The shape of ``avatar`` is baked, and its inputs are those of ``actors``. ``time`` has the
         motion's frames and speed by default; ``spacing`` separates bodies along x.

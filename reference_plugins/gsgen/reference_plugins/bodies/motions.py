@@ -65,7 +65,7 @@ class Motion:
 
 
 def read_motion(path: Path, joints: int) -> Motion:
-    """Read the motion at ``path`` for a body of ``joints`` joints."""
+    """Read a motion file for a body with a given number of joints."""
     if path.is_dir():
         return _read_folder(path, joints)
     if not path.is_file():
@@ -166,7 +166,7 @@ def _rows(
 def _convert_poses(
     path: Path, poses: Float[np.ndarray, "t p"], joints: int
 ) -> Float[np.ndarray, "t j 3"]:
-    """Convert poses of one body model to another with ``joints`` joints."""
+    """Convert poses of one body model to another with a different number of joints."""
     frames, width = poses.shape
     if width not in _WIDTHS:
         message = f"a pose has {width} numbers, expected {', '.join(map(str, _WIDTHS))}"

@@ -97,7 +97,7 @@ def with_motion(
     loop: bool,
     spacing: float,
 ) -> "GaussianGenerator":
-    """Wrap ``avatar`` to play a motion file, if one is given, and add the motion's licence."""
+    """Wrap an avatar to play a motion file, if one is given, and add the motion's licence."""
     from importlib.metadata import version
 
     from gsgen.contract.spec.manifest import Producer
@@ -118,7 +118,7 @@ def with_motion(
 
 
 def parse_numbers(text: str | None, most: int, option: str) -> list[float] | None:
-    """Parse a comma-separated list of numbers and pad it with zeros to ``most`` entries."""
+    """Parse a comma-separated list of numbers, padded with zeros to a fixed length."""
     if text is None:
         return None
     try:

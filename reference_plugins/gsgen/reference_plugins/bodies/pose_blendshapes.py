@@ -40,7 +40,7 @@ class PoseBlendshapes(nn.Module):
         *,
         add_hands: bool = False,
     ) -> None:
-        """Store the blendshapes of the vertices with the indices ``vertices``.
+        """Store the blendshapes of selected vertices of a body model.
 
         Without ``shape``, the shape coefficients are an input; ``add_hands`` adds the mean pose of
         the hands to poses.

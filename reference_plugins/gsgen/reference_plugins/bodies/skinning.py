@@ -66,7 +66,7 @@ def transform_points(
 def multiply_matrices(
     first: Float[Tensor, "k 3 c n"], second: Float[Tensor, "*k 3 3 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Multiply 3×3 matrices; further columns of ``first`` are ignored."""
+    """Multiply 3×3 matrices; further columns of the first matrix are ignored."""
     product = first[:, :, 0:1] * second[:, 0:1]
     for axis in (1, 2):
         product = product + first[:, :, axis : axis + 1] * second[:, axis : axis + 1]
@@ -74,7 +74,7 @@ def multiply_matrices(
 
 
 def covariance(root: Float[Tensor, "k 3 3 n"]) -> Float[Tensor, "k 6 n"]:
-    """Return the covariance M Mᵀ as planes xx, xy, xz, yy, yz, zz."""
+    """Return the covariance M Mᵀ of a matrix M, as planes xx, xy, xz, yy, yz, zz."""
     rows = root.unbind(dim=1)
     return torch.stack([(rows[a] * rows[b]).sum(dim=1) for a, b in UPPER_TRIANGLE], dim=1)
 

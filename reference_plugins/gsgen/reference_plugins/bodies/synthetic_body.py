@@ -230,7 +230,7 @@ def clothing_colors(
 
 
 def write_body(path: Path, options: PersonOptions = PersonOptions()) -> Path:
-    """Write a synthetic body model as ``.pkl`` or ``.npz``, by the suffix, and return ``path``."""
+    """Write a synthetic body model as ``.pkl`` or ``.npz``, by the suffix, and return the path."""
     from scipy.sparse import csc_matrix
 
     path.parent.mkdir(parents=True, exist_ok=True)

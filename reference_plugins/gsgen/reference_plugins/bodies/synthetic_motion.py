@@ -14,7 +14,7 @@ _DOWN, _ELBOW = 1.25, 0.5  # arms hang down, slightly bent
 
 
 def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0) -> Path:
-    """Write a synthetic motion of two repeated steps in AMASS layout, and return ``path``.
+    """Write a synthetic motion of two repeated steps in AMASS layout, and return the path.
 
     ``width`` is the count of numbers of a pose: 66, 72, 156 or 165.
     """
@@ -41,7 +41,7 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
 
 
 def write_demo_motion(folder: Path) -> list[str]:
-    """Write a synthetic motion, and return the options that export ``folder`` with it."""
+    """Write a synthetic motion, and return the options that export an avatar with it."""
     motion = write_motion(folder / "walk.npz", frames=24)
     return ["--checkpoint", str(folder), "--motion", str(motion)]
 

@@ -96,7 +96,7 @@ class Deformable3DGS(GaussianGenerator):
         self.register_buffer("sh", canonical.sh)
 
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
-        """Return the deformed Gaussians at ``time``."""
+        """Return the deformed Gaussians at a given time."""
         moment = self._moment(time)
         count = self.position.shape[0]
         parts = [

@@ -76,7 +76,7 @@ class HexPlane4DGS(GaussianGenerator):
         self.register_buffer("sh", canonical.sh.flatten(1))
 
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
-        """Return the deformed Gaussians at ``time``."""
+        """Return the deformed Gaussians at a given time."""
         hidden = self.field(time, self.position)
         for index, layer in enumerate(self.feature):
             hidden = layer(torch.relu(hidden) if index else hidden)
@@ -93,7 +93,7 @@ class HexPlane4DGS(GaussianGenerator):
     def _deformed(
         self, head: str, canonical: Tensor, hidden: Tensor, share: Tensor | None
     ) -> Tensor:
-        """Return the masked ``canonical`` values plus the change that the network predicts."""
+        """Return masked attributes of canonical Gaussians plus the predicted change."""
         if head not in self.heads:
             return canonical
         masked = canonical if share is None else canonical * share

@@ -165,6 +165,6 @@ class HexPlaneField(nn.Module):
     def forward(
         self, time: Float[Tensor, "1"], position: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "n f"]:
-        """Return the hexplane features of the points at ``time``, all resolutions side by side."""
+        """Return the hexplane features of fixed points at a given time, at all resolutions."""
         scaled = (position - self.corner) * self.per_size
         return torch.cat([resolution(time, scaled) for resolution in self.resolutions], dim=1)

@@ -41,7 +41,7 @@ class HexPlaneOptions:
 
 
 def write_hexplane(folder: Path, options: HexPlaneOptions = HexPlaneOptions()) -> Path:
-    """Write a synthetic checkpoint of 4DGaussians, and return ``folder``."""
+    """Write a synthetic checkpoint of 4DGaussians, and return the folder."""
     iteration_folder = folder / "point_cloud" / "iteration_30000"
     cfg = {
         "kplanes_config": {
@@ -107,7 +107,7 @@ def write_deformable(
     sway: float = 0.2,
     seed: int = 0,
 ) -> Path:
-    """Write a synthetic checkpoint of Deformable-3D-Gaussians, and return ``folder``.
+    """Write a synthetic checkpoint of Deformable-3D-Gaussians, and return the folder.
 
     ``blender`` encodes time by a network of its own, and ``six_degrees`` moves points by screw
     motions. ``width`` is 256 in the published code; ``sway`` is the approximate movement.

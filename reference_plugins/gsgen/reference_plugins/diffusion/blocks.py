@@ -88,7 +88,7 @@ class Attention(nn.Module):
     def forward(
         self, tokens: Float[Tensor, "b n c"], context: Float[Tensor, "b m d"] | None = None
     ) -> Float[Tensor, "b n c"]:
-        """Attend from the tokens to ``context``, or to the tokens themselves."""
+        """Attend from image tokens to conditioning vectors, or to the image tokens themselves."""
         source = tokens if context is None else context
         query = self._split(self.to_q(tokens))
         key, value = self._split(self.to_k(source)), self._split(self.to_v(source))

@@ -87,7 +87,7 @@ class Adapter:
 
 
 def read_lora(path: Path) -> Adapter:
-    """Read a LoRA file, with the names of its tool.
+    """Read a LoRA file, whose tensors have the names that its training tool uses.
 
     ``path`` is a safetensors file, a file of ``torch.save``, or the folder of either under the name
     that peft or diffusers gives it.

@@ -27,7 +27,7 @@ class ModelConfig:
         return CheckpointInvalid(f"{name} {problem}", where=str(self.path))
 
     def choice(self, name: str, values: Sequence[Any], default: Any = None) -> Any:
-        """Return a network option that must be one of ``values``."""
+        """Return a network option that must be one of the supported values."""
         value = self.values.get(name, default)
         if isinstance(value, list | dict) or value not in values:
             words = ", ".join(json.dumps(allowed) for allowed in values)
@@ -35,7 +35,7 @@ class ModelConfig:
         return value
 
     def integer(self, name: str, default: int, *, least: int = 1) -> int:
-        """Return a network option that must be an integer of at least ``least``."""
+        """Return a network option that must be an integer above a lower limit."""
         value = self.values.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise self.option_error(name, f"is {value!r}, expected an integer of at least {least}")
@@ -76,7 +76,7 @@ class ModelConfig:
         return numbers
 
     def kinds(self, name: str, known: Mapping[str, str], levels: int) -> tuple[str, ...]:
-        """Return for each level the value that ``known`` has for the level's block type."""
+        """Return the network option of each level that belongs to the level's block type."""
         names = self.values.get(name)
         if not isinstance(names, list) or len(names) != levels:
             raise self.option_error(name, f"is {names!r}, expected a list of {levels} block types")

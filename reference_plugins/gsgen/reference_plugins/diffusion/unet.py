@@ -39,7 +39,7 @@ def time_features(
 def added_vector(
     pooled: Float[Tensor, "1 p"], time_ids: Sequence[float], options: UNetOptions
 ) -> Float[Tensor, "1 v"]:
-    """Return the vector of prompt and sizes that SDXL adds to the time, before its layers.
+    """Return the vector of prompt and image sizes that SDXL adds to the embedded timestep.
 
     It joins the pooled prompt and the features of each size (Podell et al. 2023, section 2.2).
 

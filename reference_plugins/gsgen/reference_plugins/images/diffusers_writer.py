@@ -29,13 +29,13 @@ def config_of(values: Mapping[str, Any]) -> ModelConfig:
 def write_network(
     folder: Path, config: Mapping[str, Any], network: nn.Module, name: str = _WEIGHTS
 ) -> None:
-    """Write a network's weights and its ``config.json`` into ``folder``."""
+    """Write a network's weights and its ``config.json`` into the folder."""
     write_safetensors(folder / name, network.state_dict())
     (folder / "config.json").write_text(json.dumps(dict(config)), "utf-8")
 
 
 def write_schedule(folder: Path, changes: Mapping[str, Any] | None = None) -> None:
-    """Write a synthetic noise schedule as ``scheduler/`` into ``folder``.
+    """Write a synthetic noise schedule as ``scheduler/`` into the folder.
 
     ``changes`` are options that differ from those of :data:`SCHEDULE`.
     """

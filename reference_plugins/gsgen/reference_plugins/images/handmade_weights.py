@@ -92,7 +92,7 @@ class Weights:
         return self._named[name]
 
     def __call__(self, name: str, change: Callable[[Tensor], None]) -> None:
-        """Apply ``change`` to the weight tensor of a layer."""
+        """Apply a change to the weight tensor of a layer."""
         change(self._named[f"{name}.weight"])
 
 

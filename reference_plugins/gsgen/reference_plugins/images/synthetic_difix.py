@@ -66,7 +66,7 @@ _TIMESTEP = 199
 
 
 def write_difix(folder: Path) -> Path:
-    """Write a synthetic Difix checkpoint, a diffusers base and a ``model.pkl``, to ``folder``."""
+    """Write a synthetic Difix checkpoint, a diffusers base and a ``model.pkl``, to the folder."""
     coder = Autoencoder(AutoencoderOptions.of(config_of(_VAE)))
     scale = coder.options.scale
     _set_identity(coder)

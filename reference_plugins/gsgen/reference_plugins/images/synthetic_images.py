@@ -48,7 +48,7 @@ def write_denoiser(
     smoothing: bool = False,
     seed: int = 0,
 ) -> Path:
-    """Write a synthetic diffusion checkpoint in the layout of diffusers, and return ``folder``.
+    """Write a synthetic diffusion checkpoint in the layout of diffusers, and return the folder.
 
     ``unet`` and ``schedule`` are changed options. With ``latent``, the U-Net works on latents of 4
     channels; with ``smoothing``, it removes fine noise, by weights set by formula.
@@ -75,7 +75,7 @@ def write_denoiser(
 def write_stylise(
     folder: Path, *, channels: int = 8, blocks: int = 2, drawing: bool = False, seed: int = 0
 ) -> Path:
-    """Write an untrained style transfer network, and return ``folder``.
+    """Write an untrained style transfer network, and return the folder.
 
     With ``drawing``, the network draws outlines on paper, by weights set by formula.
     """

@@ -74,7 +74,7 @@ class CfgArgs:
         return float(value)
 
     def word(self, name: str, default: str, known: Iterable[str] = ()) -> str:
-        """Return a text option of the training, one of ``known`` unless that is empty."""
+        """Return a text option of the training; raise if it is not one of the known words."""
         value = self.values.get(name, default)
         choices = tuple(known)
         if not isinstance(value, str) or (choices and value not in choices):

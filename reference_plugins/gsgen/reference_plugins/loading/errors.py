@@ -25,7 +25,7 @@ class NotInCheckpoint(CheckpointInvalid):
 
 @contextmanager
 def format_faults(path: Path) -> Iterator[None]:
-    """Raise errors about the splat file ``path`` as errors about a checkpoint."""
+    """Convert errors about a splat file to errors about a checkpoint."""
     try:
         yield
     except FormatError as error:

@@ -112,7 +112,7 @@ def _below(folder: Path, levels: int = _LEVELS) -> Iterator[Path]:
 
 
 def required_file(path: Path, content: str) -> Path:
-    """Return ``path``; raise with the files of other iterations if it does not exist."""
+    """Return the path of a required file; if it is missing, raise and name other iterations."""
     if not path.is_file():
         hint = _elsewhere(path)
         raise CheckpointInvalid(f"is missing: {content}", where=str(path), hint=hint)

@@ -58,7 +58,7 @@ def _unwrapped(value: Any) -> Any:
 
 
 def entries_below(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """Return the dict entries whose names start with ``prefix``, without that prefix."""
+    """Return the dict entries whose names start with a prefix, without that prefix."""
     return {
         name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)
     }

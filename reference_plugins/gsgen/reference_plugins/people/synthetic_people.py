@@ -59,7 +59,7 @@ def _splats(options: PersonOptions, body: Body) -> Splats:
 
 
 def write_gauhuman(folder: Path, options: PersonOptions = _UNCORRECTED) -> Path:
-    """Write a checkpoint of GauHuman with a body model in ``assets``, and return ``folder``."""
+    """Write a checkpoint of GauHuman with a body model in ``assets``, and return the folder."""
     cfg = {"smpl_type": options.kind, "actor_gender": "neutral", "sh_degree": 3}
     write_cfg_args(folder, cfg | {"motion_offset_flag": options.nets})
     body = _assets(folder, options)
@@ -93,7 +93,7 @@ def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Ten
 
 
 def write_lhm(folder: Path, options: PersonOptions = _UNCORRECTED) -> Path:
-    """Write a synthetic LHM avatar with the files that it needs, and return ``folder``.
+    """Write a synthetic LHM avatar with the files that it needs, and return the folder.
 
     The body is always an SMPL-X of 400 shape coefficients; ``kind`` and ``shapes`` are ignored.
     """
@@ -150,7 +150,7 @@ def _lhm_tensors(
 
 
 def write_r3(folder: Path, options: PersonOptions = _CORRECTED) -> Path:
-    """Write a checkpoint of R3-Avatar trained on ZJU-MoCap, and return ``folder``."""
+    """Write a checkpoint of R3-Avatar trained on ZJU-MoCap, and return the folder."""
     cfg = {"smpl_type": options.kind, "actor_gender": "neutral", "sh_degree": 3}
     write_cfg_args(folder, cfg | {"source_path": "/data/zju_mocap/my_377"})
     body = _assets(folder, options)

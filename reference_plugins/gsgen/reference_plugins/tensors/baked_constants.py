@@ -23,7 +23,7 @@ class Constants(nn.Module):
     def __init__(
         self, make: nn.Module, arguments: Sequence[Tensor] = (), bake: Bake = "auto"
     ) -> None:
-        """Compute constant results, and keep either the results or the buffers behind them.
+        """Compute a module's constant results, and keep the results or the buffers behind them.
 
         Args:
             make: Module that returns a tuple of tensors, computed from its buffers.
@@ -45,7 +45,7 @@ class Constants(nn.Module):
             self.register_buffer(f"made_{index}", tensor.contiguous())
 
     def forward(self, *arguments: Tensor) -> tuple[Tensor, ...]:
-        """Return the constant tensors, computed from ``arguments`` if they are not stored."""
+        """Return a module's constant tensors, computed from smaller tensors if not stored."""
         if self.make is None:
             return tuple(getattr(self, f"made_{index}") for index in range(self.count))
         results: tuple[Tensor, ...] = self.make(*arguments)

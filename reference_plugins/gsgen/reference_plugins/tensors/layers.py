@@ -26,7 +26,7 @@ class Dense(nn.Module):
     bias: Tensor
 
     def __init__(self, weight: Float[Tensor, "o i"], bias: Float[Tensor, " o"]) -> None:
-        """Store a weight that is given as in ``nn.Linear``, (out, in)."""
+        """Store the weight of a dense layer, given as in ``nn.Linear``, (out, in)."""
         super().__init__()
         self.register_buffer("weight", weight.t().contiguous())
         self.register_buffer("bias", bias.clone())

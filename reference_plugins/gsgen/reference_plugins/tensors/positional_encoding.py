@@ -11,7 +11,7 @@ POINT_OCTAVES = 10
 
 
 def encoded_size(size: int, octaves: int) -> int:
-    """Return the number of columns of an encoding of ``size`` columns."""
+    """Return the number of columns of a positional encoding."""
     return size * (2 * octaves + 1)
 
 

@@ -190,7 +190,7 @@ class _Job:
         gaussians = self._gaussians(number, values, head)
         mask, nonfinite = drawn_mask(gaussians)
         if nonfinite:
-            self._note(f"frame {number}: {nonfinite:,} rows are not finite and were left out")
+            self._note(f"frame {number}: {nonfinite:,} Gaussians are not finite and were left out")
         drawn = _rows(gaussians, mask)
         splats = splats_of_frame(
             drawn, antialiased=source.antialias == "mip", color_space=source.color_space
@@ -274,7 +274,7 @@ class _Job:
         self.view_dependence = " and ".join(sorted(merged, reverse=True)) or "none"
         if samples.rows_change:
             self._note(
-                "rows depend on the camera: opacities, positions and covariances are means over "
+                "Gaussians depend on the camera: opacities, positions and covariances are means over "
                 f"{self.views} cameras around the scene; --camera bakes what one camera sees"
             )
 

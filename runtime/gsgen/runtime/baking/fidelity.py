@@ -38,7 +38,7 @@ def generator_images(
     number: int,
     renderer: "Renderer",
 ) -> Images:
-    """Run a generator for each camera, and draw its frame ``number`` with the input values."""
+    """Run a generator for each camera, and draw one frame of it with given input values."""
     images = []
     for camera in cameras:
         source.update(camera, values, number)
@@ -54,7 +54,7 @@ def psnr_of_file(
     color_space: Literal["srgb", "linear"],
     renderer: "Renderer",
 ) -> float:
-    """Return the PSNR of a splat file's pictures against ``expected``, in dB; the peak is 1.
+    """Return the PSNR of a splat file's pictures against expected ones, in dB; the peak is 1.
 
     Antialiasing and colour space are the generator's, as many formats do not store them. The ratio
     is over all pixels of all cameras, and infinite if the pictures are equal.

@@ -19,7 +19,7 @@ _MAX_FRAMES: Final = 1_000_000
 
 
 def number_range(text: str, where: str) -> Float64[np.ndarray, " f"]:
-    """Parse the number, or the range FIRST:LAST:COUNT with both ends, of option ``where``."""
+    """Parse an option's value: a number, or a range FIRST:LAST:COUNT that includes both ends."""
     hint = "Give a number, or FIRST:LAST:COUNT such as 0:1:300."
     words = text.split(":")
     try:

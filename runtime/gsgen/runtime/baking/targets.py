@@ -60,7 +60,7 @@ def _digits(match: re.Match[str], number: int) -> str:
 
 
 def writable_codec(path: Path, format: str | None, where: str) -> Codec:
-    """Return the splat format of this name, or else of a path's suffix, to be written."""
+    """Return the writable splat format with a name, or else with a path's suffix."""
     writable = [codec for codec in CODECS if codec.write]
     if format is not None:
         if format not in [codec.name for codec in CODECS]:

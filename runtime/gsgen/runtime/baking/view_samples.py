@@ -120,7 +120,7 @@ def sample_views(
 
 
 def _colors(view: _View) -> np.ndarray:
-    """Return the colours that a camera sees, by SH in the directions of its rays."""
+    """Return the colours of Gaussians that a camera sees, by SH in the viewing directions."""
     gaussians = view.gaussians
     if gaussians.rgb is not None:
         return np.asarray(gaussians.rgb, np.float32)
@@ -133,7 +133,7 @@ def _colors(view: _View) -> np.ndarray:
 
 
 def _scattered(ids: Sequence[np.ndarray], arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Scatter arrays of the cameras into rows of the union; absent rows are 0."""
+    """Scatter arrays of several cameras' Gaussians into rows of the union; absent rows are 0."""
     size = max(int(rows.max(initial=-1)) for rows in ids) + 1
     result = np.zeros((len(arrays), size, *arrays[0].shape[1:]), np.float32)
     for view, (rows, array) in enumerate(zip(ids, arrays, strict=True)):
@@ -174,7 +174,7 @@ def _mean(
 
 
 def _matched_by_position(views: Sequence[_View], model: str) -> list[Int64[np.ndarray, " n"]]:
-    """Match rows by position: the row in the union of each row of each camera."""
+    """Match Gaussians of several cameras by position; return the row of each in the union."""
     ids: list[np.ndarray] = []
     known = np.empty(0, np.dtype((np.void, 16)))
     largest = max((len(view.gaussians) for view in views), default=0)

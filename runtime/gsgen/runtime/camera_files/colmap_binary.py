@@ -60,7 +60,7 @@ class _Reader:
         self._data, self._path, self._at = data, path, 0
 
     def count(self, least: int) -> int:
-        """Read the number of the records that follow, of at least ``least`` bytes each."""
+        """Read the number of records in a COLMAP file, and check it against the file's size."""
         (count,) = self.take(_COUNT)
         if count > (len(self._data) - self._at) // least:
             raise ConfigInvalid(
@@ -71,13 +71,13 @@ class _Reader:
         return int(count)
 
     def take(self, form: struct.Struct) -> tuple[Any, ...]:
-        """Read the numbers of a record."""
+        """Read the numbers of one record of a COLMAP file."""
         offset = self._at
         self.skip(form.size)
         return form.unpack_from(self._data, offset)
 
     def skip(self, size: int) -> None:
-        """Advance the read position by ``size`` bytes."""
+        """Advance the read position of a COLMAP file by some bytes."""
         if size > len(self._data) - self._at:
             raise ConfigInvalid(
                 f"ends at byte {len(self._data)}, expected {size} bytes from byte {self._at} on",

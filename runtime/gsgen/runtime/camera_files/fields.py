@@ -53,7 +53,7 @@ def matrix(
 
 
 def camera_at(where: str, **values: Any) -> Camera:
-    """Build a camera from attributes; its errors begin with the location ``where``."""
+    """Build a camera from attributes; errors name the location in the camera file."""
     try:
         return Camera(**values)
     except SceneInvalid as error:

@@ -90,7 +90,7 @@ def _shape(document: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def _focal(document: Mapping[str, Any], axis: str, pixels: int, where: str) -> float:
-    """Return a focal length in pixels: the stored one, by the angle of view, or the other axis's."""
+    """Return a focal length in pixels: stored, from the angle of view, or of the other axis."""
     for name in (axis, "x" if axis == "y" else "y"):
         if f"fl_{name}" in document:
             return number(document, f"fl_{name}", where)

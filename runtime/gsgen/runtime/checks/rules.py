@@ -66,7 +66,7 @@ def picture_not_empty(evidence: "RenderEvidence") -> Iterator[Violation]:
     needs=(*_NEEDS, "GB018"),
 )
 def every_frame_shows(evidence: "RenderEvidence") -> Iterator[Violation]:
-    """Every drawn frame with live rows shows at least one of them.
+    """Every drawn frame with live Gaussians shows at least one of the Gaussians.
 
     Why:
         A model that is empty for some cameras or times flickers. Most often it culls by a matrix

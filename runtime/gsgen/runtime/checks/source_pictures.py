@@ -1,4 +1,4 @@
-"""Source pictures: reference images that the code of training rendered, declared in a copy.
+"""Declares pictures that the training code rendered as reference images of a model's copy.
 
 They show what no number of a model can: swapped colour channels, a mirrored axis, other signs of
 SH. A picture that the model itself drew would show the same fault as the model.
@@ -55,7 +55,7 @@ _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourcePictures:
-    """The source pictures that were declared.
+    """The pictures of the training code that a model's copy declares as reference images.
 
     Attributes:
         model: The copy whose manifest declares them.
@@ -75,7 +75,7 @@ class SourcePictures:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Source:
-    """A picture of the source, with its camera."""
+    """A picture that the training code rendered, with its camera."""
 
     name: str
     colors: UInt8[np.ndarray, "h w 3"]

@@ -207,7 +207,7 @@ def _writer(
 
 
 def _reader(spz_axes: str | None, *, drop_invalid: bool) -> Callable[[FilePath], Content]:
-    """Return a reader of any format; SPZ files have the axes of the option."""
+    """Return a reader of any splat format; an option sets the axes of SPZ files."""
     from gsgen.formats.open import open_splats
     from gsgen.formats.spz.spz import read_spz
 

@@ -1,4 +1,4 @@
-"""The options of commands that draw tilesets: budgets, cache, prediction and patience."""
+"""The options of commands that draw tilesets: budgets, cache, prediction and waiting time."""
 
 __all__ = ["with_streaming_options"]
 
@@ -51,7 +51,7 @@ _OPTIONS = inspect.signature(_settings).parameters
 
 
 def with_streaming_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that takes the options of streaming, and passes them as ``streaming``."""
+    """Return a command with the options of streaming, which are passed as one settings object."""
     own = inspect.signature(command).parameters
 
     def streaming_command(**values: Any) -> None:

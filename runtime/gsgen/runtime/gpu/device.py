@@ -40,7 +40,7 @@ _DRIVER_HINT = (
 
 @final
 class Device:
-    """A wgpu device that can run the kernels.
+    """A wgpu device with all features that the renderer's kernels need.
 
     Attributes:
         raw: The ``wgpu.GPUDevice``.
@@ -144,7 +144,7 @@ class Device:
         return self.storage(label, size, extra="MAP_WRITE" if mapped else "")
 
     def can_map(self, buffer: Buffer) -> bool:
-        """Return whether this process can map ``buffer``: large ones of :meth:`dynamic_storage`."""
+        """Return whether this process can map a GPU buffer for writing."""
         import wgpu
 
         return bool(buffer.usage & wgpu.BufferUsage.MAP_WRITE)
@@ -262,7 +262,7 @@ class Device:
 
     @contextmanager
     def mapped(self, buffer: Buffer, offset: int, size: int) -> Iterator[UInt8[np.ndarray, " n"]]:
-        """Map ``size`` bytes of a buffer from ``offset`` on, and yield them for writing.
+        """Map a range of bytes of a GPU buffer, and yield the range for writing.
 
         The buffer must satisfy :meth:`can_map`, and no submitted work may use it.
 

@@ -15,7 +15,7 @@ _ALIGNMENT = 256
 
 @final
 class Staging:
-    """A mappable buffer with room for a copy of each named source buffer."""
+    """A mappable GPU buffer with room for a copy of each named source buffer."""
 
     def __init__(self, device: Device, sources: Mapping[str, Buffer]) -> None:
         self._sources = dict(sources)

@@ -70,7 +70,7 @@ def _bytes_of_appearance(stride: int) -> int:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PageSlots:
-    """The slots of a pool's page, and what the frame plan writes about them.
+    """The slots of a pool's GPU page, and the buffers that a frame plan writes for them.
 
     Attributes:
         pool: The pool.
@@ -139,7 +139,7 @@ def _appearance_of(page: Page, first: int, appearance: Float[np.ndarray, "n c"])
 def _typed(
     appearance: Float[np.ndarray, "n c"], dtype: np.dtype[Any], size: int
 ) -> Float[np.ndarray, "n d"]:
-    """Convert appearance to ``dtype``, padded with zeros to rows of ``size`` bytes."""
+    """Convert the appearance of Gaussians to a dtype, with rows padded by zeros to a fixed size."""
     converted = np.zeros((len(appearance), size // dtype.itemsize), dtype)
     with np.errstate(over="ignore"):  # overflows become infinite, and such Gaussians are not drawn
         converted[:, : appearance.shape[1]] = appearance
@@ -192,7 +192,7 @@ class _Resident:
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
-    """Yield each page with its part of the slice ``live`` and where that begins in the page."""
+    """Yield each GPU page with its part of the live rows, and the part's offset in the page."""
     for page in pages:
         first = max(live.start, page.first)
         last = min(live.stop, page.first + page.capacity)
@@ -221,7 +221,7 @@ class Residency:
         self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
-        """Begin a frame that draws a set; from its second frame on, rows are in spatial order.
+        """Begin a frame that draws a splat set, whose rows are in spatial order from frame two on.
 
         Neighbours in memory are then read together by a tile, which nearly halves the time of a
         frame of a million Gaussians. Rows that change keep the order of an earlier frame if they
@@ -235,7 +235,7 @@ class Residency:
         resident.state = now  # only now: after an error for lack of memory, the next frame follows
 
     def _follow(self, data: SplatData, resident: _Resident, before: _State, now: _State) -> None:
-        """Choose the order and the packing of rows from what changed since the last frame."""
+        """Choose the order and the packing of Gaussians by the changes since the last frame."""
         moved = before.rows != now.rows
         if moved:
             self._unpack(resident)
@@ -254,7 +254,7 @@ class Residency:
         self._arrange(resident, None)
 
     def _unpack(self, resident: _Resident) -> None:
-        """Store changing rows unpacked: packing them takes longer than a frame."""
+        """Store changing Gaussians unpacked on the GPU: packing them takes longer than a frame."""
         if any(page.packed for page in resident.pages):
             size = _bytes_of_row(packed=False)
             resident.rows = _Filled()
@@ -355,7 +355,7 @@ class Residency:
         array: Float[np.ndarray, "n c"],
         target: Callable[[Page, int, np.ndarray], Target],
     ) -> None:
-        """Write live rows of an array into the buffer of each page that ``target`` names."""
+        """Write live rows of an array into a GPU buffer of each page."""
         for page, part, first in _parts(resident.pages, live):
             to = target(page, first, array)
             if resident.order is None:

@@ -56,7 +56,7 @@ _OUTLIERS: Final = 2.0  # percent of the depths, at each end, outside the grey s
 
 
 def array_of(frame: Frame, mode: Mode) -> Float32[np.ndarray, "h w *c"]:
-    """Return the output of a frame that ``mode`` names, as floats without any conversion."""
+    """Return a frame's output for a display mode, as floats without any conversion."""
     arrays = {
         "color": frame.rgba,
         "depth": frame.depth,
@@ -75,7 +75,7 @@ def array_of(frame: Frame, mode: Mode) -> Float32[np.ndarray, "h w *c"]:
 def picture_of(
     frame: Frame, mode: Mode, depths: tuple[float, float] | None = None
 ) -> UInt8[np.ndarray, "h w *c"]:
-    """Return the output of a frame that ``mode`` names as an image of bytes.
+    """Return a frame's output for a display mode, as an image of bytes.
 
     Colours are sRGB with alpha. Depths are grey: near is bright, and pixels without a depth are
     black; ``depths`` become white and nearly black, by default those of most pixels. Normals are

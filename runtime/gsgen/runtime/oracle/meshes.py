@@ -43,7 +43,7 @@ class Surface:
 
 
 def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "linear"]) -> Surface:
-    """Cast the rays of a camera at meshes, and return the nearest surfaces in ``color_space``."""
+    """Cast the rays of a camera at meshes, and return the nearest surfaces in a colour space."""
     start, ahead = _rays(camera)
     shape = ahead.shape[:3]
     depth = np.full(shape, np.inf)
@@ -74,7 +74,7 @@ def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "l
 
 
 def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return the origin and the direction, of depth 1, of the rays of each shift and pixel."""
+    """Return the origin and the direction, of depth 1, of each pixel's ray at several shifts."""
     x = np.arange(camera.width) + 0.5 + _SHIFTS[:, 0, None]
     y = np.arange(camera.height) + 0.5 + _SHIFTS[:, 1, None]
     shape = (len(_SHIFTS), camera.height, camera.width)

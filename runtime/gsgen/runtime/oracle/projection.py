@@ -182,7 +182,7 @@ def drawn_splats(
 def _flattened(
     position: np.ndarray, sigma: np.ndarray, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixels of centres, and the 2D covariances, by the camera's projection."""
+    """Return the projected centres of Gaussians in pixels, and their 2D covariances."""
     focal = np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
     size = np.array([camera.width, camera.height])
@@ -204,7 +204,7 @@ def _flattened(
 def _unrolled(
     position: np.ndarray, sigma: np.ndarray, focal: np.ndarray, center: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels and 2D covariances in a panorama, by the directions east and south."""
+    """Return the centres of Gaussians in a panorama, in pixels, and their 2D covariances."""
     distance = np.linalg.norm(position, axis=1)
     longitude, latitude = (
         np.arctan2(position[:, 0], position[:, 2]),
@@ -244,7 +244,7 @@ def _colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
 
 
 def _thinnest(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Return normals: shortest axes turned to the camera; balls face the camera."""
+    """Return normals of Gaussians: shortest axes turned to the camera; balls face the camera."""
     values, vectors = np.linalg.eigh(sigma)
     ball = values[:, 1] - values[:, 0] <= 1e-5 * values[:, 2]
     toward = -position / np.linalg.norm(position, axis=1, keepdims=True)
@@ -254,7 +254,7 @@ def _thinnest(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def across(pixels: Float[np.ndarray, " n"], mean: float, camera: Camera) -> Float[np.ndarray, " n"]:
-    """Return the horizontal distances of pixels from a mean; in a panorama the shorter way."""
+    """Return the horizontal distances of pixels from a Gaussian; in a panorama the shorter way."""
     if camera.kind != "panorama":
         return pixels - mean
     turn = 2 * np.pi * camera.fx

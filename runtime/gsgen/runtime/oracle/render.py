@@ -191,13 +191,13 @@ def _cover(
 
 
 def _ties(depth: np.ndarray) -> np.ndarray:
-    """Return the depths so close to the previous depth that rounding may swap the two."""
+    """Return the mask of sorted depths so close to the previous one that rounding may swap both."""
     gap = np.diff(depth, prepend=-np.inf)
     return np.asarray((gap > 0) & (gap < TIE * np.abs(depth)))
 
 
 def _window(splats: Splats, i: int, camera: Camera) -> tuple[slice, slice] | None:
-    """Return the rows and columns of pixels that Gaussian ``i`` may reach, or None."""
+    """Return the rows and columns of pixels that a Gaussian may reach, or None."""
     spread = 2 * np.log(splats.opacity[i] / CULL) * np.diagonal(splats.covariance[i])
     reach = np.sqrt(np.maximum(spread, 0)) + 0.01
     limits = np.array([camera.width, camera.height])

@@ -59,7 +59,7 @@ class Sums:
 
     @property
     def weight_behind(self) -> Float[np.ndarray, "h w"]:
-        """The weight of the background; 1 at pixels without Gaussians, 0 at finished ones."""
+        """The weight of the background: 1 at pixels without Gaussians, 0 at opaque pixels."""
         mean = np.divide(
             self.behind, self.total, out=np.ones_like(self.total), where=self.total > 0
         )
@@ -145,7 +145,7 @@ def alone(partial: Sums, background: Sequence[float], *, published: bool = False
 
 
 def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = None) -> Sums:
-    """Sum the Gaussians of a scene's weighted sets, in front of the mesh depths ``walls``."""
+    """Sum the Gaussians of a scene's weighted sets, in front of the depths of meshes."""
     shape = (camera.height, camera.width)
     limit = np.full(shape, np.inf) if walls is None else walls
     first, cells = 0, []
@@ -189,7 +189,7 @@ class _State:
         self.fragile, self.fragile_median = np.zeros(shape, bool), np.zeros(shape, bool)
 
     def add(self, cell: _Cell, camera: Camera, limit: np.ndarray, tied: np.ndarray) -> np.ndarray:
-        """Add the next cell, and return the pixels that it touches."""
+        """Add the sums of the next cell, and return the mask of pixels that the cell touches."""
         (divisor, behind), splats = cell.factors, cell.splats
         entered = self.through.copy()
         entered_pixels = cell.box & (entered >= _FINISHED)
@@ -237,7 +237,7 @@ class _State:
 
 
 def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
-    """Return the cells of a set that have tiles in the image."""
+    """Return the cells of a splat set that touch tiles of the image."""
     data, weighted = splat_set.data, splat_set.weighted
     assert data.cells is not None
     assert weighted is not None
@@ -269,7 +269,7 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
 
 
 def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the radii of circles in whole pixels, and the error that float32 may make."""
+    """Return the radii of cells' circles in whole pixels, and the error that float32 may make."""
     middle = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2
     longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
     radius = deviations * np.sqrt(longest)
@@ -278,7 +278,7 @@ def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.nd
 
 
 def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixels of a cell's tiles, and those that float32 may add or leave out."""
+    """Return the masks of a cell's pixels, and of pixels that float32 may add or leave out."""
     (radius,), (ring,) = _reach(covariance[None], 2)
     boxes = [
         _tiles(mean + shift * np.array(way), radius, camera)
@@ -290,7 +290,7 @@ def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.n
 
 
 def _tiles(mean: np.ndarray, radius: float, camera: Camera) -> np.ndarray:
-    """Return the pixels of tiles from a circle's left end to 15 pixels past its right end."""
+    """Return the mask of pixels in the image tiles that a cell's bounding circle may touch."""
     inside = []
     for axis, side in enumerate((camera.width, camera.height)):
         tile = np.arange(side) // _TILE

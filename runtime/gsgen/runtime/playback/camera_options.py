@@ -101,7 +101,7 @@ class Viewpoint:
     def _heading(
         self, source: Source, center: Float[np.ndarray, "3"], turn: float
     ) -> tuple[list[float], list[float]]:
-        """Return the position of a panorama, and the direction of its middle column."""
+        """Return the position of a panorama camera, and the direction of the middle column."""
         if self.look_at is not None:
             eye, target = np.array(self.look_at[:3]), np.array(self.look_at[3:])
             return eye.tolist(), (target - eye).tolist()

@@ -65,7 +65,7 @@ def tile_weights(
 
 
 def _ramp(size: int, overlap: int) -> Float[np.ndarray, " n"]:
-    """Return weights along an axis: 1 in the middle, falling to just above 0 at the ends."""
+    """Return a tile's blend weights along an axis: 1 in the middle, just above 0 at the ends."""
     from_end = np.minimum(np.arange(1, size + 1), np.arange(size, 0, -1))
     return np.minimum(from_end / (overlap + 1), 1.0)
 

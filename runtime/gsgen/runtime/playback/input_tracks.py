@@ -51,7 +51,7 @@ class Track:
         )
 
     def at(self, shape: tuple[int, ...], number: int, frames: int) -> Shaped[np.ndarray, "..."]:
-        """Return the value, of the input's ``shape``, in frame ``number`` of ``frames``, from 0.
+        """Return the value of a model input in one frame of a video.
 
         A track with fewer values than frames repeats.
         """

@@ -1,4 +1,4 @@
-"""Plays sources in real time while a window shows them."""
+"""Plays splat files and generators in real time while a window shows them."""
 
 __all__ = ["LivePlayback"]
 
@@ -82,7 +82,7 @@ class LivePlayback(Playback):
             self._position = (self._position + seconds * self.fps) % self.frames
 
     def moment(self) -> float | None:
-        """Return the current time of the first source that has one."""
+        """Return the current time of the first source that has a time input."""
         for source, values in zip(self.sources, self.values(self.number), strict=False):
             if source.time is not None and source.time.name in values:
                 return float(np.asarray(values[source.time.name]).reshape(-1)[0])
@@ -106,7 +106,7 @@ class LivePlayback(Playback):
             self._pending = moment
 
     def take(self, *, wait: bool = False) -> None:
-        """Take the pending frame if it is computed, or ``wait`` for it."""
+        """Take the pending frame of a playback if it is computed, or wait until it is."""
         is_ready = wait or all(source.ready for source in self.sources)
         if self._pending is None or not is_ready:
             return

@@ -43,7 +43,7 @@ class FrameRequest:
 
 @final
 class Player:
-    """Draws sources as one scene, frame after frame.
+    """Draws several sources of Gaussians as one scene, frame after frame.
 
     While a frame is drawn, the next one is computed. Unchanged arrays of a source are not uploaded
     again, and no buffer is created after the first frame.
@@ -161,7 +161,7 @@ def compose_scene(
     sh_degree: int | None = None,
     antialias: Literal["classic", "mip"] | None = None,
 ) -> Scene:
-    """Join sources into one scene, which follows their changes; see :class:`Player`."""
+    """Join sources of Gaussians into one scene, which follows the changes of the sources."""
     return Scene(
         [source.splats(sh_degree, antialias) for source in sources],
         color_space=_common_space(sources),

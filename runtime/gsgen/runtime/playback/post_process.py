@@ -55,7 +55,7 @@ class PostProcessor:
         image = named(self.manifest.inputs, "image")
         graph_inputs = {value.name for value in facts.file.proto.graph.input}
         if not image or image[0].name not in graph_inputs:
-            message = "declares no image input, expected an input of role image"
+            message = "the model declares no image input, expected an input of role image"
             raise SceneInvalid(message, where=self.name)
         self._image = image[0].name
         self._shapes = {spec.name: spec for spec in _specs(facts)}
@@ -98,7 +98,9 @@ class PostProcessor:
             GsgenError: A value does not fit, or the model fails.
         """
         if frame.rgba is None:
-            raise SceneInvalid("needs colours, but the frame was drawn without", where=self.name)
+            raise SceneInvalid(
+                "the model needs colours, but the frame was drawn without", where=self.name
+            )
         alpha = np.clip(frame.rgba[..., 3:], 0, 1)
         height, width = alpha.shape[:2]
         session = self._session((height, width))

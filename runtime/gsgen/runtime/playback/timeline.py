@@ -43,7 +43,7 @@ class Timeline:
         self._models, self._tracks, self._time = list(models), list(tracks), time
         if time is not None and not any(_of_role(model, "time") for model in models):
             raise ConfigInvalid(
-                f"is {time}, but no scene has a time input",
+                f"the time is {time}, but no scene has a time input",
                 where="--time",
                 hint="Leave the option out.",
             )
@@ -116,7 +116,7 @@ def _rounded(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, "..."]:
 
 
 def _moment(spec: Input, ends: tuple[float, float], number: int, frames: int) -> object:
-    """Return the time or frame number of a frame; a looping time stops before its first value."""
+    """Return the time or frame number of a video frame; a loop stops before its first value."""
     low, high = ends
     if spec.role == "frame_index":
         return int(low + number % (high - low + 1))

@@ -74,7 +74,7 @@ class DepthOrder:
         histogram: Buffer,
         first_keys: Buffer | None = None,
     ) -> tuple[list[Step], int]:
-        """Return the steps of a radix sort by ``first_keys``, or else by the splats' own keys."""
+        """Return the steps of a radix sort by given keys, or else by the splats' own keys."""
         return self._sort.steps(
             counts,
             histogram,
@@ -95,7 +95,7 @@ class DepthOrder:
         spare: Buffer,
         histogram: Buffer,
     ) -> tuple[list[Step], Columns]:
-        """Return the steps of a sort by depth remainders and then, stably, by keys."""
+        """Return the steps that sort splats by depth remainders and then, stably, by keys."""
         keys, by_low = columns[0].keys, [columns[0]._replace(keys=spare), columns[1]]
         first, side = self._by_key(capacity, counts, by_low, histogram, first_keys=lows)
         sorted_lows = by_low[side]

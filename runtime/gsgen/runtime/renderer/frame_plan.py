@@ -305,7 +305,7 @@ class Plan:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the steps that sort pairs by tile, and the buffer of splats, tile after tile."""
+        """Return the steps that sort splat-tile pairs by tile, and the buffer of sorted splats."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self._counts,
@@ -427,11 +427,11 @@ class Plan:
         return counts, images
 
     def _require_walked(self, visible: int) -> None:
-        """Raise if more splats are drawn than one dispatch can bin: it would do nothing."""
+        """Raise if more splats are drawn than one GPU dispatch can assign to tiles."""
         most = MOST_GROUPS * WALK_THREADS * self._kernels.cut.walk
         if visible > most:
             raise CapacityExceeded(
-                f"has {visible:,} splats in the image; {self._device.name} draws at most {most:,}",
+                f"the scene has {visible:,} splats in the image; {self._device.name} draws at most {most:,}",
                 where="scene",
                 hint="Draw fewer Gaussians, or a smaller part of the scene.",
             )

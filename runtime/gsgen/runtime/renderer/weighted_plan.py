@@ -218,7 +218,7 @@ class WeightedPart:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the steps that sort pairs by tile, and the buffer of cells, tile after tile."""
+        """Return the steps that sort cell-tile pairs by tile, and the buffer of sorted cells."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self.counts,
@@ -269,7 +269,7 @@ class WeightedPart:
 
 
 def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, Page]]:
-    """Yield each weighted set with its first page."""
+    """Yield each splat set of weighted sums with its first GPU page."""
     return ((splat_set, page) for splat_set, page in placed if page.first == 0)
 
 

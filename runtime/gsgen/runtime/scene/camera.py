@@ -322,7 +322,7 @@ class Camera:
         return 2 * math.pi * self.fx if self.kind == "panorama" else 0.0
 
     def flattened(self, distance: float) -> "Camera":
-        """Return an orthographic camera that shows things at ``distance`` in this camera's scale.
+        """Return an orthographic camera that shows objects at a distance in this camera's scale.
 
         Raises:
             SceneInvalid: The distance is not positive, or the camera is a panorama.

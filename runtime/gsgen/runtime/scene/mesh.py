@@ -120,7 +120,7 @@ class Mesh:
         _require_one_of(self.shading, SHADINGS, "shading")
 
     def placed(self, transform: Float[np.ndarray, "4 4"]) -> "Mesh":
-        """Return the mesh with ``transform`` applied after its own transform."""
+        """Return the mesh with another transform applied after its own transform."""
         return replace(self, transform=np.asarray(transform, np.float64) @ self.transform)
 
 
@@ -132,7 +132,7 @@ def _require_one_of(value: str, known: tuple[str, ...], where: str) -> None:
 def _floats(
     array: np.ndarray, where: str, widths: tuple[int, ...], rows: int | None = None
 ) -> Float32[np.ndarray, "n c"]:
-    """Convert rows of finite numbers of one of some widths to float32 in C order."""
+    """Convert rows of finite vertex attributes to float32 in C order."""
     converted = np.asarray(array)
     fits = converted.ndim == 2 and converted.shape[1] in widths and converted.dtype.kind in "fiu"
     if not fits or (rows is not None and len(converted) != rows):

@@ -113,7 +113,7 @@ class SplatPool:
             SceneInvalid: The tile is there already, or the arrays have other shapes.
         """
         if tile in self._slots_of:
-            raise SceneInvalid("is in the pool already", where=f"tile {tile}")
+            raise SceneInvalid("the tile is in the pool already", where=f"tile {tile}")
         if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):
             raise SceneInvalid(
                 f"rows {list(rows.shape)} and appearance {list(appearance.shape)}, expected "
@@ -123,7 +123,7 @@ class SplatPool:
         needed = -(-len(rows) // self.slot_rows)
         if needed > len(self._free):
             raise CapacityExceeded(
-                f"needs {needed} slots, but only {len(self._free)} of {self.slots} are free",
+                f"the tile needs {needed} slots, but only {len(self._free)} of {self.slots} are free",
                 where=f"tile {tile}",
                 hint="Evict tiles first, or make the pool larger.",
             )
@@ -146,7 +146,7 @@ class SplatPool:
             SceneInvalid: The tile is not in the pool.
         """
         if tile not in self._slots_of:
-            raise SceneInvalid("is not in the pool", where=f"tile {tile}")
+            raise SceneInvalid("the tile is not in the pool", where=f"tile {tile}")
         for slot in self._slots_of.pop(tile):
             self.live[slot] = self.fade[slot] = 0
             heapq.heappush(self._free, slot)
@@ -162,11 +162,11 @@ class SplatPool:
         self.fade[:] = 0
         for tile, fade in fades.items():
             if tile not in self._slots_of:
-                raise SceneInvalid("is not in the pool", where=f"tile {tile}")
+                raise SceneInvalid("the tile is not in the pool", where=f"tile {tile}")
             self.fade[self._slots_of[tile]] = fade
 
     def take_writes(self) -> list[SlotWrite]:
-        """Return the rows that are not in GPU memory yet, and forget them: one renderer copies them."""
+        """Return the pool's rows that wait for their upload, once: one renderer uploads them."""
         writes, self._writes = self._writes, []
         return writes
 

@@ -19,7 +19,7 @@ def identity() -> Float[np.ndarray, "4 4"]:
 
 
 def require_affine(matrix: Float[np.ndarray, "4 4"], where: str = "transform") -> None:
-    """Raise if ``matrix``, local → world, is not affine or not invertible.
+    """Raise if a local → world matrix is not affine or not invertible.
 
     Args:
         matrix: Local → world, acting on column vectors.

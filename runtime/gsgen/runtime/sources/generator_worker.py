@@ -159,7 +159,8 @@ def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
         raise SceneInvalid(message, where=str(path), hint=hint)
     if manifest.outputs.gaussians is None or manifest.outputs.appearance is None:
         raise SceneInvalid(
-            "declares no gaussians output or no appearance output, expected both", where=str(path)
+            "the model declares no gaussians output or no appearance output, expected both",
+            where=str(path),
         )
     return manifest
 

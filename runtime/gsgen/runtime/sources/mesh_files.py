@@ -99,7 +99,9 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
             hint="Copy or export the file again.",
         ) from error
     if not any(len(mesh.data) for mesh in meshes):
-        raise SceneUnreadable("has no triangles", where=str(file), hint="Give a file with faces.")
+        raise SceneUnreadable(
+            "the mesh file has no triangles", where=str(file), hint="Give a file with faces."
+        )
     return meshes
 
 

@@ -97,7 +97,7 @@ class PlacedSource(Source):
 
     @property
     def state(self) -> tuple[int, ...]:
-        """Numbers of which one changes when the Gaussians of the source change."""
+        """Version numbers of the source: one changes whenever the Gaussians change."""
         return self._inner.state
 
     @property
@@ -112,7 +112,7 @@ class PlacedSource(Source):
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:
-        """Names and values that a window shows about the source."""
+        """Statistics of the source that a viewer shows, as names and values."""
         return self._inner.statistics
 
     def splats(
@@ -150,7 +150,7 @@ class PlacedSource(Source):
         self._inner.abandon()
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Compute some frames of the source, and let its extent span them all."""
+        """Compute some frames, and set the source's extent to a box around the Gaussians of all."""
         self._inner.survey((frame, {**values, **self._fixed}) for frame, values in frames)
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
@@ -193,7 +193,7 @@ def _rotation(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
 
 
 def local_camera(camera: Camera, transform: Float[np.ndarray, "4 4"]) -> Camera:
-    """Convert a camera from world space to a source's space, by its ``transform`` to world.
+    """Convert a camera from world space to the local space of a source.
 
     A camera can neither shear nor mirror: the nearest rotation is used.
     """

@@ -47,7 +47,7 @@ class Fields:
         return self.peek(name) is not None
 
     def peek(self, name: str) -> object:
-        """Read a field without a check; None if it is absent."""
+        """Read a field of a scene file without a check; None if the field is absent."""
         self._known.append(name)
         return self._document.get(name)
 
@@ -59,7 +59,7 @@ class Fields:
         return value
 
     def text_or(self, name: str, kind: type[Alternative], title: str) -> str | Alternative | None:
-        """Read a field that is a text or of another type, which messages call ``title``."""
+        """Read a field of a scene file that is a text or of another given type."""
         value = self.peek(name)
         if value is not None and not isinstance(value, str | kind):
             self._mismatch(name, f"text or {title}")

@@ -114,7 +114,9 @@ def read_scene(path: str | Path) -> SceneFile:
     models = tuple(_model(part, file.parent) for part in fields.parts("models"))
     meshes = tuple(_mesh(part, file.parent) for part in fields.parts("meshes"))
     if not models and not meshes:
-        refuse("has neither models nor meshes", str(file), "Name a file in `models`.")
+        refuse(
+            "the scene file has neither models nor meshes", str(file), "Name a file in `models`."
+        )
     scene_file = SceneFile(
         path=file,
         models=models,
@@ -198,7 +200,7 @@ def _open_mesh(part: SceneMesh) -> Source:
 
 
 def _locate_errors(open_file: Callable[[], Result], where: str) -> Result:
-    """Call ``open_file``, and add the location in the scene file to its errors."""
+    """Open a file that a scene file names; errors name the location in the scene file, too."""
     try:
         return open_file()
     except GsgenError as error:
@@ -261,7 +263,7 @@ def _mesh(fields: Fields, folder: Path) -> SceneMesh:
 
 
 def _transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
-    """Return the field ``transform``, or else translate × rotate × scale."""
+    """Return the transform of an object in a scene file, by default translate × rotate × scale."""
     matrix = fields.array("transform", (4, 4))
     steps = [name for name in ("translate", "rotate", "scale") if fields.has(name)]
     if matrix is not None:

@@ -120,7 +120,7 @@ class Source(ABC):
 
     @property
     def state(self) -> tuple[int, ...]:
-        """Numbers of which one changes when the Gaussians change."""
+        """Version numbers of the source: one changes whenever the Gaussians change."""
         data = self.data
         versions = (data.rows_version, data.appearance_version, data.cells_version)
         return (id(data), *versions, data.count)
@@ -132,12 +132,12 @@ class Source(ABC):
 
     @property
     def is_streaming(self) -> bool:
-        """Whether Gaussians may change although the camera and the inputs stay."""
+        """Whether Gaussians of the source may change although the camera and the inputs stay."""
         return False
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:
-        """Names and values that a window shows about the source."""
+        """Statistics of the source that a viewer shows, as names and values."""
         return ()
 
     @property
@@ -164,7 +164,7 @@ class Source(ABC):
         return self._extent
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Compute some frames, each by number and input values, and set the extent to all of them."""
+        """Compute some frames, and set the source's extent to a box around the Gaussians of all."""
         centers: dict[tuple[int, int], Float64[np.ndarray, "n 3"]] = {}
         for frame, values in frames:
             self.update(None, values, frame)

@@ -1,4 +1,4 @@
-"""Writes the index of a built tileset, and deletes files of earlier builds."""
+"""Writes the ``tileset.json`` of a built tileset, and deletes files of earlier builds."""
 
 __all__ = ["geometric_error", "is_complete", "remove_stale", "walk", "write_index"]
 
@@ -33,7 +33,7 @@ at 16 pixels of error unless told otherwise, so that an error of 4 cells makes t
 
 
 def geometric_error(tile: Tile) -> float:
-    """Return the geometric error of drawing ``tile`` in place of its leaves, in scene units.
+    """Return the geometric error of drawing a tile in place of its leaves, in scene units.
 
     It is never less than that of a tile below.
     """
@@ -42,7 +42,7 @@ def geometric_error(tile: Tile) -> float:
 
 
 def write_index(plan: Plan, root: Tile, key: str) -> dict[str, tuple[int, str]]:
-    """Write an index for each quality, then the record of the build.
+    """Write a ``tileset.json`` for each SPZ quality, then the record of the tileset build.
 
     Returns:
         Every file of the tileset: path → bytes and sha256.
@@ -81,7 +81,7 @@ def write_index(plan: Plan, root: Tile, key: str) -> dict[str, tuple[int, str]]:
 
 
 def walk(tile: Tile) -> Iterator[Tile]:
-    """Yield ``tile`` and all its descendants, depth first."""
+    """Yield a tile and all its descendants, depth first."""
     yield tile
     for child in tile.children:
         yield from walk(child)
@@ -113,7 +113,7 @@ def _record(tile: Tile) -> TileRecord:
 
 
 def is_complete(output: Path, key: str) -> JsonDict | None:
-    """Return the record of a finished build with the same key, or None.
+    """Return the record of a finished tileset build with equal inputs and options, or None.
 
     Every file has to be there with the size that the record has for it.
     """

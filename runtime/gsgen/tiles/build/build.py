@@ -1,4 +1,4 @@
-"""Builds a tileset in the phases scan, count, bin, partition, top and index.
+"""Builds a tileset in phases: scan and count splats, sort them, write tiles and tileset.json.
 
 Every task writes a marker file, so that a stopped build resumes after its last finished task.
 """
@@ -102,7 +102,7 @@ class _Run:
         function: Callable[[_Task], tuple[int, _Result]],
         tasks: Sequence[_Task],
     ) -> list[_Result]:
-        """Run one phase of a build; return the results in the order of the tasks."""
+        """Run all tasks of one phase of a tileset build; return their results in order."""
         self.progress.begin(name, total)
         results: dict[int, _Result] = {}
         for index, (splats, result) in self.engine.run(function, tasks):
@@ -122,7 +122,7 @@ def build_tileset(
     chunk_bytes: int = CHUNK_BYTES,
     partition: int = PARTITION,
 ) -> BuildReport:
-    """Build the tileset of ``scenes`` in the folder ``output``.
+    """Build one tileset from scene files, in an output folder.
 
     A stopped build of the same scenes and parameters resumes.
 
@@ -169,7 +169,7 @@ def build_tileset(
         save_plan(_plan(run, files, chunks, facts, parameters, partition, output, work), plan_path)
     plan = load_plan(str(plan_path))
     if plan.count != splats:
-        raise AssertionError(f"counted {plan.count} of {splats} splats")
+        raise AssertionError(f"the octree cells hold {plan.count} splats, expected {splats}")
     _write_tiles(run, str(plan_path), total)
     # 5. The index, and nothing else is left.
     progress.begin("index", 0)
@@ -177,13 +177,15 @@ def build_tileset(
 
 
 def _write_tiles(run: _Run, path: str, rows: int) -> None:
-    """Run the phases bin, tiles and top of the build plan in the file ``path``."""
+    """Sort the splats by partition, then write the tiles of a saved build plan, leaves first."""
     plan = load_plan(path)
     # 3. Bin, with a barrier: every splat is in one spill.
     items = [PlanTask(plan=path, item=chunk.index) for chunk in plan.chunks]
     spilled = sum(run.phase("bin", rows, run_bin, items))
     if spilled != plan.count:
-        raise AssertionError(f"spilled {spilled} of {plan.count} rows")
+        raise AssertionError(
+            f"the partitions' temporary files hold {spilled} splats, expected {plan.count}"
+        )
     # 4. Partitions, the largest first; then the levels above, deepest first.
     order = sorted(plan.partitions, key=lambda partition: (-partition.count, partition.index))
     items = [PlanTask(plan=path, item=partition.index) for partition in order]
@@ -249,7 +251,7 @@ def _prepare(
     *,
     fresh: bool,
 ) -> Path:
-    """Return the work folder of this build, and delete those of other builds."""
+    """Return the work folder of a tileset build, and delete the work folders of other builds."""
     content = {
         "version": ALGORITHM_VERSION,
         "parameters": parameters.as_dict(),
@@ -341,7 +343,7 @@ def _plan(
 def _count(
     run: _Run, chunks: Sequence[Chunk], cube: Cube, limit: int, work: Path, *, anchored: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Count the scene's splats in octree cells that are fine enough for partitions.
+    """Count the scene's splats in octree cells that are fine enough to divide them into tasks.
 
     Cells that hold too many are counted again, deeper: a scene with a few splats far away has
     nearly all others in one cell.

@@ -1,4 +1,4 @@
-"""Merges splats until there are at most a number of them, as the levels of a tileset are made."""
+"""Reduces splats to at most a given number, by merging as for a tileset's coarse levels."""
 
 __all__ = ["decimate"]
 
@@ -14,7 +14,7 @@ from gsgen.tiles.build.tile import mixture_of, splats_of
 
 
 def decimate(splats: Splats, count: int) -> Splats:
-    """Return at most ``count`` splats that look like ``splats``, merged by moments.
+    """Return at most ``count`` merged splats that look like all the splats, with equal moments.
 
     Cells of one depth of an octree are as many as may be; of these, the ones whose splats spread
     most, weighted by mass, are split into their eight parts for as long as ``count`` allows.
@@ -40,7 +40,7 @@ def decimate(splats: Splats, count: int) -> Splats:
 
 
 def _cluster_starts(mixture: Mixture, count: int) -> Int64[np.ndarray, " m"]:
-    """Return the first row of each of at most ``count`` clusters."""
+    """Return the first splat of each of at most ``count`` clusters of Morton-sorted splats."""
     # Row i separates from row i − 1 at this depth; the first row separates at once.
     separation = np.concatenate([[0], separation_depths(mixture.code)])
     occupied = np.cumsum(np.bincount(separation, minlength=DEPTH + 2))[: DEPTH + 1]
@@ -60,7 +60,7 @@ def _cluster_starts(mixture: Mixture, count: int) -> Int64[np.ndarray, " m"]:
 
 
 def _spread(mixture: Mixture, cell: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " m"]:
-    """Return Σ mass · |centre − mean|² of each cell."""
+    """Return Σ mass · |centre − mean|² over the splats of each octree cell."""
     mass = mixture.mass
     total = np.maximum(np.bincount(cell, mass), np.finfo(np.float64).tiny)
     result = np.zeros(len(total))

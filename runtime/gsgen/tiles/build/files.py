@@ -17,17 +17,17 @@ PART: Final = ".part"
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write ``data`` to ``path`` atomically: under a temporary name, then renamed."""
+    """Write bytes to a file atomically: under a temporary name, then renamed."""
     _write(path, lambda file: file.write(data))
 
 
 def save_array(path: Path, array: np.ndarray) -> None:
-    """Write ``array`` to a ``.npy`` file atomically."""
+    """Write a NumPy array to a ``.npy`` file atomically."""
     _write(path, lambda file: np.save(file, array, allow_pickle=False))
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write ``content`` as JSON with sorted keys, atomically."""
+    """Write a JSON file with sorted keys, atomically."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     write_bytes(path, text.encode())
 
@@ -50,7 +50,7 @@ def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Return the JSON value in the file ``path``."""
+    """Return the JSON value in a file."""
     try:
         return json.loads(path.read_bytes())
     except OSError as error:

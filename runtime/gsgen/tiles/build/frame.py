@@ -63,7 +63,7 @@ def read_transform(path: Path) -> tuple[float, ...]:
         raise ConfigInvalid(f"{error}; expected {expected}", where=str(path)) from error
     if value.shape not in ((16,), (4, 4)):
         shape = "×".join(map(str, value.shape))
-        raise ConfigInvalid(f"{shape} numbers; expected {expected}", where=str(path))
+        raise ConfigInvalid(f"has {shape} numbers; expected {expected}", where=str(path))
     matrix = value if value.shape == (4, 4) else value.reshape(4, 4).T
     linear = matrix[:3, :3]
     if np.isfinite(matrix).all():

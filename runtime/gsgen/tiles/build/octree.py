@@ -1,4 +1,4 @@
-"""Writes the tiles of a partition, leaves first, and the tiles above all partitions."""
+"""Writes the tiles of a part of the octree, leaves first, and the tiles above all parts."""
 
 __all__ = ["build_partition", "build_top", "load_built"]
 
@@ -20,7 +20,7 @@ Built = tuple[list[Tile], Mixture]
 
 
 def build_partition(plan: Plan, partition: Partition) -> int:
-    """Write the tiles of a partition if they do not exist yet; return its number of splats."""
+    """Write the missing tiles of a part of the octree; return the part's number of splats."""
     name = f"partition-{partition.index:06}"
     if _marker(plan, name).exists():
         return partition.count
@@ -79,7 +79,7 @@ def _build(
 
 
 def _extra_leaves(plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int) -> Built:
-    """Write the large splats that stay at a cell, in as many leaf tiles as they need."""
+    """Write the splats too large for an octree cell's children, as leaf tiles at the cell."""
     count = -(-len(rows) // plan.parameters.leaf)
     limits = [len(rows) * index // count for index in range(count + 1)]
     parts = (slice(*limits[index : index + 2]) for index in range(count))
@@ -102,7 +102,7 @@ def _above(plan: Plan, location: int, parts: list[Built]) -> Built:
 
 
 def build_top(plan: Plan, location: int) -> int:
-    """Write the tile of a cell above the partitions if it does not exist yet.
+    """Write the tile of an octree cell above all partitions if it does not exist yet.
 
     The cells below it have to be built. Returns 0: no splat of the scenes is new here.
     """
@@ -115,7 +115,7 @@ def build_top(plan: Plan, location: int) -> int:
 
 
 def _places(plan: Plan) -> dict[str, int]:
-    """Return the names of all partitions and top cells in depth-first order, with their parents."""
+    """Return the names of all octree partitions and the cells above, depth first, with parents."""
     entries: list[tuple[int, int, bool, str]] = []
     for partition in plan.partitions:
         name = f"partition-{partition.index:06}"
@@ -128,7 +128,7 @@ def _places(plan: Plan) -> dict[str, int]:
 
 
 def load_built(plan: Plan) -> list[Tile]:
-    """Return the built tiles at the root; call this when all partitions are built."""
+    """Return the tiles at the octree's root; call this when all partitions are built."""
     name = f"top-{plan.top[-1]}" if plan.top else "partition-000000"
     return _load_tiles(plan, name)
 

@@ -43,7 +43,7 @@ class BuildParameters:
         return json.loads(json.dumps(asdict(self)))  # type: ignore[no-any-return]
 
     def key(self, inputs: Sequence[str]) -> str:
-        """Return the SHA-256 of gsgen's version, the build parameters and ``inputs``."""
+        """Return the SHA-256 of gsgen's version, the build parameters and the scenes' digests."""
         content = {
             "version": ALGORITHM_VERSION,
             "parameters": self.as_dict(),

@@ -1,4 +1,4 @@
-"""The plan of a build: octree partitions that one task builds each, and the cells above.
+"""The plan of a tileset build: octree partitions, one for each task, and the cells above.
 
 A cell with at most ``partition`` splats is a partition: one task sorts its splats and builds all
 tiles in it. The cells above are *top* cells. Splats that are anchored at a top cell form a
@@ -48,7 +48,7 @@ class Partition:
 
     @property
     def above(self) -> int:
-        """The octree cell of the top that contains the partition; 0 for a whole scene."""
+        """The octree cell above that contains the partition; 0 if it holds the whole scene."""
         return self.locations[0] if self.anchored else self.locations[0] >> 3
 
 
@@ -101,7 +101,7 @@ def coordinates_of(location: int) -> tuple[int, int, int]:
 def make_partitions(
     cells: UInt64[np.ndarray, " c"], counts: Int64[np.ndarray, " c"], limit: int, leaf: int
 ) -> tuple[tuple[Partition, ...], tuple[int, ...]]:
-    """Divide the octree into partitions of at most ``limit`` splats.
+    """Divide an octree into partitions of at most ``limit`` splats.
 
     Args:
         cells: Location codes of cells, each once, without the splats of deeper ones.
@@ -159,7 +159,7 @@ def _totals(cell_counts: dict[int, int]) -> tuple[dict[int, int], dict[int, list
 
 
 def group_small(counts: Sequence[int], limit: int) -> list[list[int]]:
-    """Group neighbouring octants that have at most ``limit`` splats together.
+    """Group neighbouring octants of an octree cell, of at most ``limit`` splats a group.
 
     Octants that a surface only touches would be leaves of a few splats, each a request.
     """
@@ -180,7 +180,7 @@ def partition_of(
     anchors: Int64[np.ndarray, " n"],
     partitions: Iterable[Partition],
 ) -> Int64[np.ndarray, " n"]:
-    """Return the number of the partition of each splat."""
+    """Return the number of the octree partition that contains each splat."""
     result = np.full(len(codes), -1, np.int64)
     groups: dict[tuple[int, bool], list[tuple[int, int]]] = {}
     for partition in partitions:

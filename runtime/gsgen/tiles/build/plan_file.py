@@ -1,4 +1,4 @@
-"""Saves and loads the build plan as ``plan.json``, which every worker reads once."""
+"""Saves and loads the plan of a tileset build, ``plan.json``, which every worker reads."""
 
 __all__ = ["load_plan", "save_plan"]
 
@@ -17,7 +17,7 @@ from gsgen.tiles.build.source import Chunk, SceneFile
 
 
 def save_plan(plan: Plan, path: Path) -> None:
-    """Write the build plan to the file ``path``."""
+    """Write the plan of a tileset build to a file."""
     content = asdict(plan)
     content["files"] = [asdict(file) for file in _files(plan)]
     for chunk in content["chunks"]:
@@ -35,7 +35,7 @@ def _files(plan: Plan) -> list[SceneFile]:
 
 @lru_cache(maxsize=2)
 def load_plan(path: str) -> Plan:
-    """Return the build plan in the file ``path``, which each process reads once."""
+    """Return the plan of a tileset build from a file, which each process reads once."""
     content = read_json(Path(path))
     files = [_file(item) for item in content.pop("files")]
     chunks = tuple(Chunk(**{**item, "file": files[item["file"]]}) for item in content["chunks"])

@@ -1,4 +1,4 @@
-"""Reports the progress of a build: a bar in a terminal, or lines of JSON for programs."""
+"""Reports the progress of a tileset build: a bar in a terminal, or JSON lines for programs."""
 
 __all__ = ["BarProgress", "JsonProgress", "Progress", "Silent"]
 
@@ -15,11 +15,11 @@ class Progress(AbstractContextManager["Progress"], Protocol):
     """Protocol: receives the phases of a build and the number of splats processed in each."""
 
     def begin(self, phase: str, total: int) -> None:
-        """Begin the phase ``phase`` of a build, which processes ``total`` splats."""
+        """Begin a phase of a tileset build, which processes ``total`` splats."""
         ...
 
     def advance(self, splats: int) -> None:
-        """Count ``splats`` more splats as processed."""
+        """Add to the number of splats that the build phase has processed."""
         ...
 
     def note(self, message: str) -> None:
@@ -29,7 +29,7 @@ class Progress(AbstractContextManager["Progress"], Protocol):
 
 @final
 class Silent(Progress):
-    """A progress display that shows nothing."""
+    """A progress display of tileset builds that shows nothing."""
 
     def __enter__(self) -> "Silent":
         return self
@@ -37,18 +37,18 @@ class Silent(Progress):
     def __exit__(self, *error: object) -> None: ...
 
     def begin(self, phase: str, total: int) -> None:
-        """Ignore the beginning of a phase."""
+        """Ignore the beginning of a phase of a tileset build."""
 
     def advance(self, splats: int) -> None:
-        """Ignore processed splats."""
+        """Ignore the number of processed splats."""
 
     def note(self, message: str) -> None:
-        """Ignore a message."""
+        """Ignore a message about the tileset build."""
 
 
 @final
 class JsonProgress(Progress):
-    """Writes progress as JSON lines: one at the beginning of each phase, then one a second."""
+    """Writes a build's progress as JSON lines: one as a phase begins, then one a second."""
 
     def __init__(self, write: Callable[[str], object]) -> None:
         self._write = write
@@ -67,13 +67,13 @@ class JsonProgress(Progress):
         self._line()
 
     def advance(self, splats: int) -> None:
-        """Write a JSON line of progress if the last is a second old, or if all splats are done."""
+        """Write the build's progress as a JSON line, once a second and when all splats are done."""
         self._splats_done += splats
         if self._splats_done == self._total or time.monotonic() - self._written >= 1:
             self._line()
 
     def note(self, message: str) -> None:
-        """Write a message as a JSON line."""
+        """Write a message about a tileset build as a JSON line."""
         self._emit({"event": "note", "message": message})
 
     def _line(self) -> None:
@@ -126,19 +126,19 @@ class BarProgress(Progress):
             self._bar.stop()
 
     def begin(self, phase: str, total: int) -> None:
-        """Show the progress bar of a phase."""
+        """Show the progress bar of a phase of a tileset build."""
         if self._task is not None:
             self._bar.remove_task(self._task)
         self._start_time, self._splats_done = time.monotonic(), 0
         self._task = self._bar.add_task(phase, total=total, rate="")
 
     def advance(self, splats: int) -> None:
-        """Advance the progress bar by ``splats``."""
+        """Advance the progress bar of a tileset build by a number of splats."""
         self._splats_done += splats
         elapsed = time.monotonic() - self._start_time
         rate = f"{self._splats_done / elapsed:,.0f}/s" if elapsed > 0.5 else ""
         self._bar.update(self._task, completed=self._splats_done, rate=rate)
 
     def note(self, message: str) -> None:
-        """Print a message above the progress bar."""
+        """Print a message about a tileset build above the progress bar."""
         self._console.print(f"note: {message}", markup=False, highlight=False)

@@ -1,4 +1,4 @@
-"""Scans chunks of a scene for their box, count and digest, and counts splats per octree cell.
+"""Scans scene files in chunks: bounding box, number and digest of splats, counts per cell.
 
 A splat is *anchored* at the deepest level whose tiles are at least twice as long as its radius
 of 3σ; there it stays, in an extra leaf, so that it is not in a tile far smaller than itself.
@@ -83,7 +83,7 @@ def _digest(splats: Splats, first: int) -> str:
 
 
 def anchor_depths(log_scale: Float32[np.ndarray, "n 3"], cube: Cube) -> Int64[np.ndarray, " n"]:
-    """Return for each splat the deepest octree level whose tiles are twice as long as its 3σ."""
+    """Return each splat's deepest octree level, where a tile is twice as long as 3σ."""
     x, y, z = log_scale.T  # a maximum along rows of three would take ten times as long
     largest = np.maximum(np.maximum(x, y), z).astype(np.float64)
     ratio = math.log(cube.side / (2 * SIGMAS)) - largest
@@ -95,7 +95,7 @@ def anchor_depths(log_scale: Float32[np.ndarray, "n 3"], cube: Cube) -> Int64[np
 def location_codes(
     codes: UInt64[np.ndarray, " n"], anchors: Int64[np.ndarray, " n"], depth: int
 ) -> UInt64[np.ndarray, " n"]:
-    """Return the octree cell of each splat at most at its anchor depth, as 1 and the Morton code.
+    """Return each splat's octree cell, as 1 and a Morton code; large splats stay higher up.
 
     The leading 1 makes the number name the depth, too (I. Gargantini 1982, "An effective way to
     represent quadtrees", in three dimensions).

@@ -1,4 +1,4 @@
-"""Divides scene files into chunks of rows, which tasks read one at a time."""
+"""Divides scene files into chunks of splats, which build tasks read one at a time."""
 
 __all__ = [
     "BLOCK_ROWS",
@@ -64,7 +64,7 @@ class SceneFile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chunk:
-    """A range of rows of a scene file.
+    """A range of the splats in a scene file, which one build task reads.
 
     Attributes:
         index: Of the chunk, in the order of the scenes.
@@ -165,7 +165,7 @@ def _unreadable(error: FormatError) -> InputUnreadable:
 
 
 def chunks_of(files: Sequence[SceneFile], chunk_bytes: int = CHUNK_BYTES) -> list[Chunk]:
-    """Return the chunks of the scene files, in order."""
+    """Divide the scene files into chunks of splats, in order."""
     parts = [(file, first, count) for file in files for first, count in _ranges(file, chunk_bytes)]
     source, chunks = 0, []
     for index, (file, first, count) in enumerate(parts):
@@ -184,7 +184,7 @@ def _ranges(file: SceneFile, chunk_bytes: int) -> Iterator[tuple[int, int]]:
 
 
 def read_chunk(chunk: Chunk) -> Splats:
-    """Return all rows of a scene chunk, including rows that cannot be drawn."""
+    """Read all splats of a chunk of a scene file, including splats that cannot be drawn."""
     try:
         if chunk.file.table is None:
             return _whole(Path(chunk.file.path))
@@ -207,7 +207,7 @@ def valid_rows(splats: Splats) -> Bool[np.ndarray, " n"]:
 
 
 def row_dtype(degree: int) -> np.dtype[Any]:
-    """Return the NumPy dtype of a spilled row with SH ``degree``."""
+    """Return the NumPy dtype of a splat in the build's temporary files, for an SH degree."""
     return np.dtype(
         [
             ("source", "<u8"),

@@ -1,4 +1,4 @@
-"""Spills the rows of each chunk to a file, sorted by partition, and reads partitions back.
+"""Sorts splats on disk: temporary files by octree partition, which tasks read back.
 
 The shuffle is files, so that it is the same on one core, on many and on many machines.
 """
@@ -21,7 +21,7 @@ Rows = np.ndarray[Any, np.dtype[Any]]
 
 
 def bin_chunk(plan: Plan, chunk: Chunk) -> int:
-    """Spill the rows of a chunk if that is not done yet; return the number of rows.
+    """Write a scene chunk's splats, sorted by partition, to a temporary file; return the number.
 
     The file of rows is the marker of the task, so that of the offsets is written before it.
     """
@@ -46,19 +46,19 @@ def bin_chunk(plan: Plan, chunk: Chunk) -> int:
 
 
 def anchors_of(plan: Plan, rows: Rows) -> np.ndarray:
-    """Return the deepest octree level of each row; implicit trees put no large splats higher."""
+    """Return each splat's deepest octree level; in implicit trees, large splats sink as well."""
     if plan.parameters.implicit:
         return np.full(len(rows), DEPTH, np.int64)
     return anchor_depths(rows["log_scale"], plan.cube)
 
 
 def spilled_count(plan: Plan, chunk: Chunk) -> int:
-    """Return the number of spilled rows of a chunk."""
+    """Return the number of splats of a scene chunk in its temporary file."""
     return int(np.load(_paths(plan, chunk.index)[1])[-1])
 
 
 def load_partition(plan: Plan, partition: Partition) -> Rows:
-    """Return the spilled rows of a partition, in the order of the scenes."""
+    """Read the splats of an octree partition from temporary files, in the scenes' order."""
     rows = np.empty(partition.count, row_dtype(plan.degree))
     filled = 0
     for chunk in plan.chunks:
@@ -69,7 +69,7 @@ def load_partition(plan: Plan, partition: Partition) -> Rows:
             rows[filled : filled + last - first] = spill[first:last]
             filled += int(last - first)
     if filled != partition.count:  # the barrier before this phase makes it impossible
-        raise AssertionError(f"read {filled} of {partition.count} spilled rows of {partition}")
+        raise AssertionError(f"the temporary files hold {filled} splats of {partition}")
     return rows
 
 

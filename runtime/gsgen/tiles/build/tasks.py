@@ -25,7 +25,7 @@ from gsgen.tiles.build.spill import bin_chunk
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanTask:
-    """A task that scans a chunk of a scene file."""
+    """A build task that scans a chunk of a scene file."""
 
     chunk: Chunk
     work: str
@@ -34,7 +34,7 @@ class ScanTask:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CountTask:
-    """A task that counts the splats of a chunk in octree cells.
+    """A build task that counts the splats of a scene chunk in octree cells.
 
     Attributes:
         chunk: To be read.
@@ -58,7 +58,7 @@ class CountTask:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanTask:
-    """A task on one chunk, partition or top cell of the build plan.
+    """A build task on one scene chunk, octree partition or cell above the partitions.
 
     Attributes:
         plan: Path of ``plan.json``.
@@ -70,7 +70,7 @@ class PlanTask:
 
 
 def run_scan(task: ScanTask) -> tuple[int, ChunkFacts]:
-    """Scan a chunk; return its number of rows, its box, counts and digests."""
+    """Scan a scene chunk; return its number of splats, bounding box, counts and digests."""
     marker = Path(task.work) / "scan" / f"{task.chunk.index:06}.json"
     if marker.exists():
         content = read_json(marker)
@@ -85,7 +85,7 @@ def run_scan(task: ScanTask) -> tuple[int, ChunkFacts]:
 def run_count(
     task: CountTask,
 ) -> tuple[int, tuple[UInt64[np.ndarray, " m"], Int64[np.ndarray, " m"]]]:
-    """Count a chunk's splats in octree cells; return the number of rows, cells and counts."""
+    """Count a scene chunk's splats in octree cells; return their number, cells and counts."""
     folder = Path(task.work) / "cells"
     marker = folder / f"{task.chunk.index:06}-{task.depth}.npy"
     if marker.exists():
@@ -105,14 +105,14 @@ def run_count(
 
 
 def run_bin(task: PlanTask) -> tuple[int, int]:
-    """Spill a chunk; return its number of rows and the number of spilled rows."""
+    """Write a scene chunk's splats sorted by partition; return their numbers before and after."""
     plan = load_plan(task.plan)
     chunk = plan.chunks[task.item]
     return chunk.count, bin_chunk(plan, chunk)
 
 
 def run_partition(task: PlanTask) -> tuple[int, None]:
-    """Write the tiles of a partition; return its number of splats."""
+    """Write the tiles of an octree partition; return the partition's number of splats."""
     plan = load_plan(task.plan)
     return build_partition(plan, plan.partitions[task.item]), None
 

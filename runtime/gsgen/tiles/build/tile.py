@@ -139,14 +139,14 @@ def _leaf_splats(rows: Rows) -> Splats:
 def write_leaf(
     plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int, extra: int = 0
 ) -> tuple[Tile, Mixture]:
-    """Write source splats as the content of a leaf tile; return the tile and its Gaussians."""
+    """Write a leaf tile's splats as content files; return the tile, and Gaussians to merge."""
     splats = _leaf_splats(rows)
     tile = _write(plan, splats, location, extra=extra, cell=0.0)
     return tile, mixture_of(splats, codes)
 
 
 def write_level(plan: Plan, level: Level, location: int, children: list[Tile]) -> Tile:
-    """Write merged splats as the content of a tile above ``children``."""
+    """Write merged splats as the content files of a parent tile."""
     splats = splats_of(level.mixture, stored_degree(level.mixture))
     cell = plan.cube.side / (1 << level.depth)
     return _write(plan, splats, location, cell=cell, children=tuple(children))

@@ -61,7 +61,7 @@ def _as_text(name: str, described: "TilesetInfo") -> str:
 
 
 def _place(described: "TilesetInfo") -> str:
-    """Return the longitude, latitude and height of the root frame as text; empty off the globe."""
+    """Return a tileset's longitude, latitude and height as text; empty if off the globe."""
     import numpy as np
 
     from gsgen.tiles.volumes import geodetic

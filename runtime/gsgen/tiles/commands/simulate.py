@@ -1,4 +1,4 @@
-"""`gsgen tiles simulate`: how a tileset streams along a path, over a network."""
+"""The command `gsgen tiles simulate`: streams a tileset over a simulated network."""
 
 __all__ = ["simulate"]
 
@@ -13,7 +13,7 @@ from gsgen.contract.errors import ConfigInvalid
 
 
 class PolicyName(StrEnum):
-    """The policies of the client."""
+    """The prefetch policies that `gsgen tiles simulate` compares."""
 
     REACTIVE = "reactive"
     PREDICTIVE = "predictive"

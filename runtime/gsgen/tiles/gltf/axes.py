@@ -1,4 +1,4 @@
-"""Rotates splats between the axes of a tile (z up) and those of its glTF file (y up).
+"""Rotates splats between the axes of a tile (z up) and of glTF files (y up).
 
 3D Tiles 1.1, section "glTF transforms": a viewer rotates glTF content about x by 90°, so
 (x, y, z) of the content is (x, −z, y) of the tile.
@@ -32,7 +32,7 @@ def to_content_axes(splats: Splats) -> Splats:
 
 
 def rotate_splats(splats: Splats, rotation: Float64[np.ndarray, "3 3"]) -> Splats:
-    """Return ``splats`` after a rotation, with their view-dependent colours rotated too."""
+    """Rotate splats, and their view-dependent colours with them."""
     key = tuple(float(value) for value in rotation.ravel())
     (quaternion,) = rotations(np.asarray(rotation, np.float64)[None])
     sh = splats.sh
@@ -49,7 +49,7 @@ def rotate_splats(splats: Splats, rotation: Float64[np.ndarray, "3 3"]) -> Splat
 
 @cache
 def _sh_rotation(degree: int, rotation: tuple[float, ...]) -> Float64[np.ndarray, "k k"]:
-    """Return the matrix that rotates SH coefficients, rounded to be equal on all machines."""
+    """Return the matrix that rotates SH coefficients, rounded so that all machines agree."""
     count = SH_COUNTS[degree]
     unit = np.eye(count, dtype=np.float32)[:, :, None].repeat(3, axis=2)
     columns = rotate_sh(unit, np.array(rotation).reshape(3, 3))[:, :, 0]

@@ -92,7 +92,7 @@ def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
 
 @contextmanager
 def as_fault(location: str, fault: Fault) -> Iterator[None]:
-    """Convert a FormatError of the ``with`` block to a TilesetInvalid of the kind ``fault``."""
+    """Convert a FormatError of the ``with`` block to a TilesetInvalid of one kind of fault."""
     try:
         yield
     except FormatError as error:

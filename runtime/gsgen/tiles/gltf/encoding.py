@@ -99,7 +99,7 @@ def write_content(
 
 
 def _translation(center: Float64[np.ndarray, " 3"]) -> list[float]:
-    """Return the column-major glTF matrix that translates content to ``center``."""
+    """Return the column-major glTF matrix that translates a tile's content to its centre."""
     matrix = np.eye(4)
     matrix[:3, 3] = Z_UP_FROM_Y_UP[:3, :3].T @ center + 0.0
     return [float(value) for value in matrix.T.ravel()]

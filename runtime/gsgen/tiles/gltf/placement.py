@@ -36,7 +36,7 @@ class PlacedSplats:
 
 
 def place(splats: Splats, matrix: Float64[np.ndarray, "4 4"]) -> PlacedSplats:
-    """Return splats transformed by ``matrix``, whose translation stays in float64.
+    """Transform splats by a 4×4 matrix, whose translation stays in float64.
 
     Positions far from the file's own origin keep their digits: the middle of the splats becomes
     the origin.
@@ -51,5 +51,5 @@ def place(splats: Splats, matrix: Float64[np.ndarray, "4 4"]) -> PlacedSplats:
 
 
 def join_placed(parts: Sequence[PlacedSplats], origin: Float64[np.ndarray, " 3"]) -> Splats:
-    """Join sets of placed splats into one set, relative to ``origin``."""
+    """Join sets of splats with float64 origins into one set with one origin."""
     return joined([part.around(origin) for part in parts])

@@ -96,7 +96,7 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
 
 
 def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
-    """Choose the fractional bits of positions: fine for small splats, with range for far ones.
+    """Choose the fractional bits of SPZ positions: more for small splats, fewer for far splats.
 
     1. The far ones win: 24 bits have to hold the largest coordinate.
     2. The finest quality has 1/4096 unit at least, as other writers have.
@@ -118,7 +118,7 @@ def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
 
 
 def _rounded(data: bytes, bits: int, *, least: int) -> bytes:
-    """Round bytes to multiples of 2^(8 − bits); nonzero bytes become ``least`` or more."""
+    """Round bytes to multiples of 2^(8 − bits); nonzero bytes keep a least value."""
     if bits == 8:
         return data
     step = 1 << (8 - bits)

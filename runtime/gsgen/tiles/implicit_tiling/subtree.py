@@ -52,7 +52,7 @@ class Subtree:
 
 
 def tile_count(branching: int, levels: int) -> int:
-    """Return the number of tiles of a full subtree."""
+    """Return the number of tiles of a full quadtree or octree subtree of some levels."""
     return int((branching**levels - 1) // (branching - 1))
 
 
@@ -145,7 +145,7 @@ def _wrong(actual: str, location: str, expected: str) -> TilesetInvalid:
 def _check_tree(
     document: JsonObject, tiles: Bits, contents: tuple[Bits, ...], below: Bits, branching: int
 ) -> None:
-    """Raise for tiles without a parent, and for contents or subtrees of unavailable tiles."""
+    """Raise for subtree tiles without a parent, and contents or subtrees of unavailable tiles."""
     location = document.location.removesuffix(", ")
     if not tiles[0]:
         raise _wrong("the root tile is not available", location, "a subtree with a root")
@@ -177,7 +177,7 @@ def _check_tree(
 
 @final
 class _Reader:
-    """Reads the buffers, buffer views, bitstreams and tables of one subtree."""
+    """Reads the buffers, buffer views, bitstreams and tables of one implicit subtree."""
 
     def __init__(self, document: JsonObject, binary: bytes, read: ReadBuffer) -> None:
         self._binary, self._read = binary, read
@@ -207,7 +207,7 @@ class _Reader:
         return np.asarray(bits)
 
     def view(self, entry: JsonObject, key: str) -> bytes:
-        """Return the bytes of the subtree's buffer view that ``entry`` names."""
+        """Return the bytes of a subtree's buffer view, by the view's number in the JSON."""
         index = entry.whole(key)
         if index >= len(self._views):
             entry.refuse(key, f"less than {len(self._views)}, the number of buffer views")
@@ -241,7 +241,7 @@ class _Reader:
         count: int,
         classes: dict[str, PropertyClass],
     ) -> dict[str, np.ndarray]:
-        """Return the columns of the property table that ``holder`` names; empty without one."""
+        """Return the columns of a subtree's property table; empty if there is no table."""
         if key not in holder:
             return {}
         index = holder.whole(key)

@@ -31,7 +31,7 @@ class TileCoordinates(NamedTuple):
     cell: tuple[int, ...]
 
     def child(self, index: int) -> "TileCoordinates":
-        """Return the coordinates of child tile ``index``, whose bits are appended."""
+        """Return the coordinates of an implicit tile's child, by the child's number."""
         cell = tuple(value * 2 + (index >> axis & 1) for axis, value in enumerate(self.cell))
         return TileCoordinates(self.level + 1, cell)
 
@@ -128,7 +128,7 @@ def expand_implicit(
     load: Callable[[ImplicitTree, TileCoordinates], Subtree | None],
     count_tiles: Callable[[int, str], None],
 ) -> Tile:
-    """Return ``root`` with all tiles of its implicit tree as descendants.
+    """Return the root tile with all tiles of its implicit tree as descendants.
 
     Args:
         tree: The tree.
@@ -191,7 +191,7 @@ def _further(
     load: Callable[[ImplicitTree, TileCoordinates], Subtree | None],
     count_tiles: Callable[[int, str], None],
 ) -> Iterator[Tile]:
-    """Yield the roots of the child subtrees below a tile of the subtree's last level."""
+    """Yield the roots of the child subtrees below a tile of a subtree's last level."""
     for k in range(tree.branching):
         if not subtree.subtrees[first + k]:
             continue
@@ -211,7 +211,7 @@ def _further(
 def _coordinates(
     tree: ImplicitTree, origin: TileCoordinates, available: np.ndarray
 ) -> dict[int, TileCoordinates]:
-    """Return the coordinates of tiles by their index in the subtree."""
+    """Return the coordinates of a subtree's tiles, in the order of availability bits."""
     known = {0: origin}
     for index in map(int, available[1:]):
         parent, k = divmod(index - 1, tree.branching)

@@ -53,7 +53,7 @@ def write_implicit_tileset(
     transform: Float64[np.ndarray, "4 4"] | None = None,
     subtree_levels: int = SUBTREE_LEVELS,
 ) -> list[str]:
-    """Write ``tileset.json`` and the subtree files for the octree below ``root``.
+    """Write ``tileset.json`` and the subtree files of an implicit octree.
 
     Tiles of ``oversized`` records become explicit tiles beside the tree. Contents have to lie
     where :func:`implicit_uri` says.
@@ -124,7 +124,7 @@ def _content(record: TileRecord, quality: int) -> ContentRecord | None:
 def _collect(
     record: TileRecord, quality: int, cells: list[_Cell], oversized: list[TileRecord]
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Add an octree tile and its descendants to ``cells``; return the tile's bounding box."""
+    """Collect an octree tile and its descendants by cell; return the tile's bounding box."""
     low, high = np.array(record.low, np.float64), np.array(record.high, np.float64)
     content = _content(record, quality)
     if content is not None:
@@ -168,7 +168,7 @@ def _implicit_root(
 
 
 def _subtrees(cells: list[_Cell], levels: int, quality: int) -> Iterable[tuple[str, bytes]]:
-    """Yield the uri and bytes of every subtree file."""
+    """Yield the URI and bytes of every subtree file of an implicit octree."""
     groups: dict[tuple[int, tuple[int, int, int]], list[_Cell]] = {}
     for cell in cells:
         level = cell.record.level
@@ -251,7 +251,7 @@ class _SubtreeWriter:
         self._views: list[dict[str, int]] = []
 
     def bits(self, indices: list[int], count: int) -> dict[str, int]:
-        """Return the JSON of an availability: a constant, or a bitstream."""
+        """Return the JSON of a subtree's availability bits: a constant, or a bitstream."""
         if len(indices) in (0, count):
             return {"constant": int(bool(indices))}
         flags = np.zeros(count, np.uint8)
@@ -260,7 +260,7 @@ class _SubtreeWriter:
         return {"availableCount": len(indices), "bitstream": self._view(packed)}
 
     def table(self, name: str, count: int, columns: dict[str, np.ndarray]) -> JsonDict:
-        """Append columns to the buffer and return the JSON of their property table."""
+        """Append columns to a subtree's buffer, and return the JSON of their property table."""
         properties = {
             key: {"values": self._view(column.tobytes())} for key, column in columns.items()
         }
@@ -273,7 +273,7 @@ class _SubtreeWriter:
         return len(self._views) - 1
 
     def file(self, document: JsonDict) -> bytes:
-        """Return the subtree as a binary file."""
+        """Return an implicit subtree as the bytes of a binary file."""
         values = dict(document)
         if self._data:
             values["buffers"] = [{"byteLength": len(self._data)}]

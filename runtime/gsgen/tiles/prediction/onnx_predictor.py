@@ -1,4 +1,4 @@
-"""Predictors that are models: the contract's kind trajectory-predictor, run on the CPU."""
+"""Camera pose predictors in ONNX files (kind trajectory-predictor), run on the CPU."""
 
 __all__ = ["OnnxPredictor", "TrajectoryModel"]
 
@@ -27,7 +27,7 @@ _LONGEST: Final = 1000  # states of a history
 
 @final
 class TrajectoryModel:
-    """A trajectory predictor in a file.
+    """A trajectory predictor in an ONNX file, which predicts camera poses.
 
     Attributes:
         name: The file.
@@ -48,7 +48,7 @@ class TrajectoryModel:
 
     @classmethod
     def open(cls, path: Path) -> "TrajectoryModel":
-        """Open a model of kind trajectory-predictor.
+        """Open an ONNX model of the kind trajectory-predictor.
 
         Raises:
             InputUnreadable: The file is not such a model, or its outputs do not fit its manifest.
@@ -89,11 +89,11 @@ class TrajectoryModel:
         return cls(path, manifest, session)
 
     def predictor(self) -> "OnnxPredictor":
-        """Return a predictor for one path."""
+        """Return a new pose predictor for one camera path."""
         return OnnxPredictor(self)
 
     def run(self, history: Float32[np.ndarray, "t s"]) -> Prediction:
-        """Run the model; row k is k + 1 steps after the last state of ``history``.
+        """Run the trajectory model; row k is k + 1 time steps after the last known camera state.
 
         Raises:
             InputUnreadable: It fails, or its outputs are not finite states.
@@ -102,22 +102,22 @@ class TrajectoryModel:
             future, doubt = self._session.run(self._outputs, {self._input: history})
         except Exception as error:  # ONNX Runtime raises types of its own, without a base
             raise InputUnreadable(
-                f"fails: {str(error).splitlines()[0]}", where=self.name
+                f"the model fails: {str(error).splitlines()[0]}", where=self.name
             ) from error
         width = self._width * (self._width + 1) // 2 if self._upper else self._width
         shapes = (self.steps, self._width), (self.steps, width)
         fits = (future.shape, doubt.shape) == shapes
         if not (fits and np.isfinite(future).all() and np.isfinite(doubt).all()):
             raise InputUnreadable(
-                f"gives {list(future.shape)} and {list(doubt.shape)}, or values that are not "
-                f"finite; expected {list(shapes[0])} and {list(shapes[1])}",
+                f"outputs states {list(future.shape)} and uncertainty {list(doubt.shape)}, or "
+                f"numbers that are not finite; expected {list(shapes[0])} and {list(shapes[1])}",
                 where=self.name,
                 hint=f"Check it with: gsgen validate {self.name}",
             )
         return self._prediction(future.astype(np.float64), doubt.astype(np.float64))
 
     def state(self, pose: Pose) -> Float64[np.ndarray, " s"]:
-        """Return a pose as a state of the model."""
+        """Convert a camera pose to a state vector of the trajectory model."""
         if self._width == 7:
             return np.concatenate([pose.position, pose.quaternion])
         return np.concatenate([pose.position, rotation_vector(pose.quaternion)])
@@ -143,7 +143,7 @@ class TrajectoryModel:
 
 @final
 class OnnxPredictor:
-    """Predicts by a model, from poses at the model's own step.
+    """Predicts camera poses by an ONNX model, from past poses at the model's time step.
 
     Positions are given relative to the last one, so that float32 is enough anywhere.
 
@@ -158,14 +158,14 @@ class OnnxPredictor:
         self._poses: deque[Pose] = deque()
 
     def observe(self, pose: Pose) -> None:
-        """Note the pose of a frame."""
+        """Record the camera pose of a frame."""
         self._poses.append(pose)
         span = self._model.history * self._model.step_seconds
         while len(self._poses) > 2 and self._poses[1].time < pose.time - span:
             self._poses.popleft()
 
     def predict(self, ahead: Sequence[float]) -> Prediction | None:
-        """Return the poses ``ahead`` seconds after the last one, between the model's steps."""
+        """Return the predicted poses at times after the last frame, between the model's steps."""
         if not self._poses:
             return None
         model, last = self._model, self._poses[-1]
@@ -186,7 +186,7 @@ class OnnxPredictor:
 def _resample(
     prediction: Prediction, last: Pose, step_seconds: float, ahead: Sequence[float]
 ) -> Prediction:
-    """Return the poses ``ahead`` seconds after ``last``, between those of the model."""
+    """Interpolate the model's predicted camera poses at times after the last known pose."""
     offsets = prediction.position + last.position
     poses = [last] + [
         Pose(last.time + (index + 1) * step_seconds, position, quaternion)

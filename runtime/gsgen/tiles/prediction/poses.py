@@ -23,7 +23,7 @@ Vector = Float64[np.ndarray, " 3"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Where a camera was at a time.
+    """A camera's position and rotation at one time.
 
     Attributes:
         time: In seconds.
@@ -37,7 +37,7 @@ class Pose:
 
 
 def quaternion_product(first: Quaternion, second: Quaternion) -> Quaternion:
-    """Return the rotation ``second`` followed by ``first``."""
+    """Return the quaternion of two rotations, the second applied before the first."""
     w, v, s, u = first[0], first[1:], second[0], second[1:]
     return np.asarray(np.r_[w * s - v @ u, w * u + s * v + np.cross(v, u)])
 
@@ -58,7 +58,7 @@ def matrix_quaternion(rotation: Float64[np.ndarray, "3 3"]) -> Quaternion:
 
 
 def rotation_vector(quaternion: Quaternion) -> Vector:
-    """Return axis × angle in radians, the angle at most π: the same for q and −q."""
+    """Return a quaternion's axis × angle in radians, at most π: the same for q and −q."""
     if quaternion[0] < 0:
         quaternion = -quaternion
     sine = float(np.linalg.norm(quaternion[1:]))
@@ -68,7 +68,7 @@ def rotation_vector(quaternion: Quaternion) -> Vector:
 
 
 def rotation_quaternion(vector: Vector) -> Quaternion:
-    """Return the unit quaternion of axis × angle."""
+    """Return the unit quaternion of a rotation vector, axis × angle in radians."""
     angle = float(np.linalg.norm(vector))
     scale = 0.5 if angle < 1e-12 else np.sin(angle / 2) / angle
     quaternion = np.r_[np.cos(angle / 2), vector * scale]
@@ -76,7 +76,7 @@ def rotation_quaternion(vector: Vector) -> Quaternion:
 
 
 def interpolate(poses: Sequence[Pose], time: float) -> Pose:
-    """Return the pose at ``time`` between ``poses``, which ascend; held before and after them.
+    """Interpolate a camera pose at a time; the first and the last pose hold outside the path.
 
     Positions go straight, rotations at constant speed the shorter way round.
     """

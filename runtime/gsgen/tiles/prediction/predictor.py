@@ -1,4 +1,4 @@
-"""Predictors: where will the camera be, and how sure is that?"""
+"""Predictors of camera poses: where will the camera be, and how certain is that?"""
 
 __all__ = ["ConstantVelocity", "Prediction", "Predictor"]
 
@@ -27,7 +27,7 @@ _LEAST_DEVIATION: Final = 1e-6
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prediction:
-    """Poses to come, one a row.
+    """Predicted camera poses, one per row, with their uncertainty.
 
     Attributes:
         position: Camera centres in the root frame, [k, 3].
@@ -42,7 +42,7 @@ class Prediction:
 
 
 class Predictor(Protocol):
-    """Predicts poses from those that it observed.
+    """Protocol: predicts camera poses from the poses of past frames.
 
     Attributes:
         name: For messages.
@@ -53,17 +53,17 @@ class Predictor(Protocol):
     reach: float
 
     def observe(self, pose: Pose) -> None:
-        """Note the pose of a frame; times ascend."""
+        """Record the camera pose of a frame; times ascend."""
         ...
 
     def predict(self, ahead: Sequence[float]) -> Prediction | None:
-        """Return the poses ``ahead`` seconds after the last one; None while too little is known."""
+        """Return predicted camera poses after the last frame; None if too few frames are known."""
         ...
 
 
 @final
 class ConstantVelocity:
-    """The camera goes on as in the last half second: straight on, and at the same rotation rate."""
+    """Predicts that the camera keeps the velocity and rotation rate of the last half second."""
 
     name = "constant-velocity"
     reach = 10.0
@@ -72,13 +72,13 @@ class ConstantVelocity:
         self._poses: deque[Pose] = deque()
 
     def observe(self, pose: Pose) -> None:
-        """Note the pose of a frame."""
+        """Record the camera pose of a frame."""
         self._poses.append(pose)
         while len(self._poses) > 2 and self._poses[1].time < pose.time - WINDOW:
             self._poses.popleft()
 
     def predict(self, ahead: Sequence[float]) -> Prediction | None:
-        """Return the poses ``ahead`` seconds after the last one."""
+        """Return the predicted camera poses, in seconds after the last frame."""
         if len(self._poses) < 2 or self._poses[-1].time <= self._poses[0].time:
             return None
         first, last = self._poses[0], self._poses[-1]

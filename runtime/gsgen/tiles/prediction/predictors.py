@@ -1,4 +1,4 @@
-"""Open predictors by name or file."""
+"""Opens camera pose predictors by name or from a file."""
 
 __all__ = ["NAMES", "predictor_maker"]
 
@@ -13,7 +13,7 @@ from gsgen.tiles.prediction.predictor import ConstantVelocity, Prediction, Predi
 
 @final
 class _NoPredictor:
-    """Predicts nothing, so that nothing is prefetched."""
+    """A pose predictor that predicts nothing, so that no tile is prefetched."""
 
     name, reach = "none", 0.0
 
@@ -32,7 +32,7 @@ NAMES: Final[dict[str, Callable[[], Predictor]]] = {
 
 
 def predictor_maker(name: str) -> Callable[[], Predictor]:
-    """Return what makes the predictor ``name``, one for each path.
+    """Return the factory of a named pose predictor, which makes one for each camera path.
 
     Args:
         name: One of :data:`NAMES`, or the path of an ONNX file of kind trajectory-predictor.

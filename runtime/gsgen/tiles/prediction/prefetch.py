@@ -1,4 +1,4 @@
-"""Prefetch: which tiles will be wanted soon, by prediction or by knowing the path."""
+"""Prefetching: which tiles will the camera need soon, by predicted poses or a known path?"""
 
 __all__ = ["HorizonPrefetch", "PathPrefetch", "Prefetch", "ViewSettings"]
 
@@ -31,7 +31,7 @@ _LEAST_HORIZON: Final = 0.125
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewSettings:
-    """The image and the error of the client.
+    """The image size, field of view and pixel error with which a client selects tiles.
 
     Attributes:
         width: In pixels.
@@ -55,14 +55,14 @@ class ViewSettings:
 
 
 class Prefetch(Protocol):
-    """Protocol: predicts which tiles will be wanted soon."""
+    """Protocol of prefetchers: predict which tiles the camera will need soon."""
 
     def observe(self, pose: Pose, waste: float) -> None:
-        """Note the pose of a frame, and the share of bytes that were wasted so far."""
+        """Record the camera pose of a frame, and the share of received bytes that were wasted."""
         ...
 
     def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[tuple[int, float]]:
-        """Return tiles that are not loaded and will be wanted, the most urgent first.
+        """Return missing tiles that the camera will need, the most urgent first.
 
         Each comes with the share of the largest waste that may be risked for it.
         """
@@ -71,7 +71,7 @@ class Prefetch(Protocol):
 
 @final
 class HorizonPrefetch:
-    """Prefetches the tiles that a pose predictor expects to be seen within a horizon.
+    """Prefetches the tiles that predicted camera poses see within a time horizon.
 
     Sixteen sigma points stand for the uncertainty of each predicted pose: the pose itself four
     times, and √6 standard deviations to both sides of it in each of the six dimensions
@@ -99,7 +99,7 @@ class HorizonPrefetch:
         self._order: list[tuple[int, float]] = []
 
     def observe(self, pose: Pose, waste: float) -> None:
-        """Note a pose; above the largest waste the horizon is halved, once a horizon."""
+        """Record a camera pose; halve the prediction horizon if too many bytes were wasted."""
         self._predictor.observe(pose)
         self._time = pose.time
         if self._planned is not None and self._time - self._planned < _INTERVAL:
@@ -128,7 +128,7 @@ class HorizonPrefetch:
         return [(int(rows[row]), _TRUST[first[row]]) for row in order]
 
     def _probability(self, prediction: Prediction) -> Float64[np.ndarray, "k n"]:
-        """Return how likely each tile is seen at each predicted pose."""
+        """Return the probability that each tile is seen at each predicted camera pose."""
         frusta, weights = [], []
         for position, quaternion, deviation in zip(
             prediction.position, prediction.quaternion, prediction.deviation, strict=True
@@ -178,12 +178,12 @@ class PathPrefetch:
         self._time = -np.inf
 
     def observe(self, pose: Pose, waste: float) -> None:
-        """Note the time of a frame."""
+        """Record the time of a frame on the known camera path."""
         del waste
         self._time = pose.time
 
     def candidates(self, loaded: Bool[np.ndarray, " n"]) -> list[tuple[int, float]]:
-        """Return the tiles that will be wanted, the earliest first."""
+        """Return the tiles that a known camera path will need, the earliest first."""
         entries = [
             (next((time for time in times if time > self._time), np.inf), tile)
             for tile, times in enumerate(self._times)

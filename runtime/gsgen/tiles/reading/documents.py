@@ -1,4 +1,4 @@
-"""Reads the JSON documents of a tileset: indices and metadata schemas, within limits."""
+"""Reads a tileset's JSON documents: ``tileset.json`` files and metadata schemas."""
 
 __all__ = ["Document", "DocumentReader"]
 
@@ -21,7 +21,7 @@ _VERSIONS: Final = ("1.0", "1.1")
 @final
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A tileset index that is being read, with its metadata classes and its parents.
+    """A ``tileset.json`` that is being read, with metadata classes and the files that refer to it.
 
     Attributes:
         path: Of the file, relative to the tileset's folder.
@@ -36,7 +36,7 @@ class Document:
 
 @final
 class DocumentReader:
-    """Reads the indices of one tileset, within limits of their number and size."""
+    """Reads the ``tileset.json`` files of one tileset, within limits of number and size."""
 
     def __init__(self, store: Store, limits: Limits, report: LoadReport) -> None:
         self._store, self._limits, self._report = store, limits, report
@@ -44,24 +44,24 @@ class DocumentReader:
         self._documents = 0
 
     def spend(self, size: int, path: str) -> None:
-        """Count a document of ``size`` bytes; raise if the tileset exceeds the limits."""
+        """Count a JSON document's bytes; raise if the tileset exceeds the limits of reading."""
         self._bytes_left -= size
         self._documents += 1
         if self._documents > self._limits.documents:
             raise TilesetInvalid(
-                f"more than {self._limits.documents:,} indices and subtrees",
+                f"more than {self._limits.documents:,} tileset.json and subtree files",
                 location=f"{self._store.name}: {path}",
                 expected="fewer",
             )
         if self._bytes_left < 0:
             raise TilesetInvalid(
-                f"more than {self._limits.index_bytes:,} bytes of indices",
+                f"more than {self._limits.index_bytes:,} bytes of tileset.json and subtree files",
                 location=f"{self._store.name}: {path}",
                 expected="fewer",
             )
 
     def read_index(self, path: str) -> JsonObject:
-        """Read a tileset index, and check its required members."""
+        """Read a ``tileset.json``, and check its required members."""
         data = self._store.read(path, limit=MAX_JSON)
         self.spend(len(data), path)
         document = parse_object(data, f"{path}, ")
@@ -91,7 +91,7 @@ class DocumentReader:
         return document
 
     def describe(self, path: str, document: JsonObject, above: tuple[str, ...]) -> Document:
-        """Read the metadata schema of an index, and note which indices refer to it."""
+        """Read a ``tileset.json``'s metadata schema, and list the files that refer to the JSON."""
         schema = document.optional("schema")
         if schema is None and "schemaUri" in document:
             location = document.at("schemaUri")

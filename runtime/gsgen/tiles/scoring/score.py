@@ -128,7 +128,7 @@ def score_tileset(
 
 
 def level_cut(tileset: Tileset, level: int) -> Iterator[tuple[Tile, Content]]:
-    """Yield the contents that are drawn if every tile is refined ``level`` times.
+    """Yield the tile contents that are drawn if every tile is refined a number of times.
 
     Tiles without content do not count: they are refined in any case.
     """
@@ -177,7 +177,7 @@ def _read(store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]) -> tu
 def _cameras(
     splats: Splats, up: Float64[np.ndarray, " 3"], width: int, height: int
 ) -> dict[str, list[Camera]]:
-    """Return cameras around the middle of the scene, by distance."""
+    """Return cameras around the middle of the scene, grouped by distance."""
     center = np.median(splats.position.astype(np.float64), axis=0)
     distances = np.linalg.norm(splats.position - center, axis=1)
     radius = max(float(np.quantile(distances, _SHARE_WITHIN)), 1e-6)

@@ -1,4 +1,4 @@
-"""Chooses one option per tile within a byte budget, by concave hulls and a prefix sum."""
+"""Chooses one quality per tile within a byte budget, by concave hulls and a prefix sum."""
 
 __all__ = ["Choice", "choose_options"]
 
@@ -16,7 +16,7 @@ _STEPS_BEYOND: Final = 64  # steps after the budget's end: each costs a microsec
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """One chosen option per tile, and the distance of the choice from the optimum.
+    """The chosen quality of each tile, and how far the choice can be from the optimum.
 
     Attributes:
         option: Of each tile; −1 for none.
@@ -37,7 +37,7 @@ class Choice:
 
 
 def choose_options(hulls: OptionHulls, weight: Float64[np.ndarray, " n"], budget: float) -> Choice:
-    """Choose an option for each tile so that the weighted value is large within ``budget``.
+    """Choose a quality for each tile, so that their weighted value is large within a byte budget.
 
     The linear relaxation of the multiple-choice knapsack takes steps of the hulls by falling
     gain for cost (Sinha and Zoltners 1979). Its last, partial step gives the bound; then every

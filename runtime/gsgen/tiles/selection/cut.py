@@ -1,4 +1,4 @@
-"""The cut of a tile tree by screen-space error: the tiles that a camera sees and needs."""
+"""Selects the tiles that a camera sees and needs, by their screen-space error."""
 
 __all__ = ["Cut", "cut_tree", "cut_tree_often", "request_order"]
 
@@ -30,7 +30,7 @@ class Cut:
 
 
 def cut_tree(tree: TileTree, frustum: Frustum, max_error: float) -> Cut:
-    """Return the tiles that ``frustum`` sees, refined where the error exceeds ``max_error``.
+    """Return the tiles that a frustum sees, refined where the screen-space error is too large.
 
     Args:
         tree: The tiles.
@@ -48,7 +48,7 @@ def cut_tree(tree: TileTree, frustum: Frustum, max_error: float) -> Cut:
 
 
 def request_order(tree: TileTree, cut: Cut) -> Int64[np.ndarray, " m"]:
-    """Return the seen tiles in order of request: (level, −screen-space error, index)."""
+    """Return the seen tiles in order of request: by level, then by screen-space error."""
     rows = np.flatnonzero(cut.seen)
     return np.asarray(rows[np.lexsort((rows, -cut.error[rows], tree.level[rows]))])
 
@@ -56,7 +56,7 @@ def request_order(tree: TileTree, cut: Cut) -> Int64[np.ndarray, " m"]:
 def cut_tree_often(
     tree: TileTree, frusta: Sequence[Frustum], max_error: float
 ) -> tuple[Int64[np.ndarray, " m"], Bool[np.ndarray, "f m"]]:
-    """Return which tiles each of several frustums sees; only tiles below seen ones are looked at.
+    """Return which tiles each of several frustums sees, testing only children of seen tiles.
 
     Args:
         tree: The tiles.

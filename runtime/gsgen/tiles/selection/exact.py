@@ -1,4 +1,4 @@
-"""Exact choices of tiles: Pareto fronts of tree cuts, and dynamic programming for deadlines."""
+"""Chooses tiles exactly: Pareto fronts for tile trees, dynamic programming for deadlines."""
 
 __all__ = ["DeadlineTile", "choose_cut_exactly", "choose_until_deadlines"]
 
@@ -17,7 +17,7 @@ _TOLERANCE = 1e-9  # of the utility: sums in another order differ by less
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Front:
-    """The Pareto points of a tree node that may be part of the best cut, costs ascending.
+    """The Pareto points (cost, utility) of a tile tree's node, by ascending cost.
 
     Attributes:
         cost: Of each point.
@@ -36,7 +36,7 @@ class _Front:
 
 @final
 class _FrontMerger:
-    """Merges Pareto fronts of tree nodes bottom up, and drops points that no best cut uses.
+    """Merges the Pareto fronts of a tile tree's nodes from leaves to root, and prunes points.
 
     With a price on cost, a point whose priced utility lacks more than ``slack`` of the best
     point of its node cannot be part of a cut above the known one: the relaxation already says
@@ -49,7 +49,7 @@ class _FrontMerger:
     def rows(
         self, cost: Float64[np.ndarray, " p"], utility: Float64[np.ndarray, " p"]
     ) -> Int64[np.ndarray, " m"]:
-        """Return the points of the Pareto front, by ascending cost."""
+        """Return the Pareto-optimal points (cost, utility), by ascending cost."""
         if not len(cost):
             return np.zeros(0, np.int64)
         priced = utility - self._price * cost
@@ -61,7 +61,7 @@ class _FrontMerger:
 
 
 def choose_cut_exactly(options: CutOptions, budget: float) -> Choice | None:
-    """Return the tree cut of greatest utility within ``budget``; None if every cut costs more.
+    """Choose the tiles of greatest utility within a byte budget; None if every choice costs more.
 
     Args:
         options: Of the nodes; fronts grow with their number, though relaxation and price keep
@@ -136,7 +136,7 @@ def _front(
 def _trace(
     options: CutOptions, fronts: list[_Front | None], children: list[list[int]]
 ) -> Int64[np.ndarray, " n"]:
-    """Return the tile options of the last point of the root's front, which has the most utility."""
+    """Return the chosen quality of each tile at the root's Pareto point of most utility."""
     root = int(np.flatnonzero(options.parent < 0)[0])
     chosen = np.full(len(fronts), -1, np.int64)
     last = fronts[root]
@@ -176,7 +176,7 @@ class DeadlineTile:
 
 
 def choose_until_deadlines(tiles: list[DeadlineTile]) -> Choice:
-    """Choose at most one option per tile with deadlines on one link, by dynamic programming.
+    """Choose at most one quality per tile that arrives by its deadline, by dynamic programming.
 
     U(i,t) = max(U(i−1,t), U(i,t−1), max_j U(i−1,t−d_ij) + u_ij for t ≤ deadline_i), where
     U(i,t) is the best of the first i tiles when the link is free again at slot t.

@@ -48,7 +48,7 @@ class Frustum:
         height: int,
         fov_y: float,
     ) -> "Frustum":
-        """Return the frustum of a pinhole camera whose principal point is the image centre.
+        """Return the view frustum of a pinhole camera whose principal point is the image centre.
 
         Args:
             position: Camera centre in the root frame.
@@ -79,7 +79,7 @@ class Frustum:
     def from_camera(
         cls, camera: "Camera", placement: Float64[np.ndarray, "4 4"] | None = None
     ) -> "Frustum":
-        """Return the frustum of a scene's camera.
+        """Return the view frustum of a scene's camera.
 
         Args:
             camera: Of any kind.
@@ -111,7 +111,7 @@ class Frustum:
     def moved(
         self, position: Float64[np.ndarray, " 3"], quaternion: Float64[np.ndarray, " 4"]
     ) -> "Frustum":
-        """Return the frustum of the same camera elsewhere.
+        """Return the view frustum after the camera has moved to another pose.
 
         Args:
             position: Camera centre in the root frame.
@@ -126,7 +126,7 @@ class Frustum:
     def meets(
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Return the mask of the boxes that reach the inner side of every frustum plane.
+        """Return the mask of the boxes that reach the inner side of all planes of a view frustum.
 
         The corner farthest along a plane's normal (the p-vertex) decides, so that no box that
         meets the frustum is left out; near an edge, a few that do not meet it stay in.
@@ -145,7 +145,7 @@ class Frustum:
     def distances(
         self, center: Float64[np.ndarray, "n 3"], half_axes: Float64[np.ndarray, "n 3 3"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return the distances from the camera to rectangular boxes; 0 if the camera is within."""
+        """Return the distances from the camera to boxes; 0 if a box holds the camera."""
         lengths = np.sqrt(np.square(half_axes).sum(axis=2))
         units = half_axes / np.where(lengths > 0, lengths, 1)[:, :, None]
         offset = self.eye - center
@@ -160,7 +160,7 @@ class Frustum:
     def screen_space_error(
         self, error: Float64[np.ndarray, " n"], distance: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return geometric errors in pixels: e·H / (2·d·tan(fov_y/2)); infinite within a box."""
+        """Return tiles' screen-space errors, e·H / (2·d·tan(fov_y/2)); infinite within a box."""
         if self.flat:
             return error * self.focal
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -174,7 +174,7 @@ def _planes(
     turn: Float64[np.ndarray, "3 3"],
     shift: Float64[np.ndarray, " 3"],
 ) -> Planes:
-    """Convert planes of the camera's frame (normals, distances) to the root frame."""
+    """Transform a frustum's planes from the camera's frame to the tileset's root frame."""
     lengths = np.linalg.norm(sides, axis=1)
     sides, distances = sides / lengths[:, None], distances / lengths
     return np.column_stack([sides @ turn, sides @ shift + distances])

@@ -1,4 +1,4 @@
-"""Upper concave hulls of tile options: the steps worth taking, by gain per cost."""
+"""Upper concave hulls of tile qualities: the upgrades worth their bytes, by gain per cost."""
 
 __all__ = ["OptionHulls", "upper_hulls"]
 
@@ -14,7 +14,7 @@ Table = Float64[np.ndarray, "n m"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OptionHulls:
-    """The concave hulls of many tiles' options as one list of steps, reusable for any weights.
+    """The concave hulls of many tiles' qualities as one list of upgrades, for any weights.
 
     A step leads from one option on a tile's hull to the next; the first of each tile leads from
     nothing (cost 0, value 0). Steps of a tile follow each other with falling efficiency.
@@ -35,7 +35,7 @@ class OptionHulls:
 
     @classmethod
     def of_options(cls, cost: Table, value: Table) -> "OptionHulls":
-        """Build the concave hulls of ``n`` tiles with at most ``m`` options each.
+        """Build the concave hulls of the qualities (cost, value) of many tiles.
 
         Args:
             cost: Of each option, ≥ 0; infinite for options that a tile does not have.
@@ -68,7 +68,7 @@ class OptionHulls:
 def upper_hulls(
     cost: Table, value: Table
 ) -> tuple[Int64[np.ndarray, "n m"], Bool[np.ndarray, "n m"]]:
-    """Return the upper concave hull of each row of (cost, value) points, while values grow.
+    """Return the upper concave hull of each row of (cost, value) points, up to the greatest value.
 
     Args:
         cost: x of the points; infinite for absent points.

@@ -1,4 +1,4 @@
-"""Reads tile choice problems from JSON: a cut within a byte budget, or tiles with deadlines."""
+"""Reads tile choice problems from JSON: a tile tree with a byte budget, or deadlines."""
 
 __all__ = ["Plan", "solve_problem"]
 
@@ -24,7 +24,7 @@ MOST_CELLS: Final = 1 << 27
 @final
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The best choice of tiles for a problem.
+    """The best choice of tiles for a tile choice problem.
 
     Attributes:
         utility: Of all chosen options together.
@@ -39,7 +39,7 @@ class Plan:
 
     @classmethod
     def of_choice(cls, choice: Choice) -> "Plan":
-        """Return the plan that a choice of tile options describes."""
+        """Convert chosen tile qualities to a plan: tiles, cost and utility."""
         picked = np.flatnonzero(choice.option >= 0).tolist()
         chosen = tuple((index, int(choice.option[index])) for index in picked)
         return cls(choice.utility, chosen, choice.bound)
@@ -99,7 +99,7 @@ def _solve_cut(problem: JsonObject) -> Choice:
 
 
 def _read_nodes(problem: JsonObject) -> CutOptions:
-    """Read the nodes of a cut problem; exactly one has no parent, and leaves have an option."""
+    """Read the tile tree of a byte-budget problem; it has one root, and leaves have a quality."""
     nodes = list(problem.objects("nodes"))
     if not nodes:
         problem.refuse("nodes", "one node at least")
@@ -125,7 +125,7 @@ def _read_nodes(problem: JsonObject) -> CutOptions:
 
 
 def _reaches_root(parent: np.ndarray) -> bool:
-    """Return whether the root is an ancestor of every node of a cut problem."""
+    """Return whether the root is an ancestor of every node of a problem's tile tree."""
     above, steps = parent.copy(), 1
     while (above >= 0).any() and steps <= len(parent):
         above = np.where(above >= 0, above[above], -1)
@@ -136,7 +136,7 @@ def _reaches_root(parent: np.ndarray) -> bool:
 def _read_options(
     entry: JsonObject, costs: str
 ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-    """Read the costs and the utilities of a node's or tile's options."""
+    """Read the cost and the utility of each quality of a tile."""
     sizes, values = entry.values.get(costs), entry.values.get("utility")
     if not isinstance(sizes, list):
         entry.refuse(costs, "an array of numbers")
@@ -149,7 +149,7 @@ def _read_options(
 
 
 def _read_loaded(problem: JsonObject) -> Iterator[tuple[int, int]]:
-    """Yield the nodes and qualities that a cut problem declares as loaded."""
+    """Yield the tiles and qualities that a byte-budget problem declares as loaded."""
     loaded = problem.values.get("loaded", [])
     if not isinstance(loaded, list):
         problem.refuse("loaded", "an array of [node, quality]")

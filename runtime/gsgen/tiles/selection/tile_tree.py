@@ -1,4 +1,4 @@
-"""The tiles of a tileset as arrays, so that all are culled and compared at once."""
+"""The tiles of a tileset as arrays, so that all tiles are culled and compared at once."""
 
 __all__ = ["TileTree", "measure_tile"]
 
@@ -92,7 +92,7 @@ class TileTree:
         )
 
     def ancestors(self, tile: int) -> list[int]:
-        """Return the ancestors of ``tile``, the root last."""
+        """Return the ancestors of a tile, the root last."""
         above = []
         while (tile := int(self.parent[tile])) >= 0:
             above.append(tile)
@@ -130,7 +130,7 @@ def _root_box(tile: Tile, tileset: Tileset) -> Box:
 
 
 def _region_box(region: Region) -> Box:
-    """Return a box, aligned to a globe region's middle, that contains the region."""
+    """Return a box around a region of the globe, aligned to the region's middle."""
     height = region.north - region.south
     if max(region.width, height) > _LARGE_ANGLE:
         return Box(np.zeros(3), np.eye(3) * (_GLOBE + max(region.maximum, 0.0)))
@@ -154,7 +154,7 @@ def _region_box(region: Region) -> Box:
 
 
 def _patch(region: Region, x: int, y: int) -> Region:
-    """Return one of _GRID × _GRID parts of a globe region."""
+    """Return one part of a globe region that is divided into a grid."""
     width, height = region.width / _GRID, (region.north - region.south) / _GRID
     west, south = region.west + width * x, region.south + height * y
     return Region(

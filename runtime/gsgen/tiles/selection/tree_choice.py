@@ -1,4 +1,4 @@
-"""Chooses a cut of a tile tree: one option per path from root to leaf, by concave frontiers.
+"""Chooses tiles and qualities of a tile tree within a budget, by concave frontiers.
 
 A node's frontier is the upper hull of its own options and of what its children give together:
 their first points added, then their steps by falling gain for cost. The root's frontier is the
@@ -23,7 +23,7 @@ Rows = Int64[np.ndarray, " m"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class CutOptions:
-    """The options of the nodes of a tile tree: costs, utilities and parents.
+    """The costs and utilities of each tile's qualities in a tile tree, and each tile's parent.
 
     Attributes:
         parent: Index of the node above; −1 for the root, which is alone.
@@ -56,7 +56,7 @@ def _no_values() -> Points:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Level:
-    """The concave frontiers of all tree nodes at one depth, one after another.
+    """The concave frontiers (cost, utility) of all tree nodes at one depth, concatenated.
 
     Attributes:
         nodes: The nodes, ascending.
@@ -79,7 +79,7 @@ class _Level:
     step_child: Rows = field(default_factory=_no_rows)
 
     def starts(self) -> Rows:
-        """Return the index of the first frontier point of each node."""
+        """Return the position of each tree node's first frontier point."""
         return np.searchsorted(self.owner, np.arange(len(self.nodes)))
 
 
@@ -113,15 +113,15 @@ class TreeFrontier:
 
     @property
     def costs(self) -> Points:
-        """The costs of the points of the root's frontier, ascending."""
+        """The total costs at the points of a tile tree's concave frontier, ascending."""
         return self.levels[0].cost
 
     def bound(self, budget: float) -> float:
-        """Return the utility of the linear relaxation within ``budget``, an upper bound."""
+        """Return an upper bound of the utility within a budget: that of the linear relaxation."""
         return float(np.interp(budget, self.costs, self.levels[0].value))
 
     def options_at(self, point: int) -> Int64[np.ndarray, " n"]:
-        """Return the option of every tree node at a point of the root's frontier; −1 for none."""
+        """Return each tile's chosen quality at a point of the tree's frontier; −1 for none."""
         chosen = np.full(len(self.options.parent), -1, np.int64)
         points = np.array([point])
         for level, below in zip(self.levels, [*self.levels[1:], None], strict=True):
@@ -139,7 +139,7 @@ class TreeFrontier:
 
 
 def choose_cut(frontier: TreeFrontier, budget: float) -> Choice | None:
-    """Return the tree cut of the last point of the root's frontier within ``budget``.
+    """Choose tiles and qualities by the last point of the tree's frontier within a budget.
 
     Returns:
         The choice; None where every cut costs more than ``budget``.
@@ -159,7 +159,7 @@ def _owners(options: CutOptions, level: _Level, below: _Level) -> Rows:
 
 
 def _points_below(level: _Level, below: _Level, prefix: Rows) -> Rows:
-    """Return the point of each child's frontier after ``prefix`` steps of its parent."""
+    """Return each child's frontier point after some steps along the parent node's frontier."""
     first = np.searchsorted(level.step_owner, np.arange(len(level.nodes)))
     rank = np.arange(len(level.step_owner)) - first[level.step_owner]
     taken = rank < prefix[level.step_owner]
@@ -173,7 +173,7 @@ def _build_level(
     position: Rows,
     hulls: tuple[Int64[np.ndarray, "n q"], Bool[np.ndarray, "n q"]],
 ) -> _Level:
-    """Return the frontiers of ``nodes`` from their options and their children's frontiers."""
+    """Return tree nodes' frontiers from the nodes' qualities and the children's frontiers."""
     level = _Level(nodes=nodes)
     if below is not None:
         _merge_children(level, below, position[options.parent[below.nodes]])
@@ -190,7 +190,7 @@ def _build_level(
 
 
 def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
-    """Set the frontier points of a tree level to the merged points of the children."""
+    """Set the frontier points of one tree level to the merged points of the level below."""
     is_first = np.r_[True, below.owner[1:] != below.owner[:-1]]
     steps = np.flatnonzero(~is_first)
     cost = below.cost[steps] - below.cost[steps - 1]
@@ -214,14 +214,14 @@ def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
 
 
 def _running(values: Points, owner: Rows) -> Points:
-    """Return cumulative sums that restart at each owner."""
+    """Return cumulative sums that restart at each tree node."""
     total = np.cumsum(values)
     first = np.searchsorted(owner, owner)
     return np.asarray(total - (total - values)[first])
 
 
 def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Rows) -> None:
-    """Add one point to the frontiers of the nodes ``owner``, and drop dominated points.
+    """Add a point to the frontiers of some tree nodes, and drop dominated points.
 
     Frontiers stay strictly concave and ascending: the tangents from the new point on both
     sides end at the first points that remain.
@@ -265,7 +265,7 @@ def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Row
 def _reduce(
     operation: np.ufunc, values: Points, starts: Rows, filled: Bool[np.ndarray, " m"], empty: float
 ) -> Points:
-    """Reduce the values of each node to one; ``empty`` for nodes without points."""
+    """Reduce each tree node's values to one value, with a default for nodes without values."""
     result = np.full(len(starts), empty)
     if filled.any():
         result[filled] = operation.reduceat(values, starts[filled])

@@ -79,7 +79,7 @@ class NetworkFaults:
         self._random = random.Random(self.seed)
 
     def choose(self) -> Failure | None:
-        """Return the failure of the next response, or None."""
+        """Return the simulated failure of the next response; None if it succeeds."""
         with self._lock:
             value = self._random.random()
         for rule in self.failures:
@@ -94,7 +94,7 @@ class NetworkFaults:
             self.sleep(self.latency)
 
     def wait_to_send(self, count: int) -> None:
-        """Wait until the simulated link of all responses has carried ``count`` more bytes."""
+        """Wait until the simulated network link has carried a response's next bytes."""
         if self.bytes_per_second is None:
             return
         with self._lock:

@@ -116,7 +116,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, format: str, *args: object) -> None:
-        """Do nothing: each response is logged once by ``_head`` or ``_refuse``."""
+        """Do nothing, since every HTTP response has been logged already."""
 
     def _answer(self, *, with_body: bool) -> None:
         faults = self.server.faults
@@ -168,7 +168,7 @@ class _Handler(BaseHTTPRequestHandler):
         return file if inside and regular else None
 
     def _span(self, size: int, etag: str) -> _Span | None:
-        """Return the requested byte range: all without a Range header, None if unsatisfiable."""
+        """Return the byte range that an HTTP request asks for; None if unsatisfiable."""
         match = _RANGE.match(self.headers.get("Range") or "")
         condition = self.headers.get("If-Range")
         if match is None or match[0] == "bytes=-" or condition not in (None, etag):

@@ -1,4 +1,4 @@
-"""The simulated client: frames of a path, deliveries of a link, and the viewer's own planner.
+"""Simulates a streaming client: camera frames, deliveries, and the viewer's own planner.
 
 The reactive client is normative. Frames are the rows of the path. At each frame, in order:
 
@@ -34,7 +34,7 @@ POLICIES: Final[tuple[Policy, ...]] = ("reactive", "predictive", "oracle")
 
 
 def policy_named(name: str) -> Policy:
-    """Return the policy called ``name``, which is one of :data:`POLICIES`."""
+    """Return the prefetch policy with a given name, such as ``reactive``."""
     return next(policy for policy in POLICIES if policy == name)
 
 
@@ -69,7 +69,7 @@ def simulate(
     rtt: float = 0.05,
     connections: int = 1,
 ) -> Simulation:
-    """Stream the tiles of ``tree`` along ``path`` over a simulated network.
+    """Stream a tileset's tiles along a camera path over a simulated network.
 
     Equal arguments give equal results, bit for bit.
 

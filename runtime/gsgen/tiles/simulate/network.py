@@ -14,7 +14,7 @@ _DONE = 1e-6  # of a byte
 
 @final
 class VirtualClock:
-    """A clock that stands still until the simulation moves it."""
+    """A clock for simulations, whose time stands still until the simulation advances it."""
 
     def __init__(self, start: float) -> None:
         self.time = start
@@ -38,12 +38,12 @@ class RateTrace:
     rates: Float64[np.ndarray, " n"]
 
     def rate(self, time: float) -> float:
-        """Return the rate at a time, in bytes a second."""
+        """Return the network's rate at a time, in bytes a second."""
         index = int(np.searchsorted(self.times, time, side="right")) - 1
         return float(self.rates[max(index, 0)])
 
     def next_change(self, time: float) -> float:
-        """Return when the rate changes after ``time``; infinite if never."""
+        """Return the next time at which the network's rate changes; infinite if never."""
         index = int(np.searchsorted(self.times, time, side="right"))
         if index == 0 and len(self.times) > 1:
             index = 1
@@ -69,7 +69,7 @@ class _Transfer:
 
 @final
 class SimulatedLink:
-    """Connections that take turns at equal shares of the rate; a request first takes the RTT.
+    """A simulated link: requests wait for the round trip, then share the rate equally.
 
     Args:
         clock: The time of requests.
@@ -116,7 +116,7 @@ class SimulatedLink:
         return next(entry for entry in self._transfers if entry.tile == tile)
 
     def advance(self, until: float) -> Delivery | None:
-        """Move the clock to the next delivery, at most to ``until``.
+        """Advance the simulated clock to the next delivery of a tile, or to a given time.
 
         Returns:
             The delivery, or None where the clock reached ``until`` without one.

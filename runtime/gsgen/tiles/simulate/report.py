@@ -16,7 +16,7 @@ from gsgen.tiles.streaming.metrics import StreamingMetrics
 
 
 def metrics_document(simulation: Simulation) -> JsonDict:
-    """Return the metrics of a simulation as JSON; a time that never came is null."""
+    """Return the metrics of a simulation as JSON; the time of an event that never came is null."""
     metrics = asdict(simulation.metrics)
     if math.isnan(metrics["first_good_s"]):
         metrics["first_good_s"] = None
@@ -24,7 +24,7 @@ def metrics_document(simulation: Simulation) -> JsonDict:
 
 
 def format_table(simulations: Sequence[Simulation]) -> str:
-    """Return a table with a column a policy."""
+    """Return the streaming metrics as a text table, with one column per prefetch policy."""
     rows: list[tuple[str, Callable[[StreamingMetrics], str]]] = [
         ("hit rate", lambda m: f"{m.hit_rate:.1%}"),
         ("waste", lambda m: f"{m.waste:.1%}"),

@@ -83,7 +83,7 @@ def _read_table(path: Path, columns: tuple[str, ...]) -> Float64[np.ndarray, "n 
             expected = f"a time after {rows[-2][0]:g}"
             raise _refuse(path, lines.line_num, f"t {rows[-1][0]:g}", expected)
     if not rows:
-        raise _refuse(path, 2, "the table has no rows", "one at least")
+        raise _refuse(path, 2, "the table has no rows", "at least one row")
     return np.array(rows, np.float64)
 
 

@@ -73,7 +73,7 @@ class HttpStore(Store):
         with self._request("HEAD", path, {}) as response:
             length = response.headers.get("Content-Length", "")
             if not length.isdigit():
-                raise self._failed(path, "the answer has no Content-Length")
+                raise self._failed(path, "the server's response has no Content-Length")
             return int(length)
 
     def read(
@@ -109,7 +109,7 @@ class HttpStore(Store):
         return self._retried(attempt)
 
     def _retried(self, attempt: Callable[[], bytes]) -> bytes:
-        """Return what ``attempt`` reads; try again when an answer breaks off."""
+        """Read from the web server, again if a response ends before all bytes have come."""
         for index in range(_RETRIES):
             try:
                 return attempt()
@@ -154,7 +154,7 @@ class HttpStore(Store):
                     raise too_large(self.name, path, len(body), limit)
         except HTTPError as error:
             raise _AnswerBroken(
-                f"the answer broke off ({error})",
+                f"the web server's response ended early ({error})",
                 location=f"{self.name}/{path}",
                 expected="the file",
                 fault=Fault.CONTENT,
@@ -171,7 +171,7 @@ class HttpStore(Store):
                     method, address, headers=headers, preload_content=False, redirect=False
                 )
             except HTTPError as error:
-                raise self._failed(path, f"no answer ({error})") from error
+                raise self._failed(path, f"the server gives no answer ({error})") from error
             if response.status not in _REDIRECTS:
                 break
             response.drain_conn()
@@ -186,7 +186,7 @@ class HttpStore(Store):
         raise self._failed(path, f"the server answers {response.status}")
 
     def _redirected(self, path: str, address: str, location: str) -> str:
-        """Return where a redirect leads; raise if that is another origin."""
+        """Return the address of an HTTP redirect; raise if the address has another origin."""
         target = urljoin(address, location)
         if not location or _origin(target) not in self._origins:
             raise TilesetInvalid(
@@ -209,13 +209,13 @@ class HttpStore(Store):
 
 
 def _origin(address: str) -> str:
-    """Return scheme, host and port of an address."""
+    """Return the scheme, host and port of a web address."""
     parts = urlsplit(address)
     return f"{parts.scheme}://{parts.netloc}".lower()
 
 
 class _AnswerBroken(StoreUnavailable):
-    """An answer ended before all its bytes had come."""
+    """Raised if an HTTP response ended before all bytes had come."""
 
 
 @final

@@ -16,7 +16,7 @@ INDEX: Final = "tileset.json"
 
 
 def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tuple[Store, str]:
-    """Return the file store of a tileset, and the path of its index in the store.
+    """Return the file store of a tileset, and the path of ``tileset.json`` in the store.
 
     Args:
         source: ``tileset.json``, the folder that holds one, a ``.3tz`` archive, or an address

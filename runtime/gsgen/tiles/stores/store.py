@@ -22,7 +22,7 @@ class Store(ABC):
 
     @abstractmethod
     def size(self, path: str) -> int:
-        """Return the size of a file in bytes.
+        """Return the size of a tileset's file in bytes.
 
         Raises:
             ContentMissing: There is no such file.
@@ -33,7 +33,7 @@ class Store(ABC):
     def read(
         self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
     ) -> bytes:
-        """Return bytes of a file.
+        """Return the bytes of a file of a tileset, or a range of the bytes.
 
         Args:
             path: Relative to the folder.
@@ -48,7 +48,7 @@ class Store(ABC):
         """
 
     def close(self) -> None:  # noqa: B027  # a store of plain files has nothing to close
-        """Close open files and connections of the store."""
+        """Close the open files and connections of a file store."""
 
     def __enter__(self) -> Self:
         return self
@@ -69,7 +69,7 @@ def missing(store: str, path: str, reason: str = "the file does not exist") -> C
 
 
 def _location(store: str, path: str) -> str:
-    """Return the full address of a file on a server, or its path after that of the store."""
+    """Return a file's full web address, or the path of the store and the file's path in it."""
     return f"{store}/{path}" if "://" in store else f"{store}: {path}"
 
 
@@ -84,7 +84,7 @@ def too_large(store: str, path: str, size: int, limit: int) -> TilesetInvalid:
 
 
 def check_range(store: str, path: str, whole: int, start: int, size: int | None, limit: int) -> int:
-    """Return how many bytes to read of a file of ``whole`` bytes; raise above ``limit``."""
+    """Return the number of bytes to read of a tileset's file; raise above the size limit."""
     count = max(whole - start, 0) if size is None else max(min(size, whole - start), 0)
     if count > limit:
         raise too_large(store, path, count, limit)

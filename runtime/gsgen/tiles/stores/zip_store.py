@@ -150,5 +150,5 @@ class ZipStore(Store):
         )
 
     def close(self) -> None:
-        """Close the archive."""
+        """Close the .3tz archive."""
         self._file.close()

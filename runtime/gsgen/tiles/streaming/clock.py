@@ -1,4 +1,4 @@
-"""Clocks: the time of a session, or of a simulation that runs as fast as it can."""
+"""Clocks of tile streaming: real time, or the time of a simulation."""
 
 __all__ = ["Clock", "SystemClock"]
 
@@ -10,17 +10,17 @@ class Clock(Protocol):
     """Protocol of clocks: the time of a streaming session."""
 
     def now(self) -> float:
-        """Return seconds since some moment; never fewer than before."""
+        """Return monotonic seconds since some moment."""
         ...
 
 
 @final
 class SystemClock:
-    """Seconds since the clock was made."""
+    """A clock that counts real seconds since it was created."""
 
     def __init__(self) -> None:
         self._start = time.monotonic()
 
     def now(self) -> float:
-        """Return seconds since the clock was made."""
+        """Return the real seconds since the clock was created."""
         return time.monotonic() - self._start

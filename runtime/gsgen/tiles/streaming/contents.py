@@ -1,4 +1,4 @@
-"""Turn the contents of tiles into rows that a pool takes as they are."""
+"""Decodes tile contents into packed Gaussians, ready for the renderer's pool."""
 
 __all__ = ["ContentReader"]
 
@@ -43,7 +43,7 @@ class ContentReader:
         self.sh_degree = int(degree) if known else MAX_DEGREE  # type: ignore[arg-type]
 
     def fetch(self, tile: int, on_bytes: Callable[[int], None]) -> list[bytes]:
-        """Read the content files of a tile.
+        """Read the bytes of the content files of a tile.
 
         Args:
             tile: Key of the tile.
@@ -69,7 +69,7 @@ class ContentReader:
         return data
 
     def decode(self, tile: int, files: list[bytes]) -> TileArrival:
-        """Decode the content files of a tile.
+        """Decode the content files of a tile into packed Gaussians.
 
         Raises:
             TilesetInvalid: A file is damaged, or its splats are not as many as declared.
@@ -84,7 +84,7 @@ class ContentReader:
         declared = entry.metadata.get("splats")
         if isinstance(declared, int | np.integer) and declared != count:
             raise TilesetInvalid(
-                f"{count:,} splats",
+                f"the tile's contents have {count:,} splats",
                 location=entry.contents[0].uri,
                 expected=f"{declared:,}, as the metadata of the tile count",
                 fault=Fault.COUNTS,
@@ -103,5 +103,5 @@ class ContentReader:
 
 
 def _report_sum(on_bytes: Callable[[int], None], before: int, count: int) -> None:
-    """Report bytes of a file after those of the files before it."""
+    """Report the bytes received of a tile's content files, counted over all files."""
     on_bytes(before + count)

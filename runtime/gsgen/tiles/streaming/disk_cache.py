@@ -15,14 +15,14 @@ _NAMED_BY_DIGEST: Final = re.compile(r"-([0-9a-f]{8})\.glb$")
 
 
 def default_cache_folder() -> Path:
-    """Return ``$XDG_CACHE_HOME/gsgen/tiles``; ``~/.cache`` where the variable is not set."""
+    """Return the folder of cached tiles, ``gsgen/tiles`` in the user's cache folder."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(base) / "gsgen" / "tiles"
 
 
 @final
 class DiskCache:
-    """Keeps files whose names hold a digest of their bytes, which therefore never change.
+    """A disk cache of downloaded files whose names contain a digest of their bytes.
 
     The least recently used files leave first. Several processes may share the folder. A folder
     that cannot be written is as good as an empty cache.
@@ -39,7 +39,7 @@ class DiskCache:
 
     @property
     def total_bytes(self) -> int:
-        """Bytes of all files, as far as this process knows."""
+        """The bytes of all cached files, as far as this process knows."""
         return self._total
 
     def get(self, store: str, path: str) -> bytes | None:
@@ -86,7 +86,7 @@ class DiskCache:
         return self._folder / hashlib.sha256(f"{store}\n{path}".encode()).hexdigest()
 
     def _files(self) -> list[tuple[float, int, Path]]:
-        """Return time of use, size and path of every file."""
+        """Return the time of last use, size and path of every cached file."""
         files = []
         with contextlib.suppress(OSError):
             for entry in os.scandir(self._folder):

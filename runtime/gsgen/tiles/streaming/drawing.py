@@ -1,4 +1,4 @@
-"""Drawing while tiles arrive: replacements without holes, and fades between them."""
+"""Chooses the tiles to draw while better tiles arrive, without holes, and fades tiles."""
 
 __all__ = ["FADE_SECONDS", "Fades", "drawable_tiles"]
 
@@ -18,7 +18,7 @@ _LONGEST_STEP: Final = 1 / 15
 def drawable_tiles(
     tree: TileTree, cut: Cut, resident: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Return the tiles to draw in place of the wanted ones, as far as tiles are resident.
+    """Return the loaded tiles to draw in place of the wanted tiles, so that no hole appears.
 
     Tiles below replace a tile only when all of them that are seen can be shown: by themselves, or
     by tiles below them. Where neither a tile nor all below it are there, those that are there are
@@ -56,7 +56,7 @@ def drawable_tiles(
 
 @final
 class Fades:
-    """Fades of tiles: those that take the place of others come up while the others go.
+    """Cross-fades tiles: new tiles fade in while the tiles that they replace fade out.
 
     A tile that merely comes into view is drawn at once, and one that leaves it is gone at once.
 
@@ -72,12 +72,12 @@ class Fades:
 
     @property
     def values(self) -> Float64[np.ndarray, " n"]:
-        """The fade of every tile, in [0, 1]; 0 for those that are not drawn."""
+        """The opacity factor of every tile, in [0, 1]; 0 for tiles that are not drawn."""
         return np.asarray(self._fade)
 
     @property
     def is_settled(self) -> bool:
-        """Whether no tile is between 0 and 1."""
+        """Whether no tile is fading in or out."""
         return bool(((self._fade == 0) | (self._fade == 1)).all())
 
     def frame(
@@ -113,11 +113,11 @@ class Fades:
         self._fade[tile] = 0.0
 
     def _in_view(self, seen: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Return the seen tiles, and those below them: refined no more, they are not in the cut."""
+        """Return the mask of the tiles that a camera sees, and all descendants of these tiles."""
         return np.asarray(seen | self._below(seen))
 
     def _below(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Return the tiles with one of ``tiles`` above them."""
+        """Return the mask of all descendants of some tiles."""
         marked = np.zeros(len(tiles), bool)
         for rows in self._tree.rows_of_level[1:]:
             above = self._tree.parent[rows]
@@ -125,7 +125,7 @@ class Fades:
         return marked
 
     def _above(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Return the tiles with one of ``tiles`` below them."""
+        """Return the mask of all ancestors of some tiles."""
         marked = np.zeros(len(tiles), bool)
         for rows in reversed(self._tree.rows_of_level[1:]):
             marked[self._tree.parent[rows[tiles[rows] | marked[rows]]]] = True

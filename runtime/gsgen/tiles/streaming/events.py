@@ -1,4 +1,4 @@
-"""Events of a session as JSON lines, which can be replayed without a network."""
+"""Writes and replays the event log of a streaming session, a file of JSON lines."""
 
 __all__ = ["EventLog", "ReplayLink", "read_events"]
 
@@ -20,7 +20,7 @@ from gsgen.tiles.streaming.session_frame import SessionFrame, TileArrival
 
 @final
 class EventLog:
-    """Writes a line for each frame: time, frustum, answers, and what the session decided.
+    """Writes an event log: for each frame a JSON line with time, frustum, answers, decisions.
 
     Raises:
         InputUnreadable: The file cannot be written.
@@ -94,7 +94,7 @@ class FrameEvents:
 
 
 def read_events(path: Path) -> Iterator[FrameEvents]:
-    """Yield the frames of an event log.
+    """Yield the events of each frame of an event log.
 
     Raises:
         InputUnreadable: The file cannot be read, or a line is not an event.
@@ -131,7 +131,7 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
 
 @final
 class ReplayLink:
-    """A link and a clock that repeat a log: answers come in the frames in which they came.
+    """Replays an event log as a network link and a clock: tiles arrive in the logged frames.
 
     Args:
         read: Returns the decoded content of a tile.
@@ -144,35 +144,35 @@ class ReplayLink:
         self._events: FrameEvents | None = None
 
     def begin(self, events: FrameEvents) -> None:
-        """Set the events of the frame that comes next."""
+        """Set the events of the next frame to replay."""
         self._events = events
 
     def now(self) -> float:
-        """Return the time of the frame."""
+        """Return the logged time of the replayed frame."""
         assert self._events is not None
         return self._events.time
 
     @property
     def free(self) -> int:
-        """How many more requests can be made now."""
+        """The number of tile requests that the replayed link still accepts."""
         return self._connections - len(self._requested)
 
     def request(self, tile: int) -> None:
-        """Record a request of the replayed session."""
+        """Record a tile request of the replayed session."""
         self._requested.add(tile)
 
     def progress(self, tile: int) -> float:
-        """Return 1: a cancellation depends on time, which a log does not repeat."""
+        """Return 1, the fraction received, so that a replay cancels no request on its own."""
         del tile
         return 1.0
 
     def cancel(self, tile: int) -> int:
-        """Forget a request of the replayed session."""
+        """Forget a tile request of the replayed session."""
         self._requested.discard(tile)
         return 0
 
     def poll(self) -> list[FetchResult[TileArrival]]:
-        """Return the answers of the frame."""
+        """Return the tiles that arrived in the replayed frame."""
         assert self._events is not None
         results = [FetchResult(t, self._read(t), None) for t in self._events.received]
         for tile, message, may_pass in self._events.failed:
@@ -182,7 +182,7 @@ class ReplayLink:
         return results
 
     def wait(self, seconds: float) -> None:
-        """Return at once."""
+        """Return at once: a replayed session waits for no network."""
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing: a replayed link has no connections to close."""

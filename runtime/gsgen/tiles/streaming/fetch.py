@@ -1,4 +1,4 @@
-"""Fetch and decode the contents of tiles on threads: the link of a real session."""
+"""Fetches and decodes the contents of tiles on threads, for a streaming session."""
 
 __all__ = ["FetchLink", "FetchResult"]
 
@@ -33,7 +33,7 @@ class FetchResult(Generic[Decoded]):
 
 
 class _Cancelled(Exception):
-    """Raised in a fetching thread if the planner stopped the request."""
+    """Raised in a thread that fetches a tile if the request was cancelled."""
 
 
 @final
@@ -50,7 +50,7 @@ class _Request:
 
 @final
 class FetchLink(Generic[Decoded]):
-    """Runs each request on a thread of its own, which ends with the process.
+    """Fetches tiles, each request on a thread of its own that ends with the process.
 
     A connection is free again as soon as its bytes are there, while they are decoded.
 
@@ -78,7 +78,7 @@ class FetchLink(Generic[Decoded]):
 
     @property
     def free(self) -> int:
-        """How many more requests can be made now."""
+        """The number of tile requests that can be made now."""
         with self._lock:
             return self._connections - len(self._active)
 
@@ -90,13 +90,13 @@ class FetchLink(Generic[Decoded]):
         Thread(target=self._run, args=(request,), name="gsgen-fetch", daemon=True).start()
 
     def progress(self, tile: int) -> float:
-        """Return the share of a tile's bytes that came; 1 while they are decoded."""
+        """Return the received fraction of a tile's bytes; 1 while the tile is decoded."""
         with self._lock:
             request = self._active.get(tile)
         return 1.0 if request is None else request.received / max(self._size(tile), 1)
 
     def cancel(self, tile: int) -> int:
-        """Stop a request whose bytes are not all there; return how many came."""
+        """Cancel an incomplete tile request; return the number of bytes received."""
         with self._lock:
             request = self._active.pop(tile, None)
             if request is None:  # its bytes have come in the meantime
@@ -105,7 +105,7 @@ class FetchLink(Generic[Decoded]):
             return request.received
 
     def poll(self) -> list[FetchResult[Decoded]]:
-        """Return the answers that arrived since the last call."""
+        """Return the tiles that arrived or failed since the last call."""
         self._news.clear()
         results = []
         while not self._results.empty():
@@ -113,11 +113,11 @@ class FetchLink(Generic[Decoded]):
         return results
 
     def wait(self, seconds: float) -> None:
-        """Sleep until there is an answer, at most ``seconds``."""
+        """Sleep until a requested tile arrives or fails, for a limited time."""
         self._news.wait(seconds)
 
     def close(self) -> None:
-        """Stop all requests; threads end after the piece that they are reading."""
+        """Cancel all tile requests; each thread ends after the piece that it is reading."""
         with self._lock:
             for request in self._active.values():
                 request.is_cancelled = True
@@ -137,7 +137,7 @@ class FetchLink(Generic[Decoded]):
                 self._decode_and_answer(request.tile, data)
 
     def _finish(self, request: _Request) -> bool:
-        """Free the connection; return whether anybody still wants the answer."""
+        """Free a request's connection; return whether the request was not cancelled."""
         with self._lock:
             if request.is_cancelled:
                 return False

@@ -96,7 +96,7 @@ class MetricsRecorder:
         self._wasted += received
 
     def frame(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
-        """Record the cut of a frame, and the tiles that are loaded."""
+        """Record the tiles that a frame needs, and the tiles that are loaded."""
         self._time = time
         self._start = time if self._start is None else self._start
         self._unseen &= ~(cut.seen & loaded)

@@ -1,4 +1,4 @@
-"""The planner of requests: demand first, then what will be wanted."""
+"""Plans tile requests: first tiles that the camera needs now, then tiles for later."""
 
 __all__ = ["Link", "RequestPlanner"]
 
@@ -23,15 +23,15 @@ _PRIOR: Final = 4.0  # prefetched tiles, half of them seen, that precision begin
 
 
 class Link(Protocol):
-    """Protocol: connections to a tile store, real or simulated."""
+    """Protocol of links: connections to a server of tiles, real or simulated."""
 
     @property
     def free(self) -> int:
-        """How many more requests can be made now."""
+        """The number of tile requests that can be made now."""
         ...
 
     def request(self, tile: int) -> None:
-        """Begin to fetch the contents of a tile."""
+        """Begin to fetch the content files of a tile."""
         ...
 
     def progress(self, tile: int) -> float:
@@ -39,7 +39,7 @@ class Link(Protocol):
         ...
 
     def cancel(self, tile: int) -> int:
-        """Stop a request; return how many bytes were received."""
+        """Cancel a tile request; return the number of bytes received."""
         ...
 
 
@@ -53,7 +53,7 @@ class _InFlight:
 
 @final
 class RequestPlanner:
-    """Keeps the connections of a link busy, in the order in which tiles are needed.
+    """Requests tiles over a link's connections, in the order in which the camera needs tiles.
 
     Seen tiles come first, by level, screen-space error and index. Only while none of them is
     missing, tiles of ``prefetch`` are asked for, as long as the expected waste stays in its bound:
@@ -79,11 +79,11 @@ class RequestPlanner:
 
     @property
     def in_flight(self) -> frozenset[int]:
-        """Tiles that were asked for and have not arrived."""
+        """The tiles that were requested and have not arrived."""
         return frozenset(self._in_flight)
 
     def frame(self, pose: Pose, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
-        """Take over the needs of a new frame, and stop prefetches that stand in their way.
+        """Set the tiles that a new frame needs, and cancel prefetches that delay these tiles.
 
         Args:
             pose: Of the camera.
@@ -117,7 +117,7 @@ class RequestPlanner:
         self._in_flight.pop(tile, None)
 
     def fill(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
-        """Make requests while connections are free; return their tiles."""
+        """Request tiles while connections are free; return the requested tiles."""
         requests: list[int] = []
         while self._link.free > 0:
             tile, is_prefetch = self._next(loaded)
@@ -130,7 +130,7 @@ class RequestPlanner:
         return requests
 
     def _missing(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
-        """Return the seen tiles that are not there and were not asked for."""
+        """Return the seen tiles that are neither loaded nor requested."""
         rows = self._demand[~loaded[self._demand]].tolist()
         return [tile for tile in rows if tile not in self._in_flight]
 
@@ -147,7 +147,7 @@ class RequestPlanner:
         return None, False
 
     def _may_waste(self, size: int, trust: float) -> bool:
-        """Return whether the expected waste stays in its bound with a tile of ``size`` more."""
+        """Return whether prefetching one more tile keeps the expected waste within the bound."""
         if not self._is_bounded:
             return True
         in_flight = [tile for tile, entry in self._in_flight.items() if entry.is_prefetch]
@@ -160,7 +160,7 @@ class RequestPlanner:
 
 @final
 class _PrefetchLedger:
-    """Remembers which prefetched tiles were seen, and how many were fetched in vain."""
+    """Counts the prefetched tiles that were seen later, and those fetched in vain."""
 
     def __init__(self, size: Int64[np.ndarray, " n"]) -> None:
         self._size = size
@@ -170,7 +170,7 @@ class _PrefetchLedger:
 
     @property
     def precision(self) -> float:
-        """Share of the prefetched tiles that were seen in time; a half before any was."""
+        """The fraction of prefetched tiles that were seen in time; a half before the first tile."""
         return (self._seen + _PRIOR / 2) / (self._seen + self._late + _PRIOR)
 
     def arrive(self, tile: int, time: float) -> None:
@@ -179,7 +179,7 @@ class _PrefetchLedger:
         self.pending_bytes += int(self._size[tile])
 
     def frame(self, time: float, seen: Bool[np.ndarray, " n"]) -> None:
-        """Settle the tiles that are seen now, and those that were not seen for too long."""
+        """Count prefetched tiles as used if seen now, or as wasted if unseen for too long."""
         for tile, arrival in list(self._arrivals.items()):
             is_late = time - arrival > _PATIENCE
             if seen[tile] or is_late:

@@ -1,4 +1,4 @@
-"""Which tiles are resident in a pool of slots, and which of them leave for others."""
+"""Chooses which tiles stay in the renderer's pool, and which are evicted for others."""
 
 __all__ = ["ResidentTiles"]
 
@@ -12,7 +12,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 
 @final
 class ResidentTiles:
-    """The tiles of a pool; their slots never exceed its capacity.
+    """The tiles in the renderer's pool, whose packed Gaussians never exceed the capacity.
 
     A tile leaves that is not needed: of those the ones without an expected use, the least
     recently used, the finest first. The root, tiles that are needed and all tiles above them stay.
@@ -41,7 +41,7 @@ class ResidentTiles:
         needed: Bool[np.ndarray, " n"],
         expected: Bool[np.ndarray, " n"] | None = None,
     ) -> None:
-        """Record the tiles that a frame needs.
+        """Record the tiles that a frame needs, as the least evictable.
 
         Args:
             time: In seconds.
@@ -53,7 +53,7 @@ class ResidentTiles:
         self._expected = np.zeros_like(needed) if expected is None else expected
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Return ``tiles`` with all tiles above them, and the root."""
+        """Return the mask of some tiles with all their ancestors, and the root."""
         marked = tiles.copy()
         marked[0] = True
         for rows in reversed(self._tree.rows_of_level[1:]):
@@ -85,7 +85,7 @@ class ResidentTiles:
         self.used_slots -= int(self._slots[tile])
 
     def _victims(self, lack: int) -> tuple[int, ...] | None:
-        """Return tiles with ``lack`` slots or more that may leave, or None."""
+        """Return tiles to evict that free enough slots of the pool; None if too few can leave."""
         if lack <= 0:
             return ()
         rows = np.flatnonzero(self.resident & ~self._protected)

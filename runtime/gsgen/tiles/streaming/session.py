@@ -1,4 +1,4 @@
-"""A streaming session: a camera a frame in, tiles to upload and to draw out."""
+"""Streams a tileset: takes a camera each frame, and returns tiles to upload and to draw."""
 
 __all__ = ["SessionOptions", "TilesetSession", "open_session"]
 
@@ -73,18 +73,18 @@ class SessionOptions:
 
 
 class ArrivalLink(Link, Protocol):
-    """A link whose answers are decoded tiles."""
+    """Protocol of links that deliver decoded tiles."""
 
     def poll(self) -> Sequence[FetchResult[TileArrival]]:
-        """Return the answers since the last call."""
+        """Return the tiles that arrived or failed since the last call."""
         ...
 
     def wait(self, seconds: float) -> None:
-        """Sleep until there is an answer, at most ``seconds``."""
+        """Sleep until a requested tile arrives or fails, for a limited time."""
         ...
 
     def close(self) -> None:
-        """Stop all requests."""
+        """Cancel all tile requests."""
         ...
 
 
@@ -140,7 +140,7 @@ def _print_line(line: str) -> None:
 
 @final
 class TilesetSession:
-    """Streams a tileset; see :mod:`~gsgen.tiles.streaming.session_frame` for the protocol.
+    """A streaming session of a tileset: each frame uploads and draws the tiles it needs.
 
     Attributes:
         tree: The tiles; keys are their indices.
@@ -196,16 +196,16 @@ class TilesetSession:
 
     @property
     def metrics(self) -> StreamingMetrics:
-        """The metrics of all frames so far."""
+        """The streaming metrics of all frames so far."""
         return self._recorder.summary()
 
     @property
     def resident(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the tiles that are resident in the pool."""
+        """The mask of the tiles that are resident in the renderer's pool."""
         return self._residents.resident
 
     def frame(self, frustum: Frustum) -> SessionFrame:
-        """Return what to upload and to draw now; never waits for the network."""
+        """Return the tiles to upload and to draw now, without waiting for the network."""
         time = self._clock.now()
         self._frustum = frustum
         received = self._receive(time)
@@ -236,11 +236,11 @@ class TilesetSession:
         return frame
 
     def wait(self, seconds: float) -> None:
-        """Sleep until something arrives or fails, at most ``seconds``."""
+        """Sleep until a requested tile arrives or fails, for a limited time."""
         self._link.wait(seconds)
 
     def close(self) -> None:
-        """Stop all requests, and close the store and the log."""
+        """Cancel all tile requests, and close the file store and the event log."""
         self._link.close()
         if self._store:
             self._store.close()
@@ -252,7 +252,7 @@ class TilesetSession:
         return self._frustum.moved(position, quaternion)
 
     def _receive(self, time: float) -> list[FetchResult[TileArrival]]:
-        """Take the answers of the link; report tiles that cannot be had."""
+        """Take the tiles that arrived over the link; report the tiles that failed."""
         results = list(self._link.poll())
         for result in results:
             if result.content is not None:
@@ -266,13 +266,13 @@ class TilesetSession:
         return results
 
     def _dead(self, time: float) -> Bool[np.ndarray, " n"]:
-        """Return the tiles that cannot be had now."""
+        """Return the mask of the tiles whose requests failed and that are not retried yet."""
         dead = np.zeros(len(self.tree), bool)
         dead[[tile for tile, retry in self._retry_at.items() if retry > time]] = True
         return dead
 
     def _fitting_cut(self, frustum: Frustum) -> Cut:
-        """Return the finest cut whose tiles, with those above them, fit the pool."""
+        """Select tiles as fine as the pool can hold, together with all their ancestors."""
         error = self._options.max_error
         for _ in range(_MOST_STEPS):
             cut = cut_tree(self.tree, frustum, error)
@@ -306,7 +306,7 @@ class TilesetSession:
         return tuple(evicted), tuple(arrivals)
 
     def _request(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
-        """Make requests by the needs of this frame."""
+        """Request the tiles that the current frame needs."""
         assert self._frustum is not None
         loaded = loaded.copy()
         loaded[list(self._pending)] = True

@@ -110,7 +110,7 @@ class StreamingSession(Protocol):
         ...
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a tile arrives or fails, at most ``seconds``."""
+        """Sleep until a requested tile arrives or fails, for a limited time."""
         ...
 
     @property
@@ -119,5 +119,5 @@ class StreamingSession(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop all requests and decoding, and close the tileset's store."""
+        """Cancel all tile requests and decoding, and close the tileset's file store."""
         ...

@@ -1,4 +1,4 @@
-"""A source that streams a tileset: each frame draws the tiles that its camera needs."""
+"""Streams a tileset into the renderer: each frame draws the tiles that the camera needs."""
 
 __all__ = ["TilesSource", "open_stream", "recognises"]
 
@@ -63,11 +63,11 @@ class TilesSource(Source):
         self._changes = 0
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Note the camera of the frame."""
+        """Record the camera of the frame, by which tiles are selected."""
         self._camera = camera
 
     def finish(self) -> None:
-        """Take the tiles that arrived; if the source waits, until the cut is complete."""
+        """Take the tiles that arrived; a waiting source takes all tiles that the camera needs."""
         if self._camera is None:
             return
         frustum = Frustum.from_camera(self._camera)
@@ -83,7 +83,7 @@ class TilesSource(Source):
             )
 
     def _take(self, frustum: Frustum) -> SessionFrame:
-        """Apply the next frame of the session to the pool."""
+        """Upload and evict tiles in the renderer's pool, as the streaming session decides."""
         frame = self._session.frame(frustum)
         for tile in frame.evicted:
             self._pool.evict(tile)
@@ -110,12 +110,12 @@ class TilesSource(Source):
 
     @property
     def follows_camera(self) -> bool:
-        """True: the camera decides which tiles are drawn."""
+        """True, since the camera decides which tiles of a tileset are drawn."""
         return True
 
     @property
     def is_streaming(self) -> bool:
-        """Whether tiles are missing or fading, although the camera stays."""
+        """Whether the picture still changes under a fixed camera, while tiles arrive or fade."""
         return self._last is None or not self._last.is_complete
 
     @property
@@ -136,23 +136,23 @@ class TilesSource(Source):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return an empty set: the Gaussians are in the pool."""
+        """Return an empty set of Gaussians, since the tiles' Gaussians are in the pool."""
         return SplatSet(self.data)
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Raise KeyError: a tileset has no inputs."""
+        """Raise KeyError, since a tileset has no inputs."""
         raise KeyError(name)
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Do nothing: the extent is the box of the root tile."""
+        """Do nothing, since a tileset's extent is the box of the root tile."""
 
     def close(self) -> None:
-        """Stop all requests, and close the store."""
+        """Cancel all tile requests, and close the tileset's file store."""
         self._session.close()
 
 
 def open_stream(path: Path, settings: StreamSettings) -> TilesSource:
-    """Open a tileset as a source; see ``StreamOpener``.
+    """Open a tileset as a source of Gaussians for the renderer.
 
     Raises:
         TilesetInvalid: The index is wrong.

@@ -35,7 +35,7 @@ _MOST_FAULTS: Final = 1000
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InspectedContent:
-    """A content of a tile with its header, digest and measured values.
+    """A content file of a tile, with its header, digest and measured values.
 
     Attributes:
         tile: The tile; None for a file that was given alone.
@@ -135,7 +135,7 @@ def inspect_content_file(
 
 @final
 class _ContentReader:
-    """Reads the contents of tiles; a file that several tiles share is checked once."""
+    """Reads content files of tiles; a file that several tiles share is checked once."""
 
     def __init__(self, inspected: InspectedTileset, *, decode: bool, deadline: float) -> None:
         self._inspected, self._decode = inspected, decode

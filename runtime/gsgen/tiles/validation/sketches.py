@@ -44,7 +44,7 @@ class TilesetSketch:
     files: dict[str, bytes] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
-        """Write the index to ``path``, and all other files into its folder."""
+        """Write ``tileset.json``, and all other files of the tileset beside it."""
         for uri, data in {**self.files, path.name: json_bytes(self.document)}.items():
             file = path.parent / uri
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -54,7 +54,7 @@ class TilesetSketch:
 def sample_splats(
     rows: int, center: tuple[float, float, float], *, degree: int = 1, seed: int = 0
 ) -> Splats:
-    """Return random splats within 1.6 of a point, thinner than 0.1."""
+    """Return random splats within 1.6 units of a point, each thinner than 0.1 units."""
     rng = np.random.default_rng(seed)
     offset = rng.uniform(-1.6, 1.6, (rows, 3))
     return Splats(

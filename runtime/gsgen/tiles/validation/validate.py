@@ -1,4 +1,4 @@
-"""Validates a tileset, or one content, by the rules GT, on behalf of `gsgen validate`.
+"""Validates a tileset, or one content file, by the rules GT, for `gsgen validate`.
 
 Registered under the entry point group ``gsgen.validators``.
 """
@@ -32,7 +32,7 @@ _NOT_DRAWN: Final = "tilesets are not drawn here: `gsgen tiles score` draws them
 
 
 def recognises(path: Path) -> bool:
-    """Return whether ``path`` names a tileset or a tile content, by its suffix."""
+    """Return whether a path names a tileset or a tile content, by the path's suffix."""
     is_address = str(path).lower().startswith(_ADDRESSES)
     has_suffix = path.suffix.lower() in (*_CONTENTS, *_INDICES)
     return has_suffix or is_address or (path.is_dir() and (path / INDEX).is_file())
@@ -41,7 +41,7 @@ def recognises(path: Path) -> bool:
 def validate(
     path: Path, settings: Settings, registry: Registry, progress: Callable[[str], None]
 ) -> Report:
-    """Validate the tileset or the tile content at ``path`` and return the report.
+    """Validate a tileset or a tile's content file, and return the report.
 
     Args:
         path: ``tileset.json``, its folder, ``.3tz``, ``.glb``, ``.gltf``, or an address.
@@ -102,7 +102,7 @@ def _inspect(
 
 
 def _check(results: ResultCollector, inspected: InspectedTileset, level: Level) -> None:
-    """Check the tileset rules up to ``level``, each after its dependencies; skip the others."""
+    """Check the tileset rules of the requested levels in order of dependency; skip the others."""
     items = max(len(inspected.contents), 1)
     for rule in _needs_first(results.registry.rules.values()):
         if rule.level > level:
@@ -117,7 +117,7 @@ def _check(results: ResultCollector, inspected: InspectedTileset, level: Level) 
 
 
 def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
-    """Order rules so that each rule comes after those it depends on."""
+    """Order rules so that each rule comes after the rules that it depends on."""
     pending, ordered = list(rules), list[Rule]()
     ids: set[str] = set()
     while pending:

@@ -1,4 +1,4 @@
-"""Measures the decoded splats of a content: splats outside volumes, and invalid numbers."""
+"""Measures the splats of a tile's content: splats outside volumes, and invalid numbers."""
 
 __all__ = ["ContentValues", "OutsideSplats", "measure_content"]
 
@@ -30,7 +30,7 @@ _SMALLEST: Final = 1e-6
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutsideSplats:
-    """The splats of a content that reach out of a bounding volume.
+    """The splats of a tile's content that reach out of a bounding volume.
 
     Attributes:
         count: How many do, at 3σ.
@@ -50,7 +50,7 @@ class OutsideSplats:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContentValues:
-    """Measurements of a content's splats against bounding volumes.
+    """Measurements of a tile content's splats against bounding volumes.
 
     Attributes:
         outside: Those that reach out of its volume; None where none does.
@@ -68,7 +68,7 @@ def measure_content(
     margin: float,
     to_world: Float64[np.ndarray, "4 4"],
 ) -> ContentValues:
-    """Measure the splats of a content against bounding volumes.
+    """Measure the splats of a tile's content against bounding volumes.
 
     Args:
         parts: In the root frame.
@@ -88,7 +88,7 @@ def measure_content(
 def _outside(
     part: PlacedSplats, volume: Volume, to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Return the distance by which each splat leaves a volume at 3σ, and whether its centre does.
+    """Return how far each splat's 3σ ellipsoid leaves a volume, and whether the centre does.
 
     1. Box: along each axis u, |u·(μ − c)| + 3 √(uᵀ Σ u) beyond the half length.
     2. Sphere and region: the distance of the centre, plus 3σ along the direction of the sphere's

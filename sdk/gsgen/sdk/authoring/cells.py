@@ -58,7 +58,7 @@ class Cells:
 def expect_shape(
     where: str, value: Tensor | None, *shapes: tuple[int, ...], hint: str = ""
 ) -> None:
-    """Raise if the shape of a tensor is none of the allowed ``shapes``; None as a tensor passes."""
+    """Raise if a tensor's shape is not one of the allowed shapes; None is accepted as a tensor."""
     if value is None or tuple(value.shape) in shapes:
         return
     expected = " or ".join(str(list(shape)) for shape in shapes)
@@ -72,4 +72,4 @@ def expect_spread(
     """Raise unless Gaussians have either scale and rotation or covariances."""
     presence = (scale is not None, rotation is not None, covariance is not None)
     if presence not in ((True, True, False), (False, False, True)):
-        raise GeneratorInvalid("give scale and rotation, or covariance", where=where)
+        raise GeneratorInvalid("expected either scale and rotation, or covariance", where=where)

@@ -92,7 +92,7 @@ class Gaussians:
         """
         if self.cells is not None:
             hint = "Select cells, and create the Gaussians of these cells only."
-            message = "rows cannot be taken out of their cells"
+            message = "Gaussians cannot be taken out of their cells"
             raise GeneratorInvalid(message, where="Gaussians.take", hint=hint)
         fields = ("position", "opacity", "scale", "rotation", "covariance", "sh", "rgb")
         selected = {

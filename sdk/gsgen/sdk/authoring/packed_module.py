@@ -37,7 +37,9 @@ def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
 def check_whole_cells(capacity: int, per_cell: int) -> None:
     """Raise if a capacity in rows is not a multiple of ``per_cell``, the rows of each cell."""
     if capacity % per_cell:
-        message = f"{capacity} rows are not a multiple of {per_cell}, the rows of a cell"
+        message = (
+            f"{capacity} packed Gaussians are not a multiple of {per_cell}, the size of a cell"
+        )
         hint = f"Export with a capacity that {per_cell} divides."
         raise GeneratorInvalid(message, where="capacity", hint=hint)
 

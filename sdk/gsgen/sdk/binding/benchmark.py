@@ -47,7 +47,7 @@ def time_frames(
     capture: bool = True,
     seconds: float = 300,
 ) -> BenchmarkResult:
-    """Run ``model`` on ``provider`` for many frames with changing inputs, and return frame times.
+    """Run a model on an execution provider for many frames, and return the measured frame times.
 
     Args:
         model: The ONNX file.

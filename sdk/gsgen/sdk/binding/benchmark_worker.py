@@ -68,7 +68,7 @@ def _measure(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def _time_frame(session: FrameSession, inputs: dict[str, np.ndarray]) -> tuple[float, float, float]:
-    """Return three times in seconds: the whole frame, copies to the device, copies from it."""
+    """Measure one frame in seconds: in total, copying to the device, and copying back."""
     start = time.perf_counter()
     session.write(inputs)
     written = time.perf_counter()

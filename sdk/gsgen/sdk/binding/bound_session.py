@@ -52,7 +52,7 @@ class TensorSpec:
 
     @property
     def static(self) -> bool:
-        """Whether every dimension of the tensor is a number."""
+        """Whether every dimension of the tensor has a fixed size."""
         return all(isinstance(dim, int) for dim in self.dims)
 
     def _size(self, axis: int, sizes: Mapping[str, int]) -> int:
@@ -132,7 +132,7 @@ class BoundSession:
         self.session.run_with_iobinding(self._binding, self._uncaptured_options)
 
     def read(self, name: str) -> np.ndarray:
-        """Return an output, read-only; it is copied from the device once per frame."""
+        """Return an output of the session as a read-only array, copied once per frame."""
         if name not in self._read:
             self._read[name] = self.outputs[name].read()
         return self._read[name]

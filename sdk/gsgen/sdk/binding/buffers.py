@@ -30,7 +30,7 @@ class Buffer(ABC):
 
     @abstractmethod
     def write(self, array: np.ndarray) -> bool:
-        """Copy ``array``, of the buffer's shape and dtype, into the buffer's memory.
+        """Copy an array of the buffer's shape and dtype into the buffer's memory.
 
         Returns:
             Whether any bit of the memory changed.
@@ -54,13 +54,13 @@ class HostBuffer(Buffer):
         self.value = onnxruntime.OrtValue.ortvalue_from_numpy(self._array)
 
     def write(self, array: np.ndarray) -> bool:
-        """Copy ``array`` into the host memory."""
+        """Copy an array into the tensor's host memory."""
         changed = not _same_bits(self._array, array)
         self._array[...] = array
         return changed
 
     def read(self) -> np.ndarray:
-        """Return a view of the host memory, without a copy."""
+        """Return the tensor's host memory as an array, without a copy."""
         return self._view
 
 
@@ -84,7 +84,7 @@ class DeviceBuffer(Buffer):
         self.value = make(list(shape), dtype.type, memory, 0)
 
     def write(self, array: np.ndarray) -> bool:
-        """Copy ``array`` to the device, unless the device already holds the same bits."""
+        """Copy an array to the tensor's device memory, unless that holds the same bits."""
         host = self._host()
         if self._written and _same_bits(host, array):
             return False
@@ -94,7 +94,7 @@ class DeviceBuffer(Buffer):
         return True
 
     def read(self) -> np.ndarray:
-        """Copy the device memory to the host, always to the same array."""
+        """Copy the tensor from device memory to the host, always into the same array."""
         import onnxruntime
 
         host = self._host()
@@ -116,7 +116,7 @@ class DeviceBuffer(Buffer):
 
 
 def make_buffer(session: Any, shape: tuple[int, ...], dtype: np.dtype[Any], memory: str) -> Buffer:
-    """Allocate a tensor's buffer in ``memory``: ``cpu``, ``gpu`` (WebGPU) or ``cuda``."""
+    """Allocate the buffer of a tensor in the memory of the CPU, of WebGPU or of CUDA."""
     if memory == "cpu":
         return HostBuffer(shape, dtype)
     return DeviceBuffer(session, shape, dtype, memory)

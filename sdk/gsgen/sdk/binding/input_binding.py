@@ -48,7 +48,7 @@ class InputBinding:
         return self.role in _MATRICES and self.order == "column"
 
     def tensor(self, value: object) -> np.ndarray:
-        """Convert ``value`` to the tensor of an input; a number fills a tensor of one element.
+        """Convert a value to the tensor of a model input; a number fills a tensor of one element.
 
         Matrices are passed as in mathematics, and stored as the manifest declares.
 
@@ -67,7 +67,7 @@ class InputBinding:
         return array.T if self.transposed else array
 
     def fitting(self, value: object) -> np.ndarray:
-        """Convert ``value`` to an array of the input's shape and dtype, without transposing it.
+        """Convert a value to an array of the model input's shape and dtype, without transposing.
 
         Raises:
             InputInvalid: The shape differs, or the dtype is of another kind.
@@ -78,8 +78,8 @@ class InputBinding:
             raise self._invalid(f"is not an array: {error}") from error
         if array.shape != self.shape:
             if array.ndim or self.shape.count(1) != len(self.shape):
-                actual = f"has shape {list(array.shape)}"
-                raise self._invalid(f"{actual}, expected {list(self.shape)}")
+                actual = f"the value has shape {list(array.shape)}"
+                raise self._invalid(f"{actual}, expected shape {list(self.shape)}")
             array = array.reshape(self.shape)
         if array.dtype == self.dtype:
             return array
@@ -128,7 +128,7 @@ def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _identity(role: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the identity transform in ``shape``: a matrix, quaternions or rotation vectors."""
+    """Return the identity transform in a given shape: a matrix, quaternions or rotation vectors."""
     if role != "pose" and len(shape) == 2 and shape[0] == shape[1]:
         return np.eye(shape[0])
     identity = np.zeros(shape)  # rotation vectors

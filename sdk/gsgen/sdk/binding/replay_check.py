@@ -56,7 +56,7 @@ def wrong_outputs(
 
 
 def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
-    """Return whether two arrays agree within a tolerance wherever ``a`` is finite."""
+    """Return whether two arrays agree within a tolerance wherever the first array is finite."""
     if a.shape != b.shape or a.dtype != b.dtype:
         return False
     if _same_bits(a, b):
@@ -69,7 +69,7 @@ def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
 
 
 def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference of two arrays; infinity if only ``a`` is finite somewhere."""
+    """Return the largest difference of two arrays; infinity if only the first is finite."""
     if a.shape != b.shape:
         return float("inf")
     x, y = a.astype(np.float64), b.astype(np.float64)

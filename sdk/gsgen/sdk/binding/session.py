@@ -75,7 +75,7 @@ class FrameSession:
         threads: int = 0,
         stop: Stop | None = None,
     ) -> None:
-        """Open the model, bind its buffers and run it, so that the first frame costs no more.
+        """Open a model, bind buffers and run the model once, so that the first frame is not slower.
 
         Args:
             model: The ONNX file. Validate it first if it is not your own.
@@ -191,7 +191,7 @@ class FrameSession:
     def update(
         self, values: Mapping[str, object] | None = None, *, camera: Camera | None = None
     ) -> frozenset[str]:
-        """Update inputs in place for the next run; if one value does not fit, update none.
+        """Update model inputs in place for the next run; if one value is invalid, change no input.
 
         Args:
             values: Tensor name or role → value. A number fills an input of one element. Matrices

@@ -20,7 +20,7 @@ _MILLION = 1e6
 
 
 class ProviderName(StrEnum):
-    """The providers that users can select; typer accepts lists of an Enum only."""
+    """The execution providers that users can select; typer accepts lists of an Enum only."""
 
     CPU = "cpu"
     WEBGPU = "webgpu"
@@ -78,7 +78,7 @@ def bench(
 
 
 def _need_models(models: list[Path]) -> None:
-    """Exit with an error if a file is not a model, before minutes are spent on the others."""
+    """Exit with an error if one of the files is not a model, before any model is measured."""
     from gsgen.contract.model.model_file import open_model
 
     with exit_at_error():

@@ -121,7 +121,7 @@ def export_constant(
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> ExportedConstant:
-    """Write ``source`` as a generator that emits the same rows, bit for bit, at every frame.
+    """Export a constant scene as a generator that emits the same Gaussians in every frame.
 
     Options are those of :func:`gsgen.sdk.export`; the graph needs no rewrites. ``dtype`` is the
     source's own by default. Rows up to ``capacity`` are zero. The bits of the outputs are compared,
@@ -151,11 +151,11 @@ def export_constant(
 def constant_manifest(
     packed: ConstantRows, name: str, *, family: str | None, capacity: int | None = None
 ) -> GeneratorManifest:
-    """Return the manifest of a generator that emits ``packed``."""
+    """Return the manifest of a generator that emits constant packed Gaussians."""
     count = len(packed.rows)
     total = count if capacity is None else capacity
     if total < count:
-        message = f"{total} is less than the {count} rows"
+        message = f"{total} is less than the {count} packed Gaussians"
         hint = f"Give {count} or more, or leave it out."
         raise ConfigInvalid(message, where="--capacity", hint=hint)
     return GeneratorManifest(
@@ -185,7 +185,7 @@ def write_constant(
     count: int | None = None,
     opset: int = OPSET,
 ) -> None:
-    """Write a generator that emits ``rows`` and ``appearance``, bit for bit, at every frame.
+    """Write a generator that emits given packed Gaussians and appearance, bit for bit, every frame.
 
     ``manifest`` names the outputs; rows up to its capacity are zero, and the first ``count`` rows
     are live, by default all. Write to the draft of
@@ -202,16 +202,19 @@ def _outputs(
     declared = manifest.outputs
     if declared.gaussians is None or declared.appearance is None or declared.count is None:
         raise GeneratorInvalid(
-            "names no gaussians, appearance or count, expected all three", where="manifest.outputs"
+            "the manifest names no gaussians, appearance or count, expected all three",
+            where="manifest.outputs",
         )
     if declared.cells is not None:
-        message = "declares cells, but constant rows are written without cells"
+        message = "the manifest declares cells, but a constant scene is written without cells"
         raise GeneratorInvalid(message, where="manifest.outputs")
     if rows.ndim != 2 or rows.shape[1] != layout.ROW or len(rows) != len(appearance):
-        shapes = f"shapes are {list(rows.shape)} and {list(appearance.shape)}"
+        shapes = (
+            f"rows and appearance have the shapes {list(rows.shape)} and {list(appearance.shape)}"
+        )
         raise GeneratorInvalid(f"{shapes}, expected [N, {layout.ROW}] and [N, C]", where="rows")
     if not 0 <= count <= len(rows):
-        raise GeneratorInvalid(f"{count} is not within 0 to {len(rows)}", where="count")
+        raise GeneratorInvalid(f"the count {count} is not within 0 to {len(rows)}", where="count")
     return {
         declared.gaussians.name: _padded(rows, declared.gaussians.capacity),
         declared.appearance.name: _padded(appearance, declared.gaussians.capacity),

@@ -29,7 +29,7 @@ _CHUNK = 1 << 16
 
 
 class EagerRuns:
-    """The results of eager torch at a sequence of probes, run when they are asked for.
+    """The outputs of a generator in eager torch for several test inputs, computed on demand.
 
     Results are kept while they are small; beyond :data:`KEPT_BYTES` a probe is run again each time.
 
@@ -63,7 +63,7 @@ class EagerRuns:
         return (self[index] for index in range(len(self)))
 
     def __add__(self, other: "EagerRuns") -> "EagerRuns":
-        """Return the runs of both sequences of probes, with the results that either keeps."""
+        """Join two sequences of test inputs, with the torch outputs computed so far."""
         joined = EagerRuns(self.generator, (*self.probes, *other.probes))
         for index, reference in self._kept.items():
             joined._keep(index, reference)
@@ -78,12 +78,12 @@ class EagerRuns:
 
 
 def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
-    """Run ``generator`` once in eager torch, without gradients."""
+    """Run a generator once in eager torch, without gradients."""
     return _reference(generator, probe, call_module(generator, _tensors(probe)))
 
 
 def run_watched(generator: GaussianGenerator, probe: Probe) -> tuple[Reference, Watch]:
-    """Run ``generator`` like :func:`run_eager`, and record operations that tracing cannot follow."""
+    """Run a generator once in eager torch, and record operations that tracing cannot follow."""
     tensors = _tensors(probe)
     with Watch(generator, tensors) as watch:
         output = call_module(generator, tensors)
@@ -174,7 +174,7 @@ def _array(tensor: Tensor) -> np.ndarray:
 
 
 def measure_bounds(references: Iterable[Reference]) -> Bounds:
-    """Return the box around all visible centres of ``references``, slightly widened.
+    """Return the box around the centres of the visible Gaussians of all frames, slightly widened.
 
     Raises:
         GeneratorInvalid: No centre is finite and visible.
@@ -190,7 +190,7 @@ def measure_bounds(references: Iterable[Reference]) -> Bounds:
 
 
 def _corners(reference: Reference) -> tuple[np.ndarray, ...]:
-    """Return the least and the greatest coordinates of the visible centres; nothing without any."""
+    """Return the smallest and largest coordinates of the visible Gaussians, if there are any."""
     points = reference.gaussians.position[: reference.count][_visible(reference)]
     return (points.min(axis=0), points.max(axis=0)) if len(points) else ()
 

@@ -23,7 +23,7 @@ AnyManifest = TypeVar("AnyManifest", bound=Manifest)
 def rewrite_and_embed(
     model: ir.Model, manifest: Manifest, target: Target, *, rewrite: bool = True
 ) -> list[Change]:
-    """Rewrite ``model`` for ``target``, embed ``manifest``, and return the rewrites.
+    """Rewrite a model for a target runtime, embed the manifest, and return the rewrites.
 
     Without ``rewrite``, the graph stays as torch exported it.
     """
@@ -43,7 +43,7 @@ def rewrite_and_embed(
 
 
 def with_profile(manifest: AnyManifest, model: ir.Model) -> AnyManifest:
-    """Return ``manifest`` with the operator profile that holds the graph, or with none."""
+    """Return the manifest with the operator profile, if any, that allows the graph's operators."""
     names = {node.op_type for node in model.graph.all_nodes()}
     own = all(node.domain in MAIN_DOMAIN for node in model.graph.all_nodes())
     profile = smallest_profile(names, opset_of(model)) if own else None

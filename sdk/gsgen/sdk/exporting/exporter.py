@@ -137,7 +137,7 @@ def export(
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> Exported:
-    """Write ``generator`` as an ONNX Gaussian Generator that conforms and agrees with torch.
+    """Export a generator as an ONNX file that conforms to the contract and agrees with torch.
 
     Args:
         generator: The module; it is put into evaluation mode and moved to the CPU.
@@ -252,7 +252,7 @@ def _export(
 
 
 def _default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
-    """Return the dtype of the outputs if none is requested: float32, unless the target reads no such."""
+    """Return the default dtype of outputs: float32, or float16 if the target reads RGB only so."""
     if target not in HALF_RGB:
         return "float32"
     probe = _probes(_manifest(generator, "", "float32", None, 1, None))[0]
@@ -370,7 +370,7 @@ def _probes(manifest: GeneratorManifest, *, seed: int = 0, count: int = 8) -> tu
 
 
 def _far_probes(manifest: GeneratorManifest) -> Iterator[Probe]:
-    """Yield test inputs far from the contract's: cameras inside the scene and far outside of it.
+    """Yield test inputs beside those of the contract: cameras inside and far outside the scene.
 
     All other inputs are sampled with another seed.
     """

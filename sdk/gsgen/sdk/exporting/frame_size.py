@@ -1,4 +1,4 @@
-"""The size of an exported frame: what it holds in memory, and whether the target can bind it."""
+"""The memory that the outputs of an exported frame take, and whether the target can bind them."""
 
 __all__ = ["check_fits", "describe_size", "frame_bytes"]
 

@@ -1,4 +1,4 @@
-"""Explain why an exported model differs from torch: lost inputs, and lines that may be the cause."""
+"""Explain why an exported model differs from torch: lost inputs, and suspicious lines of code."""
 
 __all__ = ["Suspects", "diagnose"]
 

@@ -1,4 +1,4 @@
-"""The last steps of every export: save the model as a draft, verify, validate and move the file."""
+"""The last steps of every export: write a temporary file, verify, validate and rename it."""
 
 __all__ = ["OPSET", "Dtype", "ExportResult", "Progress", "check_contract", "silent", "write_export"]
 
@@ -61,7 +61,7 @@ def write_export(
     progress: Progress,
     must_conform: bool = True,
 ) -> "tuple[_Verified, Report]":
-    """Save a model as a draft, verify and validate the file, and move it to ``path`` at success.
+    """Save a model to a temporary file, verify and validate the file, and rename it on success.
 
     ``save`` writes the draft; ``verify`` raises if the draft differs from its reference.
     """
@@ -81,7 +81,7 @@ def check_contract(
     *,
     must_conform: bool = True,
 ) -> "Report":
-    """Validate an exported file before it is moved, and return the report for its final ``path``.
+    """Validate an exported file before it gets its final name, and return the validation report.
 
     Raises :class:`ExportRejected`, which carries the report, if the model breaks a rule.
     """

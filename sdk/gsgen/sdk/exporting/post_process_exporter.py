@@ -87,7 +87,7 @@ def export_post_process(
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> ExportedImage:
-    """Write ``model`` as an ONNX post-process model that conforms and agrees with torch.
+    """Export a post-process model as an ONNX file that conforms and agrees with torch.
 
     Args:
         model: The module; it is put into evaluation mode and moved to the CPU.

@@ -69,7 +69,7 @@ def repair(
     request: RepairRequest | None = None,
     settings: Settings | None = None,
 ) -> RepairResult:
-    """Write a repaired copy of ``source`` to ``target``, without guessing anything ambiguous.
+    """Write a repaired copy of a model file, with unambiguous repairs only.
 
     Without ``target``, the copy is repaired and validated, but not written.
     """
@@ -106,7 +106,7 @@ def repair(
 
 @contextmanager
 def _draft(target: Path | None, source: Path) -> Iterator[Path]:
-    """Yield the path of the repaired draft; without ``target``, delete the file afterwards."""
+    """Yield a temporary path for the repaired model; in a dry run, delete the file afterwards."""
     if target is not None:
         with atomic_write(target) as draft:
             yield draft
@@ -162,7 +162,7 @@ def _steps(
         steps.append((Repair(description, "GV014"), ReorderHarmonics(color.name)))
     if rows and color and count and broken & {"GV002", "GV018"}:
         silence = SilencePadding((rows.name, color.name), count.name)
-        steps.append((Repair("rows behind the count are zero", "GV018"), silence))
+        steps.append((Repair("packed Gaussians behind the count are zero", "GV018"), silence))
     if rows and color and count and request.rename:
         color_name = APPEARANCE_SH if color.space == "sh" else APPEARANCE_RGB
         names = {rows.name: GAUSSIANS, color.name: color_name, count.name: COUNT}

@@ -14,7 +14,7 @@ HALF_RGB: Final = frozenset({"visionary"})
 
 
 def stored_degree(degree: int, *, half: bool, target: str = "core") -> tuple[int, str]:
-    """Return the SH degree to store, and the reason if it differs from ``degree``.
+    """Return the SH degree to store, and the reason if the Gaussians have another degree.
 
     Rows of float16 must fill words of four bytes (rule GO015), which degrees 0 and 2 do not. Some
     consumers read one degree alone. The added coefficients are zero.

@@ -18,7 +18,7 @@ from gsgen.sdk.exporting.sh_degrees import stored_degree
 def padded_harmonics(
     generator: GaussianGenerator, *, half: bool, target: str
 ) -> Iterator[list[str]]:
-    """Let ``generator`` return SH of :func:`~gsgen.sdk.exporting.sh_degrees.stored_degree`.
+    """Make a generator return spherical harmonics of the degree that the exported file stores.
 
     Yields notes on the padding; the list stays empty if the SH need none.
     """

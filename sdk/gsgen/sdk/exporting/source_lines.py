@@ -52,7 +52,7 @@ def _frames() -> Iterator[FrameType]:
 
 @cache
 def is_user_file(filename: str) -> bool:
-    """Return whether a source file is the user's."""
+    """Return whether a source file holds a user's code, not that of Python, torch or gsgen."""
     path = Path(filename)
     if not path.is_file() or path.is_relative_to(_SDK_FOLDER):
         return False

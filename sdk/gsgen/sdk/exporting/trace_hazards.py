@@ -138,7 +138,7 @@ class Watch(TorchFunctionMode):
             step()
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Call the torch function ``func``, record hazards, and mark input-dependent results."""
+        """Call a torch function, record operations that tracing cannot follow, and mark results."""
         kwargs = kwargs or {}
         name = getattr(func, "__name__", "")
         leaves = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor)]

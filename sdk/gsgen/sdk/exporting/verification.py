@@ -71,14 +71,14 @@ def check_parity(
 
 
 def _told(outputs: Iterable[ModelOutput], total: int, progress: Progress) -> Iterator[ModelOutput]:
-    """Yield the model's outputs, and report the number of each probe as progress."""
+    """Yield the model's outputs for each test input, and report the progress."""
     for number, output in enumerate(outputs, start=1):
         progress(f"comparing with eager torch: probe {number} of {total}")
         yield output
 
 
 def _nudged(probe: Probe) -> Iterator[Probe]:
-    """Yield pairs of inputs on opposite sides of ``probe``, with each float moved slightly."""
+    """Yield pairs of test inputs on opposite sides of a given one, each float moved slightly."""
     rng = np.random.default_rng(0)
     for _ in range(_PAIRS):
         signs = {name: rng.choice([-1, 1], array.shape) for name, array in probe.inputs.items()}
@@ -93,7 +93,7 @@ def _nudged(probe: Probe) -> Iterator[Probe]:
 
 
 def _run(path: Path, manifest: GeneratorManifest, probes: Sequence[Probe]) -> Iterator[ModelOutput]:
-    """Yield the model's outputs for each probe; each is valid until the next is asked for."""
+    """Yield a model's outputs for each test input; arrays are valid until the next input."""
     rows, color, count, *cells = names = output_names(manifest)
     for outputs in run_exported(path, names, probes, frame_bytes=frame_bytes(manifest)):
         yield ModelOutput(
@@ -119,7 +119,7 @@ def run_exported(
 
 
 def check_memory(generator: GaussianGenerator, watch: Watch, references: EagerRuns) -> None:
-    """Raise if a module that changes its own state gives another result from its initial state.
+    """Raise if a module's result depends on earlier frames, which changed the module's state.
 
     A value that forward keeps from its first frame stays the same in the model, too, so comparing
     the two does not find it.

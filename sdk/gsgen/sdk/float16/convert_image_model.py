@@ -98,12 +98,12 @@ class _Measure:
         self._expected = [self._output_image(probe, (), self.stored) for probe in self._probes]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the largest relative image error of storing these weights as float16."""
+        """Return the largest relative image error of storing given weights as float16."""
         largest = max(float(np.abs(image).max()) for image in self._expected)
         return self._error((), stored, largest), "image"
 
     def of_nodes(self, selected: Collection[int]) -> tuple[float, str]:
-        """Return the largest relative image error of computing these nodes in float16."""
+        """Return the largest relative image error of computing given nodes in float16."""
         return self._error(selected, self.stored), "image"
 
     def _error(

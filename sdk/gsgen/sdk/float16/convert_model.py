@@ -98,7 +98,7 @@ def write_float16(
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> Float16Result:
-    """Convert the model file ``source`` to float16, and write the result to ``path``.
+    """Convert a model file to float16, and write the result to another file.
 
     Args:
         source: A Gaussian Generator with a manifest, in float32.
@@ -160,7 +160,7 @@ def to_float16(
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[ir.Model, Float16Result]:
-    """Return a float16 copy of ``model``, and the nodes and tables that stay float32.
+    """Return a float16 copy of a model, and the nodes and weight tables that stay float32.
 
     Without ``arithmetic``, every node computes in float32, and only weights and outputs are stored
     in 16 bits. The rounding of stored outputs is added to the tolerances ``roundings`` times. All
@@ -251,7 +251,7 @@ class _Search:
         self._guards = epsilon_guards(self.nodes, opset)
 
     def choose(self, share: float, progress: Progress) -> _Choice:
-        """Choose tables, then nodes, whose rounding uses at most ``share`` of the tolerance."""
+        """Choose weight tables, then nodes, whose rounding uses a share of the tolerance."""
         measure, nodes = self._measure, self.nodes
         # Tables come first: their size decides the size of the file and of the download.
         progress(f"measuring which of {len(measure.weights)} weights may be float16")

@@ -54,7 +54,7 @@ class ErrorProbe:
         assert declared.gaussians is not None
         if declared.appearance is None or declared.count is None:
             raise RewriteFailed(
-                "names no appearance or count, expected both", where="manifest.outputs"
+                "the manifest names no appearance or count, expected both", where="manifest.outputs"
             )
         self.names = (
             declared.gaussians.name,
@@ -115,13 +115,13 @@ class ErrorProbe:
         return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
-        """Return the largest share of a tolerance that rounding these nodes uses, and the field."""
+        """Return the output field whose tolerance rounded nodes use most, and the used share."""
         used = {field.field: self._used(field) for field in self.parity(selected).fields}
         worst = max(used, key=lambda field: used[field], default="")
         return used.get(worst, 0.0), worst
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the largest share of a tolerance that 16-bit weight tables use, and the field."""
+        """Return the output field whose tolerance 16-bit weights use most, and the used share."""
         self.stored = stored
         return self(())
 

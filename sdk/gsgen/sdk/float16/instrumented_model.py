@@ -89,7 +89,7 @@ class InstrumentedModel:
         return _run(self._session, self._names, session_inputs)
 
     def _halved(self, name: str) -> HalfTable:
-        """Return a weight table stored in 16 bits a number."""
+        """Return a weight table, stored in 16 bits per number."""
         if name not in self._halves:
             in_steps = self.weights.index(name) not in self.unstepped
             self._halves[name] = half_table(self._tables[name], in_steps=in_steps)
@@ -100,7 +100,7 @@ class InstrumentedModel:
         return self._halved(self.weights[table]).step is not None
 
     def store_unstepped(self, tables: Collection[int]) -> None:
-        """Store the given weight tables as float16, and all others in the form that is closer."""
+        """Store given weight tables as float16, and others as float16 or in even steps."""
         for table in self.unstepped ^ frozenset(tables):
             self._halves.pop(self.weights[table], None)
         self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})

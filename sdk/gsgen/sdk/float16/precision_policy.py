@@ -26,7 +26,7 @@ _BEHIND_GUARDS = (
 
 @dataclass(frozen=True, slots=True)
 class RetainedFloat32:
-    """A node or table that stays float32, with the reason.
+    """A node or weight table of a model that stays float32, with the reason.
 
     Attributes:
         node: Its name; for a node, the name of its first result.
@@ -137,7 +137,7 @@ def retained_nodes(
 def merge_islands(
     boundary: Boundary, nodes: Sequence[ir.Node], retained: Sequence[RetainedFloat32]
 ) -> list[RetainedFloat32]:
-    """Return further nodes to retain in float32 because that saves Casts around them."""
+    """Return further nodes to keep in float32, because fewer Casts are then needed."""
     keep = {entry.node for entry in retained}
     added: list[RetainedFloat32] = []
     while True:

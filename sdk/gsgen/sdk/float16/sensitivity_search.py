@@ -34,7 +34,7 @@ Measure = Callable[[Collection[int]], tuple[float, str]]
 def max_quantizable(
     units: Sequence[int], measure: Measure, *, budget: int = 200, allowed: float = 1.0
 ) -> Search:
-    """Find many nodes or tables to quantize together, with an error of at most ``allowed``.
+    """Find many nodes or weight tables to quantize together within an allowed output error.
 
     Step 1: all units together.
     Step 2: groups of neighbours are measured alone and halved, the most costly first, until each

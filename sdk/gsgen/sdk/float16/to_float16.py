@@ -104,7 +104,7 @@ class ToFloat16(CautiousRewrite):
 
 
 def node_key(node: ir.Node) -> str:
-    """Return the name of a node in lists of nodes to keep: the name of its first result."""
+    """Return the key of a node in lists of float32 nodes: the name of the node's first output."""
     return next((value.name for value in node.outputs if value.name), node.name or "")
 
 
@@ -115,7 +115,7 @@ def can_compute_in_float16(node: ir.Node, opset: int) -> bool:
 
 
 def convertible_indices(node: ir.Node, opset: int) -> tuple[list[int], list[int]]:
-    """Return the indices of the float32 inputs and outputs of ``node`` that can become float16.
+    """Return the indices of the float32 inputs and outputs of a node that can become float16.
 
     Inputs and outputs with the same type variable change together; if one of them cannot become
     float16, none of them does.
@@ -230,7 +230,7 @@ def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: Half
 def _convert_value(
     graph: ir.Graph, value: ir.Value, half_inputs: HalfInputs, *, is_half: bool
 ) -> None:
-    """Insert a Cast after ``value`` for its readers in the other float dtype."""
+    """Insert a Cast after a graph value for the nodes that read the other float dtype."""
     mismatched = [use for use in _readers(value) if (use in half_inputs) is not is_half]
     if not mismatched:
         return
@@ -293,7 +293,7 @@ class Boundary:
         return sum(self._needs(value, keep) for value in _values(self._graph))
 
     def saved(self, node: ir.Node, keep: Collection[str]) -> int:
-        """Return the number of Casts that keeping ``node`` in float32 saves."""
+        """Return the number of Casts that keeping a node in float32 saves."""
         near = {v for v in (*node.inputs, *node.outputs) if v is not None}
         before = sum(self._needs(value, keep) for value in near)
         return before - sum(self._needs(value, {*keep, node_key(node)}) for value in near)

@@ -87,7 +87,7 @@ def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
 
 
 def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
-    """Return the axis whose positions have step sizes of their own; None for one size."""
+    """Return the axis along which a weight table's step size varies; None for one step size."""
     last = array.ndim - 1
     axes = [k for k, n in enumerate(array.shape) if 1 < n <= array.size // _LEAST_ROWS]
     coarse = {k: float(np.square(_range(array, k)[1]).mean()) for k in axes}
@@ -99,7 +99,7 @@ def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
 def _range(
     array: Float32[np.ndarray, "..."], axis: int | None
 ) -> tuple[Float32[np.ndarray, " k"], np.ndarray]:
-    """Return minimum and width of the value range at each position of ``axis``."""
+    """Return minimum and width of a weight table's value range at each position of an axis."""
     other_axes = tuple(k for k in range(array.ndim) if k != axis)
     least = np.atleast_1d(array.min(axis=other_axes))
     return least, np.atleast_1d(array.max(axis=other_axes)).astype(np.float64) - least

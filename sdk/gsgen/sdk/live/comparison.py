@@ -101,7 +101,7 @@ def _some_rows(outputs: ModelOutputs) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def _even_indices(count: int, most: int) -> np.ndarray:
-    """Return at most ``most`` evenly spaced indices below ``count``."""
+    """Return a limited number of evenly spaced row indices."""
     if count <= most:
         return np.arange(count)
     return np.linspace(0, count - 1, most).astype(np.int64)

@@ -32,7 +32,8 @@ def integers_of_64_bits() -> ModelSpec:
     counted = drifting().reworded(
         SHIFT_NODE,
         "scaled = Mul (time, thousand) whole = Cast <to = 7> (scaled) far = Add (whole, big) "
-        "back = Cast <to = 1> (far) near = Div (back, size) shift = Mul (speed, near)",
+        "back = Cast <to = 1> (far) near = Div (back, size) "
+        "later = Add (near, time) shift = Mul (speed, later)",
     )
     big = np.asarray([1 << 32], np.int64)
     return counted.weighing(thousand=f32(1000), size=f32(1 << 32), big=big)

@@ -140,7 +140,7 @@ class _Frames:
             self._phase("captured", self._captured)
 
     def _phase(self, name: str, work: Callable[[], None]) -> bool:
-        """Run one phase of the job, and return success; an error is reported as a fact."""
+        """Run one phase of a WebGPU job, and return whether the phase succeeded; report errors."""
         self.index = -1
         try:
             work()

@@ -67,7 +67,7 @@ def frustum_mask(
 
 
 def _product(columns: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
-    """Multiply all columns of a table by Mul, which has more kernels than ReduceProd."""
+    """Return the product of a table's columns by Mul: few runtimes have a ReduceProd kernel."""
     first, *factors = columns.unbind(dim=1)
     for factor in factors:
         first = first * factor

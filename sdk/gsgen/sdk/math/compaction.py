@@ -19,7 +19,7 @@ _MOST_ROWS = 1 << 24
 def keep_rows(
     mask: Float[Tensor, " n"], capacity: int
 ) -> tuple[Int[Tensor, " c"], Int[Tensor, "1"]]:
-    """Return the indices of the kept rows, in order, followed by other rows, and the kept count.
+    """Return the indices of the rows that a mask keeps, then of other rows, and the kept count.
 
     Args:
         mask: Above zero for rows to keep.

@@ -52,7 +52,7 @@ def sh_from_coefficient_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 
 def sh_from_ply(
     constant: Float[Tensor, "n 3"], f_rest: Float[Tensor, "n m"]
 ) -> Float[Tensor, "n k 3"]:
-    """Join the SH columns of a 3DGS PLY file.
+    """Join the SH columns of a 3DGS PLY file to coefficients [N, K, 3].
 
     Args:
         constant: f_dc_0 … f_dc_2, one column per channel.

@@ -37,7 +37,7 @@ def sample_plane(
     align_corners: bool = True,
     padding: Padding = "border",
 ) -> Float[Tensor, "n c"]:
-    """Sample ``plane`` like ``F.grid_sample(mode="bilinear")``.
+    """Sample a feature plane at points like ``F.grid_sample(mode="bilinear")``.
 
     Args:
         plane: Features of H × W texels.

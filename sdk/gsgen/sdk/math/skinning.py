@@ -103,7 +103,7 @@ def _indices(values: Sequence[int], like: Tensor) -> Tensor:
 
 
 def _parent_indices(parents: Sequence[int], count: int, shape: tuple[int, ...]) -> list[int]:
-    """Validate the parent joints, and return their indices, with ``count`` for roots."""
+    """Validate the parents of joints, and return parent indices; a root gets the joint count."""
     where = "skinning_transforms, parents"
     if len(parents) != count or shape != (count, 3):
         message = f"{count} turns, {len(parents)} parents and joints of shape {list(shape)}"

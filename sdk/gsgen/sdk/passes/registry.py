@@ -93,7 +93,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
 def find_rewrites(
     target: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
 ) -> list[Rewrite]:
-    """Return the rewrites that ``target`` needs, in order.
+    """Return the graph rewrites that a target runtime needs, in the order in which they run.
 
     ``only`` and ``skip`` are names of passes; all run without ``only``.
     """

@@ -16,7 +16,7 @@ _SEQUENCES = (list, tuple, Sequence)
 
 
 def convert(text: str, annotation: Any, where: str) -> Any:
-    """Convert text from the command line to a value of the declared type ``annotation``.
+    """Convert text from the command line to a value of a parameter's declared type.
 
     Types: ``str``, ``int``, ``float``, ``bool``, ``Path``, an Enum, a Literal, a union, or a list
     or tuple of those (separated by commas). ``where`` names the option in an error.

@@ -91,7 +91,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
     # Case 2: a model from image to image.
     if isinstance(module, PostProcess):
         if request.capacity is not None:
-            message = "a post-process model returns an image, which has no rows"
+            message = "a post-process model returns an image, which has no Gaussians"
             raise ConfigInvalid(message, where="--capacity", hint="Leave the option out.")
         dtype = request.dtype or "float32"
         return export_post_process(module, request.output, dtype=dtype, **options)
@@ -144,7 +144,7 @@ def _show(result: "ExportResult") -> None:
 def _verdict(result: "ExportResult") -> str:
     report = result.report
     if report.verdict != "conforms":
-        return "does NOT conform; the rows were passed through unchanged"
+        return "does NOT conform; the packed Gaussians were passed through unchanged"
     ran = [level.level.word for level in report.levels if level.ran]
     skipped = [level.level.word for level in report.levels if not level.ran]
     suffix = f", {' and '.join(skipped)} skipped" if skipped else ""

@@ -112,7 +112,7 @@ _COMMON = inspect.signature(_request).parameters
 def with_common_options(
     build: Callable[..., Any], run: Callable[[Callable[[], Any], ExportRequest], None]
 ) -> Callable[..., None]:
-    """Return a typer function with the parameters of ``build`` and every common option.
+    """Return a typer function with a plugin's own parameters and the options of every export.
 
     ``run`` is called with ``build``, its arguments bound, and the request. A parameter of ``build``
     with the name of a common option is a TypeError.

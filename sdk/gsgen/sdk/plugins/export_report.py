@@ -80,7 +80,7 @@ def _parity(parity: "Parity") -> dict[str, Any]:
 
 
 def _json_value(value: Any) -> Any:
-    """Convert to JSON types: paths become strings, NaN and infinity become null."""
+    """Convert a value to JSON types: paths become strings, NaN and infinity become null."""
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, float) and not math.isfinite(value):

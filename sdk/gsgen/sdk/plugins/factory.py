@@ -89,7 +89,7 @@ class Factory:
 
 
 def _is_factory(value: Any) -> bool:
-    """Return whether ``value`` must be called; a finished module is callable, but is exported itself."""
+    """Return whether an export target is a factory to be called, rather than a finished module."""
     import torch
 
     return callable(value) and not isinstance(value, torch.nn.Module)
@@ -116,7 +116,7 @@ def require_torch() -> None:
 
 
 def load_factory(target: str, folder: Path | None = None) -> Factory:
-    """Import a factory ``module:name``; modules of ``folder`` take precedence.
+    """Import a user's factory ``module:name``; modules of the given folder take precedence.
 
     ``target`` is ``package.module:factory`` or ``file.py:factory``.
     """
@@ -189,7 +189,7 @@ def _candidates(holder: Any) -> list[str]:
 
 
 def _checked(module: Any, target: str) -> Any:
-    """Return ``module`` if it is a generator or a post-process model, else raise."""
+    """Return a module that is a generator or a post-process model; raise for other modules."""
     import torch
 
     from gsgen.sdk.authoring.generator import GaussianGenerator

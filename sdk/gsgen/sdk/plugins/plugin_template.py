@@ -46,7 +46,7 @@ class PluginPackage:
 
 
 def write_plugin_package(name: str, into: Path) -> PluginPackage:
-    """Write the package ``name`` into a folder of that name in ``into``."""
+    """Write the package of a new plugin into a new folder that has the package's name."""
     _check_name(name)
     folder, package = into / name, name.replace("-", "_")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -99,7 +99,7 @@ def _template(source: str, replacements: dict[str, str]) -> str:
 
 
 def _filled(text: str, replacements: dict[str, str]) -> str:
-    """Return template ``text`` with every @word@ replaced; an unknown word raises KeyError."""
+    """Replace every @word@ in the text of a template file; an unknown word raises KeyError."""
     return re.sub("@([a-z]+)@", lambda match: replacements[match[1]], text)
 
 

@@ -43,7 +43,7 @@ class PartitionedModel:
 
 
 def partition_constants(model: ir.Model) -> PartitionedModel:
-    """Split a copy of ``model`` into its constant subgraph and the nodes of every frame."""
+    """Split a copy of a model into the constant subgraph and the nodes of every frame."""
     per_frame = model.clone()
     nodes = constant_nodes(per_frame.graph)
     if not nodes:
@@ -78,7 +78,7 @@ def _keep_nodes(graph: ir.Graph, nodes: list[ir.Node], outputs: tuple[str, ...])
 
 
 def _feed(graph: ir.Graph, value: ir.Value) -> None:
-    """Replace ``value`` by a graph input of the same name."""
+    """Replace a graph value by a graph input of the same name."""
     graph_input = ir.Value(name=value.name, type=value.type, shape=value.shape)
     value.name = f"{value.name}_computed"
     graph.inputs.append(graph_input)

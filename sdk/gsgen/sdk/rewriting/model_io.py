@@ -37,7 +37,7 @@ def _sizes(model: ir.Model) -> list[int]:
 
 
 def refuse_overwriting(source: ModelFile, path: Path) -> None:
-    """Raise if saving a copy to ``path`` would overwrite the weights of ``source``.
+    """Raise if saving a copy of a model would overwrite the external weights of the source.
 
     A renamed model still reads the weight file with its old name.
     """
@@ -52,7 +52,7 @@ def refuse_overwriting(source: ModelFile, path: Path) -> None:
 
 
 def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -> None:
-    """Write ``model`` to ``path``, with an external weight file where protobuf's limit needs it.
+    """Write a model file, with an external weight file where protobuf's limit requires one.
 
     ``model`` stays unchanged. ``external_weights`` stores large weights in a second file, ``path``
     with the suffix ``.data``, even if they fit the model file.

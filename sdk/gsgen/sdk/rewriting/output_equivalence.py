@@ -162,7 +162,7 @@ def compare_files(
 
 
 def _has_finite_values(value: np.ndarray) -> bool:
-    """Return whether an output has a value whose change could be seen."""
+    """Return whether an output has a finite value, so that a change can be measured."""
     if value.dtype.kind == "f":
         return bool(np.isfinite(value).any())
     return value.size > 0
@@ -221,7 +221,7 @@ def _differences(
 
 
 def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Return the array ``new`` without its rows of zeros after the number of rows of ``old``."""
+    """Remove the rows of zeros by which a rewrite padded an output."""
     if old.ndim != new.ndim or not old.ndim or len(new) <= len(old):
         return new
     return new[: len(old)] if not new[len(old) :].any() else new

@@ -98,7 +98,7 @@ class Rewritten:
 def rewrite_graph(
     model: ir.Model, goal: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
 ) -> list[Change]:
-    """Run the passes of a target on ``model``, in place, until nothing changes."""
+    """Run the rewrites of a target runtime on a model, in place, until nothing changes."""
     rewrites = find_rewrites(goal, only, skip)
     prepare(model)
     changes = _merged([*_settle(model, _exact(rewrites)), *_settle(model, rewrites)])
@@ -119,7 +119,7 @@ def rewrite_file(
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> Rewritten:
-    """Rewrite the model file ``source`` for ``target``, and write the result to ``path``.
+    """Rewrite a model file for a target runtime, and write the result to another file.
 
     A model without a manifest gets probes from the shapes and dtypes of its inputs; a symbolic size
     counts as 3 unless ``sizes`` has it.
@@ -211,7 +211,7 @@ class _ComparedRun:
         self.latest = draft
 
     def save(self, path: Path) -> None:
-        """Write the rewritten graph to ``path``."""
+        """Write the rewritten graph to a model file."""
         save_model(self.model, path, external_weights=self.external_weights)
 
 
@@ -233,7 +233,7 @@ def _refuse_higher(model: ir.Model, opset: int | None) -> None:
 
 
 def prepare(model: ir.Model) -> None:
-    """Normalise ``model`` for passes, without changing its outputs.
+    """Normalise a model for graph rewrites, without changing the outputs.
 
     Functions are inlined, constants become weights, every node and value has a unique name, and
     shapes are inferred.

@@ -334,7 +334,10 @@ EDITS: list[tuple[str, str, Callable[[Manifest], Any], Sentence, str]] = [
         "depends_on_an_unknown_role",
         "Names an input in place of a role in `depends_on`.",
         _set(depends_on={"camera_matrix": False}),
-        Sentence("manifest.md", "`depends_on` has inputs and roles as keys and takes no extension fields."),
+        Sentence(
+            "manifest.md",
+            "`depends_on` has inputs and roles as keys and takes no extension fields.",
+        ),
         r"depends_on|role|camera_matrix",
     ),
     (

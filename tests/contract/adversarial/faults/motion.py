@@ -170,9 +170,7 @@ fault(
     "Declares a loop, but the motion ends at its farthest point.",
     r"loop|start.{0,40}end|end.{0,40}start",
     build=partial(_moving, _turns(TAU / 4), {**TIME, "loop": True}),
-    sentence=Sentence(
-        "manifest.md", "the end of the range is the same moment as its start."
-    ),
+    sentence=Sentence("manifest.md", "the end of the range is the same moment as its start."),
 )
 fault(
     "nan_at_time_zero",

@@ -20,7 +20,7 @@ CULL_MARGIN: Final = JACOBIAN_MARGIN / 2
 
 @final
 class CullSlots:
-    """The kernel ``cull_slots.wgsl``.
+    """The kernel ``cull_slots.wgsl``, which lists the slots of a pool that a camera may see.
 
     Args:
         device: Device of the kernel.
@@ -44,7 +44,7 @@ class CullSlots:
     def step(
         self, frame: Buffer, keys: Buffer, lows: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> Step:
-        """Return the dispatch for a pool's page, whose uniform is number ``slot`` of a buffer."""
+        """Return the dispatch that lists the visible slots of a pool's page."""
         assert page.slots is not None
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (

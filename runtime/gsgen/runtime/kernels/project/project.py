@@ -126,7 +126,7 @@ def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[
 def page_uniform(
     placed: SplatSet, camera: Camera, base: int, capacity: int, count: int
 ) -> Shaped[np.ndarray, ""]:
-    """Return the ``Page`` uniform of one page; see :func:`page_uniforms`."""
+    """Return the ``Page`` uniform of one GPU page of Gaussians, computed in float64."""
     return np.asarray(page_uniforms([(placed, base, capacity, count)], camera)[0])
 
 

@@ -241,7 +241,7 @@ class DrawMeshes:
     def _laid(
         self, size: tuple[int, int], row: int, copies: tuple[Buffer, ...], layers: Layers
     ) -> tuple[Step, ...]:
-        """Return the steps that copy the drawn meshes to the last layer."""
+        """Return the steps that copy the drawn meshes to the last image layer."""
         shape = self._device.uniform("mesh layer", 16)
         first = (layers.count - 1) * size[0] * size[1]
         self._device.write(shape, np.array([*size, row, first], np.uint32))
@@ -297,7 +297,7 @@ def seen_reference(
 def _beside_reference(
     point: Float[np.ndarray, "3"], uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """Return the offset of a point to the right of and below each pixel's ray, and its depth."""
+    """Return a point's offset to the right of and below each pixel's ray, and the point's depth."""
     (sine, cosine), (down_sine, down_cosine) = _angles(uniform, rays)
     x, y, z = point
     if uniform["period"]:

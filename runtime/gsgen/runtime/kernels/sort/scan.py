@@ -67,7 +67,7 @@ class Scan:
         rows: int = 1,
         total: Counts | None = None,
     ) -> list[Step]:
-        """Return the dispatches that scan rows × ⌈counts[source] / block⌉ numbers in place.
+        """Return the dispatches that replace numbers in a GPU buffer by prefix sums.
 
         The size of the buffer ``numbers`` is the capacity; ``total`` names the count that
         receives the sum of all: VISIBLE, PAIRS or None.

@@ -45,7 +45,7 @@ class SortConfig:
 
     @property
     def block(self) -> int:
-        """Keys per workgroup of the sort."""
+        """The number of keys per workgroup of the radix sort."""
         return self.threads * self.run
 
 

@@ -102,7 +102,7 @@ class BlendTiles:
         resources: tuple[Buffer, ...],
         layers: tuple[Buffer, Buffer] | None = None,
     ) -> Step:
-        """Return the dispatch that blends an image.
+        """Return the dispatch that blends the Gaussians of all tiles into an image.
 
         Args:
             tiles: Number of tiles across and down.

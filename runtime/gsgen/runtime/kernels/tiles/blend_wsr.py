@@ -55,7 +55,7 @@ class BlendWsr:
     def step(
         self, tiles: tuple[int, int], resources: tuple[Buffer, ...], depths: Buffer | None = None
     ) -> Step:
-        """Return the dispatch that blends an image.
+        """Return the dispatch that blends the Gaussians of all tiles into an image.
 
         Args:
             tiles: Number of tiles across and down.
@@ -76,7 +76,7 @@ def blend_wsr_reference(
     origin: Float[np.ndarray, "2"],
     size: tuple[int, int],
 ) -> Float[np.ndarray, "h w 4"]:
-    """Blend one set without background in float64: the reference of ``blend_wsr.wgsl``.
+    """Blend one splat set without background in float64: the reference of ``blend_wsr.wgsl``.
 
     Args:
         splats: The Gaussians of the set, drawn or not.

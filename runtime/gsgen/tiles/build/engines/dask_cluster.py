@@ -59,7 +59,7 @@ class DaskEngine(Engine):
         self._cluster: Any = None
 
     def __enter__(self) -> "DaskEngine":
-        """Connect to the cluster, or start one.
+        """Connect to the Dask cluster, or start a local one.
 
         Raises:
             EngineFailed: No scheduler answers at the address.

@@ -16,16 +16,16 @@ RETRIES: Final = 5
 
 
 class EngineFailed(GsgenError):
-    """Raised if workers died repeatedly, or if a cluster disappeared."""
+    """Raised if worker processes of a build died repeatedly, or if a cluster disappeared."""
 
 
 class Engine(AbstractContextManager["Engine"], Protocol):
-    """Protocol of build engines: runs tasks that are independent of each other."""
+    """Protocol of build engines, which run independent tasks of a tileset build."""
 
     def run(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
     ) -> Iterator[tuple[int, _Result]]:
-        """Run ``function`` on every task; yield each index and result when it is done.
+        """Run a function on every build task; yield each task's number and result when it is done.
 
         Raises:
             EngineFailed: A worker died more than ``RETRIES`` times.

@@ -57,7 +57,7 @@ class Processes(Engine):
     def run(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
     ) -> Iterator[tuple[int, _Result]]:
-        """Run build tasks on all worker processes, in order of their index as far as possible."""
+        """Run build tasks on all worker processes, started in the order of the tasks."""
         pending = list(range(len(tasks)))[::-1]
         failures = 0
         running: dict[Future[_Result], int] = {}

@@ -46,12 +46,12 @@ class Mixture:
         return np.asarray(self.opacity * surface_area(self.scale))
 
     def rows(self, index: "np.ndarray | slice") -> "Mixture":
-        """Return the Gaussians of the rows ``index``."""
+        """Return the selected Gaussians, by their numbers."""
         return Mixture(**{name: getattr(self, name)[index] for name in self.__slots__})
 
 
 def concatenate(parts: Sequence[Mixture]) -> Mixture:
-    """Return the Gaussians of ``parts`` sorted by Morton code; ties retain the order of parts."""
+    """Join sets of Gaussians and sort them by Morton code; equal codes keep their order."""
     names = Mixture.__slots__
     joined = Mixture(
         **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}

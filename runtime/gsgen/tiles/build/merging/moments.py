@@ -117,7 +117,7 @@ def _weighted(
 def _sums(
     number: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"], clusters: int
 ) -> Float64[np.ndarray, " m"]:
-    """Sum ``values`` by cluster, in float64 and in the order of the rows."""
+    """Sum the values of the Gaussians of each cluster, in float64 and in order."""
     return np.bincount(number, weights=values, minlength=clusters)
 
 

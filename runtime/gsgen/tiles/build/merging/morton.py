@@ -36,7 +36,7 @@ class Cube:
 
     @classmethod
     def around(cls, low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> "Cube":
-        """Return a cube around the box from ``low`` to ``high``, with the same centre.
+        """Return a cube around an axis-aligned box, with the same centre.
 
         The side is a little longer than the box, and never shorter than float64 can divide.
         """
@@ -47,7 +47,7 @@ class Cube:
         return cls((float(corner[0]), float(corner[1]), float(corner[2])), side)
 
     def cell(self, depth: int, prefix: int) -> "Cube":
-        """Return the octree cell whose codes begin with the 3 ``depth`` bits of ``prefix``."""
+        """Return the octree cell whose Morton codes begin with the given bits."""
         index = [0, 0, 0]
         for bit in range(depth):
             for axis in range(3):

@@ -1,4 +1,4 @@
-"""Static rules (GT) of the tileset index, its tree, volumes and transforms."""
+"""Static rules (GT) of ``tileset.json``: the tree of tiles, volumes and transforms."""
 
 from collections.abc import Iterator
 from typing import Final

@@ -38,11 +38,11 @@ class ErrorBudget:
 
     @property
     def bits(self) -> bool:
-        """Whether every bit must stay the same."""
+        """Whether every bit of the outputs must stay the same."""
         return self == BITS
 
     def describe(self) -> str:
-        """Return the budget as text, such as ``bit for bit``."""
+        """Return the error budget as text, such as ``bit for bit``."""
         if not (self.relative or self.absolute):
             return "every finite value keeps its bits" if self.repairs_nonfinite else "bit for bit"
         parts = [f"{self.relative:g} of the largest value"] if self.relative else []
@@ -101,7 +101,7 @@ class RewriteTarget:
         )
 
     def lacks_kernel(self, node: ir.Node, opset: int, variant: str = "") -> bool:
-        """Return whether a release of the target runtime is known not to capture ``node``."""
+        """Return whether a release of the target runtime is known not to capture a node."""
         dtype = kernel_dtype(node)
         outcomes = (t.outcome(node.op_type, variant, dtype, opset) for t in self.tables)
         return any(outcome not in ("", CAPTURE) for outcome in outcomes)
@@ -128,7 +128,7 @@ class Rewrite(passes.InPlacePass):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the rewrite configured for ``target``; None if the target does not need it."""
+        """Return the graph rewrite for a target runtime; None if the target does not need it."""
         return cls()
 
     @classmethod
@@ -137,14 +137,14 @@ class Rewrite(passes.InPlacePass):
         return (cls.__doc__ or "").strip().split("\n", 1)[0].rstrip(".")
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rewrite ``model`` in place, and record the changed nodes in :attr:`changed`."""
+        """Rewrite a model in place, and record the changed nodes in :attr:`changed`."""
         self.changed, self.opset = [], opset_of(model)
         self.rewrite(model)
         return passes.PassResult(model, modified=bool(self.changed))
 
     @abstractmethod
     def rewrite(self, model: ir.Model) -> None:
-        """Change ``model``, subgraphs included, and :meth:`note` every changed node."""
+        """Rewrite a model, subgraphs included, and record every changed node."""
 
     def note(self, item: ir.Node | ir.Value) -> None:
         """Record that a node, an output or a weight was rewritten."""
@@ -165,11 +165,11 @@ class NodeRewrite(Rewrite):
 
     @abstractmethod
     def matches(self, node: ir.Node) -> bool:
-        """Return whether this rewrite replaces ``node``."""
+        """Return whether the rewrite replaces a given node of the graph."""
 
     @abstractmethod
     def replace(self, node: ir.Node) -> None:
-        """Replace ``node`` by equivalent nodes."""
+        """Replace a node of the graph by equivalent nodes."""
 
 
 class ByTables(Rewrite):
@@ -184,7 +184,7 @@ class ByTables(Rewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the rewrite if the operator tables of ``target`` are known."""
+        """Return the graph rewrite if the operators that the target runtime supports are known."""
         return cls(target) if target.tables else None
 
 
@@ -206,7 +206,7 @@ class WithinLimit(Rewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the rewrite for the target's binding limit; None for a target without a limit."""
+        """Return the graph rewrite for a target's binding limit; None if it has no limit."""
         limit = target.limits.get(cls.limited_by)
         return None if limit is None else cls(limit)
 
@@ -221,7 +221,7 @@ class Substitute(ByTables, NodeRewrite):
     wanted_by: ClassVar[str] = "targets whose tables lack the operator"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether a release does not capture ``node`` and this rewrite can replace it."""
+        """Return whether the rewrite can replace a node that a release does not capture."""
         if not is_op(node, *self.kinds):
             return False
         if self.target is not None and not self.target.lacks_kernel(
@@ -256,18 +256,18 @@ def every_node(model: ir.Model) -> Iterator[ir.Node]:
 
 
 def is_op(node: ir.Node | None, *kinds: str) -> bool:
-    """Return whether ``node`` is one of these operators of the ONNX domain."""
+    """Return whether a node is one of the named operators of the ONNX domain."""
     return node is not None and node.domain in MAIN_DOMAIN and node.op_type in kinds
 
 
 def opset_of(model: ir.Model) -> int:
-    """Return the version of the ONNX operator set that ``model`` imports; 0 without an import."""
+    """Return the version of the ONNX operator set that a model imports; 0 without an import."""
     imports = model.opset_imports
     return next((imports[domain] for domain in MAIN_DOMAIN if domain in imports), 0)
 
 
 def kernel_dtype(node: ir.Node) -> str:
-    """Return the dtype that selects the kernel of ``node``; empty if it is unknown."""
+    """Return the dtype that selects the kernel of a node; empty if the dtype is unknown."""
     position = KERNEL_TYPE_INPUT.get(node.op_type, 0)
     values = [*node.inputs[position : position + 1], *node.outputs[:1]]
     kinds = (value.dtype for value in values if value is not None)

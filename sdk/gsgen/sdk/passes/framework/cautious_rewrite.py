@@ -31,7 +31,7 @@ class CautiousRewrite(Rewrite):
         self.refusals: list[Refusal] = []
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rewrite ``model`` in place, and record the unchanged nodes in :attr:`refusals`."""
+        """Rewrite a model in place, and record the unchanged nodes in :attr:`refusals`."""
         self.refusals = []
         return super().call(model)
 

@@ -1,4 +1,4 @@
-"""Drafts of graph nodes that are added to a graph all together, or discarded."""
+"""Detached graph nodes, which are added to a graph all together, or discarded."""
 
 __all__ = ["DetachedGraph"]
 
@@ -11,7 +11,7 @@ from gsgen.sdk.passes.framework.graph_builder import Dims, new_node, weight
 
 
 class DetachedGraph:
-    """Drafts nodes and weights, and adds them to the graph all at once by :meth:`join`.
+    """Creates detached nodes and weights, and adds all of them to the graph by :meth:`join`.
 
     Each node is inserted before the node that was :attr:`anchor` when it was drafted, or at the
     end of the graph if that was None.
@@ -31,7 +31,7 @@ class DetachedGraph:
         shape: Dims | None = None,
         **attributes: int | float | str | Sequence[int],
     ) -> ir.Value:
-        """Draft a node of the ONNX domain with one output, and return the output."""
+        """Create a detached node of the ONNX domain with one output, and return the output."""
         known = next((v.dtype for v in inputs if v is not None and v.dtype is not None), None)
         name = f"{self._stem}_{len(self._nodes)}_{kind}"
         node = new_node(
@@ -41,7 +41,7 @@ class DetachedGraph:
         return node.outputs[0]
 
     def like(self, node: ir.Node, inputs: Sequence[ir.Value | None]) -> list[ir.Value]:
-        """Draft a copy of ``node`` that reads ``inputs``; outputs keep dtypes, without shapes."""
+        """Create a detached copy of a node with other inputs; outputs keep dtypes, not shapes."""
         name = f"{self._stem}_{len(self._nodes)}_{node.op_type}"
         copy = ir.Node(
             node.domain,
@@ -57,7 +57,7 @@ class DetachedGraph:
         return list(copy.outputs)
 
     def constant(self, array: object, dtype: type[np.generic] | np.dtype[np.generic]) -> ir.Value:
-        """Draft a weight with the numbers of ``array``."""
+        """Create a detached weight from an array."""
         values = np.asarray(array, dtype)
         tensor = ir.tensor(values)
         value = ir.Value(
@@ -70,7 +70,7 @@ class DetachedGraph:
         return value
 
     def join(self, graph: ir.Graph) -> None:
-        """Add all drafted nodes, and the weights that something reads, to ``graph``."""
+        """Add all detached nodes to a graph, and the detached weights that a node reads."""
         for value in self._weights:
             array = value.const_value
             assert array is not None
@@ -84,7 +84,7 @@ class DetachedGraph:
                 graph.insert_before(anchor, node)
 
     def discard(self) -> None:
-        """Discard all drafted nodes, and remove them from the consumers of the graph's values."""
+        """Discard all detached nodes, and remove them from the consumers of the graph's values."""
         for _, node in self._nodes:
             for index in range(len(node.inputs)):
                 node.replace_input_with(index, None)

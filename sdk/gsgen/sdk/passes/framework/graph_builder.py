@@ -14,7 +14,7 @@ Dims = Sequence[int | ir.SymbolicDim | None] | ir.Shape
 
 
 def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
-    """Add ``array`` to ``graph`` as a weight called ``name``, with underscores if the name exists."""
+    """Add an array to a graph as a named weight, with underscores appended if the name exists."""
     name = free_name(graph, name)
     tensor = ir.tensor(array, name=name)
     value = ir.Value(
@@ -25,7 +25,7 @@ def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
 
 
 def free_name(graph: ir.Graph, name: str) -> str:
-    """Return ``name``, with underscores appended until no value of the graph has it.
+    """Return a value name that a graph does not use yet, by appending underscores to a given one.
 
     Subgraphs are not searched, which would take long: duplicates there are renamed at the end.
     """
@@ -58,7 +58,7 @@ def new_node(
 
 
 def append_output(graph: ir.Graph, old: ir.Value, nodes: Sequence[ir.Node]) -> None:
-    """Append ``nodes``; the last node computes the graph output ``old`` under the same name."""
+    """Append nodes to a graph; the last one computes an existing graph output."""
     name = old.name
     old.name = free_name(graph, f"{name}_before_{nodes[-1].name}")
     graph.extend(nodes)
@@ -106,7 +106,7 @@ class InsertionPoint:
         *inputs: ir.Value | None,
         **attributes: int | float | str | Sequence[int],
     ) -> list[ir.Value]:
-        """Insert a node with ``count`` outputs of the dtype of its first input."""
+        """Insert a node with several outputs, which have the dtype of the first input."""
         name = self._next(kind)
         node = ir.node(kind, inputs, attributes=attributes, name=name, num_outputs=count)
         for index, value in enumerate(node.outputs):
@@ -116,7 +116,7 @@ class InsertionPoint:
         return list(node.outputs)
 
     def constant(self, array: np.ndarray, name: str = "constant") -> ir.Value:
-        """Add a weight with the numbers of ``array``."""
+        """Add a weight to the graph, with the numbers of an array."""
         return weight(self.graph, self._next(name), np.asarray(array))
 
     def int64(self, *numbers: int) -> ir.Value:
@@ -124,7 +124,7 @@ class InsertionPoint:
         return self.constant(np.array(numbers, np.int64), "numbers")
 
     def replace(self, *values: ir.Value) -> None:
-        """Remove the node; ``values`` replace its outputs and take over their names.
+        """Remove a node; other values replace the node's outputs under the same names.
 
         A graph output needs a value of its own. If the value existed before the node (an input
         of the graph, for example), an Identity is inserted.
@@ -143,7 +143,7 @@ class InsertionPoint:
 
 
 def replace_value(old: ir.Value, new: ir.Value) -> None:
-    """Replace all uses of ``old`` by ``new``; a graph output keeps its name."""
+    """Replace all uses of a graph value by another value; a graph output keeps its name."""
     name, output = old.name, old.is_graph_output()
     if new.type is None or output:
         new.type = old.type

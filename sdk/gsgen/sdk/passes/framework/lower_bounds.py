@@ -30,7 +30,7 @@ def smallest_normal(dtype: ir.DataType | None) -> float:
 
 
 def is_never_zero(value: ir.Value | None) -> bool:
-    """Return whether no element of ``value`` can be zero, or so small that a GPU flushes it.
+    """Return whether no element of a graph value can be zero, or be flushed to zero by a GPU.
 
     NaN counts as not zero: other rules report it.
     """
@@ -43,7 +43,7 @@ def is_never_zero(value: ir.Value | None) -> bool:
 
 
 def lower_bound(value: ir.Value | None, depth: int = 0) -> float:
-    """Return a lower bound of the elements of ``value``; −∞ if it is unknown."""
+    """Return a lower bound of the elements of a graph value; −∞ if none is known."""
     known = constant_of(value)
     if known is not None:
         return float(known.min()) if known.size and not np.isnan(known).any() else -math.inf
@@ -83,7 +83,7 @@ def lower_bound(value: ir.Value | None, depth: int = 0) -> float:
 
 
 def _squares(node: ir.Node) -> bool:
-    """Return whether ``node`` computes squares: x · x, or x to an even power."""
+    """Return whether a node computes squares: x · x, or x to an even power."""
     if is_op(node, "Mul"):
         return node.inputs[0] is node.inputs[1]
     power = constant_of(node.inputs[1]) if is_op(node, "Pow") else None
@@ -91,7 +91,7 @@ def _squares(node: ir.Node) -> bool:
 
 
 def _replaces_zero(value: ir.Value) -> bool:
-    """Return whether ``value`` is Where(v = 0, c, v) or Where(v > 0, v, c) with a nonzero c."""
+    """Return whether a graph value is Where(v = 0, c, v) or Where(v > 0, v, c) with a nonzero c."""
     node = value.producer()
     test = node.inputs[0].producer() if is_op(node, "Where") and node.inputs[0] else None  # type: ignore[union-attr]
     if node is None or test is None or not is_op(test, "Equal", "Greater"):

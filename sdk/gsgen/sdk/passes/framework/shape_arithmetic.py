@@ -13,7 +13,7 @@ Arrays = Sequence[np.ndarray | None]
 
 
 def evaluate(node: ir.Node, inputs: Arrays) -> np.ndarray | None:
-    """Return the output of ``node`` for ``inputs``; None if it is not exact, or an error.
+    """Evaluate a node in NumPy; return None if the result is not exact, or an error.
 
     Arithmetic is limited to integers and booleans. Floats are only moved, compared and cast,
     because sums and products round differently on other machines.

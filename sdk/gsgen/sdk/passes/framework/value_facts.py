@@ -20,7 +20,7 @@ UNBOUNDED_END = (1 << 31) - 1
 
 
 def required(fact: _Fact | None) -> _Fact:
-    """Return a fact about a graph that an earlier check has proven to be known."""
+    """Return an optional fact about a graph, which an earlier check has proven not to be None."""
     assert fact is not None
     return fact
 
@@ -31,7 +31,7 @@ def numpy_dtype(value: ir.Value) -> np.dtype:
 
 
 def fixed_shape(value: ir.Value | None) -> tuple[int, ...] | None:
-    """Return the shape of ``value`` if every axis has a fixed size; else None."""
+    """Return the shape of a graph value if every axis has a fixed size; else None."""
     if value is None or value.shape is None:
         return None
     dims = tuple(dim for dim in value.shape if isinstance(dim, int))
@@ -39,12 +39,12 @@ def fixed_shape(value: ir.Value | None) -> tuple[int, ...] | None:
 
 
 def rank_of(value: ir.Value | None) -> int | None:
-    """Return the number of axes of ``value``; None if it is unknown."""
+    """Return the number of axes of a graph value; None if the number is unknown."""
     return None if value is None or value.shape is None else len(value.shape)
 
 
 def constant_of(value: ir.Value | None, largest: int = _LARGEST) -> np.ndarray | None:
-    """Return the array of a constant; None if it varies or has more than ``largest`` elements.
+    """Return the array of a constant graph value; None if the value varies or is too large.
 
     A weight that is also an input of the graph is not constant: callers can feed it.
     """
@@ -59,7 +59,7 @@ def constant_of(value: ir.Value | None, largest: int = _LARGEST) -> np.ndarray |
 
 
 def int_attribute(node: ir.Node, name: str, default: int) -> int:
-    """Return an integer attribute, or ``default`` if the node does not have it."""
+    """Return an integer attribute of a node, or a default if the node lacks the attribute."""
     attribute = node.attributes.get(name)
     return default if attribute is None else int(attribute.as_int())
 

@@ -39,7 +39,7 @@ class ArithmeticMasks(Substitute):
     })  # fmt: skip
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` lacks a boolean kernel, or undoes a cast of this pass."""
+        """Return whether a node lacks a boolean kernel, or undoes a cast of this pass."""
         return super().matches(node) or _undoes_mask_cast(node)
 
     def can_replace(self, node: ir.Node) -> bool:
@@ -110,7 +110,7 @@ def _logic(write: InsertionPoint, kind: str, *numbers: ir.Value) -> ir.Value:
 
 
 def _undoes_mask_cast(node: ir.Node) -> bool:
-    """Return whether ``node`` casts a mask to numbers after ArithmeticMasks cast it to booleans."""
+    """Return whether a node casts a mask to numbers after ArithmeticMasks cast it to booleans."""
     value = node.inputs[0] if is_op(node, "Cast") else None
     maker = value.producer() if value is not None else None
     if value is None or maker is None or not is_op(maker, "Cast") or value.dtype != _BOOL:

@@ -25,7 +25,7 @@ class MultiplyMatrices(NodeRewrite):
     exactness = ErrorBudget(relative=1e-6)
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` is a MatMul with an operand of one axis."""
+        """Return whether a node is a MatMul with an operand of one axis."""
         return bool(_vector_operands(node))
 
     def replace(self, node: ir.Node) -> None:
@@ -66,6 +66,6 @@ def _vector_operands(node: ir.Node) -> list[int]:
 def _change_axes(
     graph: ir.Graph, op: str, value: ir.Value | None, axes: list[int], name: str
 ) -> ir.Node:
-    """Return a Squeeze or Unsqueeze node; its axes become a weight of ``graph``."""
+    """Return a Squeeze or Unsqueeze node, whose axes become a weight of the graph."""
     axes_weight = weight(graph, f"{name}_axes", np.array(axes))
     return new_node(op, [value, axes_weight], name, dtype=required(value).dtype)

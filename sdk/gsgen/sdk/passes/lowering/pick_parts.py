@@ -27,7 +27,7 @@ class PickParts(NodeRewrite):
     name = "pick-parts"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` gathers constant indices from a Concat or a Transpose."""
+        """Return whether a node gathers constant indices from a Concat or a Transpose."""
         if not is_op(node, "Gather") or node.inputs[0] is None:
             return False
         indices = constant_of(node.inputs[1], _MAX_INDICES)
@@ -73,7 +73,7 @@ def _gather(write: InsertionPoint, value: ir.Value, indices: list[int], axis: in
 
 
 def _indices_per_piece(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, list[int]]] | None:
-    """Return the joined pieces with the indices to gather from each; None for too many pieces."""
+    """Return a Concat's inputs with the indices to gather from each; None for too many inputs."""
     indices = constant_of(node.inputs[1], _MAX_INDICES)
     shapes = [fixed_shape(piece) for piece in join.inputs]
     axis = _axis(node)

@@ -22,7 +22,7 @@ class RoundByFloor(NodeRewrite):
     name = "round-by-floor"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` is a Round of a known dtype."""
+        """Return whether a node is a Round of a known dtype."""
         known = node.inputs[:1] and node.inputs[0] is not None and node.inputs[0].dtype
         return is_op(node, "Round") and bool(known)
 

@@ -147,7 +147,7 @@ class _Sampler:
         return op("Div", scaled, half)
 
     def _clamp(self, value: ir.Value, last: ir.Value) -> ir.Value:
-        """Clamp pixel coordinates to 0 … ``last``; NaN becomes 0, as comparisons are false."""
+        """Clamp pixel coordinates to the pixels of an axis; NaN becomes 0."""
         op, zero = self.before.op, self.number(0)
         positive = op("Greater", value, zero, dtype=ir.DataType.BOOL)
         raised = op("Where", positive, value, zero, dtype=self.dtype)

@@ -56,7 +56,7 @@ class _Line:
 
 
 def _varying(graph: ir.Graph) -> set[ir.Value]:
-    """Return the values of ``graph`` that depend on an input."""
+    """Return the values of a graph that depend on an input."""
     varying = {value for value in graph.inputs if value.name not in graph.initializers}
     for node in graph:
         if varying.intersection(value for value in node.inputs if value is not None):
@@ -104,7 +104,7 @@ def _line(node: ir.Node, varying: set[ir.Value]) -> _Line | str:
 
 
 def _producer_before_reshapes(value: ir.Value | None) -> ir.Node | None:
-    """Return the node that computes ``value``, ignoring reshapes."""
+    """Return the node that computes a graph value, ignoring reshapes."""
     maker = value.producer() if value is not None else None
     while maker is not None and is_op(maker, "Reshape", "Unsqueeze", "Squeeze"):
         maker = maker.inputs[0].producer() if maker.inputs[0] is not None else None
@@ -112,7 +112,7 @@ def _producer_before_reshapes(value: ir.Value | None) -> ir.Node | None:
 
 
 def _common_number(value: ir.Value) -> ir.Value | None:
-    """Return the single number that Expand repeats to ``value``; None for other values."""
+    """Return the single number that an Expand repeats to a tensor; None for other tensors."""
     maker = _producer_before_reshapes(value)
     if maker is None or not is_op(maker, "Expand"):
         return None
@@ -139,7 +139,7 @@ def _replace(node: ir.Node, line: _Line) -> None:
 
 
 def _hat_weights(write: InsertionPoint, node: ir.Node, coordinate: ir.Value, size: int) -> ir.Value:
-    """Return the weights [n, ``size``] of the cells for coordinates [n, 1] from −1 to 1."""
+    """Return the linear weights [n, size] of an axis' pixels at coordinates [n, 1] from −1 to 1."""
 
     def number(value: float) -> ir.Value:
         return write.constant(np.asarray(value, np.float32), "number")

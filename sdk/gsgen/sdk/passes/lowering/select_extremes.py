@@ -72,7 +72,7 @@ def _larger_or_smaller(write: InsertionPoint, kind: str, a: ir.Value, b: ir.Valu
 
 
 def _replace_beyond(write: InsertionPoint, test: str, x: ir.Value, bound: ir.Value) -> ir.Value:
-    """Return ``bound`` where ``x`` exceeds it in the direction of ``test``, else ``x``."""
+    """Limit a graph value by a bound: replace elements that a comparison finds beyond the bound."""
     beyond = write.op(test, x, bound, dtype=ir.DataType.BOOL)
     return write.op("Where", beyond, bound, x, dtype=x.dtype)
 

@@ -62,7 +62,7 @@ class UnrollControlFlow(CautiousRewrite):
             plan()
 
     def size_obstacle(self, turns: int, body: ir.Graph) -> str:
-        """Return the reason why ``turns`` copies of a loop ``body`` are too large; empty if not."""
+        """Return why the unrolled copies of a loop body are too large; empty if they are not."""
         written = turns * sum(1 for _ in body.all_nodes())
         if turns > self.turns:
             return f"{turns} iterations, expected {self.turns} at most"
@@ -75,7 +75,7 @@ Plan = str | Callable[[], None]
 
 
 def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
-    """Return a function that inserts the branch of an If, or the reason against it (case 1)."""
+    """Return a function that inserts a branch of an If, or why that is impossible (case 1)."""
     known = _known_array(node.inputs[0])
     if known is None:
         return "its condition differs between frames"
@@ -90,7 +90,7 @@ def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
 
 
 def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
-    """Return a function that unrolls a Loop, or the reason against it (case 2)."""
+    """Return a function that unrolls a Loop, or the reason why that is impossible (case 2)."""
     body = node.attributes["body"].as_graph()
     turns = _trip_count(node, body)
     if isinstance(turns, str):
@@ -151,7 +151,7 @@ def _before_identities(value: ir.Value) -> ir.Value:
 
 
 def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
-    """Return a function that unrolls a Scan, or the reason against it (case 3)."""
+    """Return a function that unrolls a Scan, or the reason why that is impossible (case 3)."""
     body = node.attributes["body"].as_graph()
     scanned = node.attributes["num_scan_inputs"].as_int()
     carried = len(node.inputs) - scanned
@@ -248,7 +248,7 @@ class _BodyCopier:
         del self.body.initializers[value.name or ""]
 
     def __call__(self, inputs: Sequence[ir.Value]) -> list[ir.Value]:
-        """Insert one copy of a loop body that reads ``inputs``; return the copy's outputs."""
+        """Insert one copy of a loop body that reads given values, and return the copy's outputs."""
         copy = self.body.clone(allow_outer_scope_values=True)
         replacements = dict(zip(copy.inputs, inputs, strict=True))
         results = [replacements.get(value, value) for value in copy.outputs]

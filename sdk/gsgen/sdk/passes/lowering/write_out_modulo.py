@@ -71,7 +71,7 @@ def _integer_remainder(
 
 
 def _float_remainder(write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.Value) -> ir.Value:
-    """Return the remainder of absolute float values, with the sign of ``x``."""
+    """Return the remainder of a float division, with the sign of the dividend."""
     size, step = write.op("Abs", x), write.op("Abs", y)
     count = write.op("Floor", write.op("Div", size, step))
     remainder = write.op("Sub", size, write.op("Mul", count, step))

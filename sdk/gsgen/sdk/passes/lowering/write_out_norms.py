@@ -67,7 +67,7 @@ class _Norm:
         self.x = self.computed(x)
 
     def computed(self, value: ir.Value) -> ir.Value:
-        """Cast float16 to float32, in which a normalisation is computed."""
+        """Cast a float16 value to float32, in which a normalisation is computed."""
         if not self.is_float16:
             return value
         kind = ir.DataType.FLOAT
@@ -89,7 +89,7 @@ class _Norm:
         return float(np.float32(default)) if attribute_value is None else attribute_value.as_float()
 
     def reduced(self, kind: str, value: ir.Value, axes: list[int]) -> ir.Value:
-        """Reduce a value along ``axes``, which keep size one."""
+        """Insert a reduction of a value along axes that keep size one."""
         if self.opset >= _AXES_ARE_INPUT or (kind == "ReduceSum" and self.opset >= 13):
             return self.write.op(kind, value, self.write.int64(*axes), keepdims=1)
         return self.write.op(kind, value, axes=axes, keepdims=1)
@@ -112,7 +112,7 @@ class _Norm:
         self.write.replace(first, *statistics[: len(self.node.outputs) - 1])
 
     def per_channel(self, value: ir.Value | None) -> ir.Value | None:
-        """Append an axis of size one to ``value`` [C] for each axis after the channels."""
+        """Append axes of size one to a value [C], one for each axis after the channels."""
         if value is None or self.rank <= 2:
             return value
         axes = list(range(1, self.rank - 1))

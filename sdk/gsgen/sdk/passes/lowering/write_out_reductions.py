@@ -82,7 +82,7 @@ def _reduced(
     value: ir.Value,
     keep: int | None = None,
 ) -> ir.Value:
-    """Reduce ``value`` along the axes of ``node``, passed as the operator set requires."""
+    """Insert a reduction along the axes of a node, passed as the operator set requires."""
     keep = int_attribute(node, "keepdims", 1) if keep is None else keep
     attribute = node.attributes.get("axes")
     axes = None if attribute is None else list(attribute.as_ints())

@@ -71,7 +71,7 @@ class WriteOutSigns(Substitute):
 
 
 def _minus_one(write: InsertionPoint, kind: np.dtype, zero: ir.Value) -> ir.Value:
-    """Return −1 in the dtype of ``x``; zero for unsigned integers, which are never negative."""
+    """Return −1 in the dtype of a value; zero for unsigned integers, which are never negative."""
     return zero if kind.kind == "u" else write.constant(np.asarray(-1, kind), "number")
 
 

@@ -26,7 +26,7 @@ class ChunkConcat(WithinLimit, NodeRewrite):
     limited_by = "concat_inputs"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` is a Concat with more inputs than the limit."""
+        """Return whether a node is a Concat with more inputs than the limit."""
         return is_op(node, "Concat") and len(node.inputs) > self.limit
 
     def replace(self, node: ir.Node) -> None:

@@ -31,7 +31,7 @@ class ClipBeforeCast(NodeRewrite):
     name = "clip-before-cast"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` clips floats that were cast to integers, with constant bounds."""
+        """Return whether a node clips floats that were cast to integers, with constant bounds."""
         if not is_op(node, "Clip", "Max", "Min") or self.opset < 12 or node.inputs[0] is None:
             return False
         inner = node.inputs[0].producer()

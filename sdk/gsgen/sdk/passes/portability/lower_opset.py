@@ -99,7 +99,7 @@ class LowerOpset(CautiousRewrite):
         return not self.refusals
 
     def _obstacle(self, node: ir.Node) -> str:
-        """Return the reason why ``node`` has no equivalent in the lower set; empty if it has one."""
+        """Return why a node has no equivalent in the lower operator set; empty if it has one."""
         if self.opset > _NEWEST_KNOWN_OPSET:
             return f"operator set is {self.opset}, expected {_NEWEST_KNOWN_OPSET} or earlier"
         new, old = (_schema(node.op_type, opset) for opset in (self.opset, self.target_opset))
@@ -170,7 +170,7 @@ def _axes_as_attribute(node: ir.Node) -> None:
 
 
 def _argument_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
-    """Return the reason why the older operator does not take the inputs; empty if it does."""
+    """Return why an operator's older version does not take a node's inputs; empty if it does."""
     if is_op(node, *_REDUCTIONS) and len(node.inputs) == 2:
         known = node.inputs[1] is None or constant_of(node.inputs[1]) is not None
         return "" if known else "its axes are not known before the frame"
@@ -183,7 +183,7 @@ def _argument_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
 
 
 def _attribute_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
-    """Return the first attribute that the older operator cannot express, or an empty text."""
+    """Return the first attribute that an operator's older version lacks, or an empty text."""
     for name, attribute in node.attributes.items():
         idle = _NEW_ATTRIBUTES.get(name)
         fresh = name not in old.attributes and name not in ("axes", "num_outputs")
@@ -196,7 +196,7 @@ def _attribute_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
 
 
 def _dtype_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
-    """Return the first dtype that the older operator did not allow, or an empty text."""
+    """Return the first dtype that an operator's older version did not allow, or an empty text."""
     for formal, values in ((old.inputs, node.inputs), (old.outputs, node.outputs)):
         for index, value in enumerate(values):
             if value is None or value.dtype is None or not formal:

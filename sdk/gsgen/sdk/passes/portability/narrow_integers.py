@@ -61,7 +61,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
             self._use_narrow_index(node)  # Case 3
 
     def _can_narrow(self, node: ir.Node) -> bool:
-        """Return whether ``node`` computes in int64 and a release does not capture it."""
+        """Return whether a node computes in int64 that a runtime's release does not capture."""
         if not is_op(node, *_COMPUTED_INPUTS):
             return False
         values = [*_computed(node), *node.outputs]
@@ -103,7 +103,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
         write.replace(*outputs)
 
     def _sums_integers(self, node: ir.Node) -> bool:
-        """Return whether ``node`` reduces int32 and a release has no kernel for that."""
+        """Return whether a node reduces int32, for which a runtime's release has no kernel."""
         if not is_op(node, "ReduceSum", "ReduceMax", "ReduceMin") or self.target is None:
             return False
         value = node.inputs[0]
@@ -127,7 +127,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
         write.replace(_cast(write, reduced, _INT32))
 
     def _use_narrow_index(self, node: ir.Node) -> None:
-        """Pass int32 indices to ``node`` directly, without the Cast to int64."""
+        """Pass int32 indices to a node directly, without the Cast to int64."""
         if not is_op(node, *_INDEXED) or node.inputs[1] is None:
             return
         maker = node.inputs[1].producer()
@@ -156,7 +156,7 @@ def _computed(node: ir.Node) -> list[ir.Value | None]:
 
 
 def _is_integer_cast(node: ir.Node) -> bool:
-    """Return whether ``node`` is a Cast between int32 and int64, as NarrowIntegers inserts them."""
+    """Return whether a node is a Cast between int32 and int64, as NarrowIntegers inserts them."""
     value = node.inputs[0]
     kinds = {None if value is None else value.dtype, node.outputs[0].dtype}
     return is_op(node, "Cast") and kinds == {_INT64, _INT32}

@@ -56,7 +56,7 @@ class RestoreGuards(CautiousRewrite):
 
 
 def _divisor_index(node: ir.Node) -> int | None:
-    """Return the index of the input that ``node`` divides by; None if it does not divide."""
+    """Return the index of the input that a node divides by; None if the node does not divide."""
     if is_op(node, "Div"):
         return 1
     if is_op(node, "Reciprocal"):
@@ -88,7 +88,7 @@ def _is_length(value: ir.Value | None) -> bool:
 
 
 def _is_square(value: ir.Value | None) -> bool:
-    """Return whether ``value`` is a sum or mean of squares."""
+    """Return whether a graph value is a sum or mean of squares."""
     maker = _producer_behind_guards(value)
     if maker is None:
         return False
@@ -109,7 +109,7 @@ def _is_one_square(node: ir.Node) -> bool:
 
 
 def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
-    """Return the node that computes ``value`` before moves and guards too small to count."""
+    """Return the node that computes a value, ignoring moved elements and negligible zero guards."""
     while value is not None:
         maker = value.producer()
         if maker is None:

@@ -81,7 +81,7 @@ class SplitLargeWeights(CautiousRewrite):
         graph.initializers.pop(value.name or "")
 
     def _plan(self, value: ir.Value, node: ir.Node, input_index: int) -> "str | Callable[[], None]":
-        """Return a function that splits a weight for ``node``, or the reason against it."""
+        """Return a function that splits a weight for a node, or why that is impossible."""
         splitting = _splitting_axis(value, node, input_index)
         if isinstance(splitting, str):
             return splitting
@@ -120,7 +120,7 @@ Write = Callable[[ir.Node, list[ir.Value], list[int]], None]
 
 
 def _splitting_axis(value: ir.Value, node: ir.Node, input_index: int) -> tuple[int, Write] | str:
-    """Return the axis to split an input of ``node`` along, and the rewriting function, or a reason."""
+    """Return the axis to split a node's input along and a rewriting function, or an obstacle."""
     rank = rank_of(value) or 0
     # Case 1
     if is_op(node, "Gather") and input_index == 0 and rank_of(node.inputs[1]) is not None:

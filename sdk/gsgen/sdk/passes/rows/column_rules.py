@@ -39,7 +39,7 @@ _SHAPERS = ("Expand", "Reshape", "Squeeze", "Unsqueeze")
 
 
 def works_on_columns(node: ir.Node, rows: int) -> bool:
-    """Return whether ``node``, which returns ``rows`` rows, can be evaluated column by column."""
+    """Return whether a node on tensors of many rows can be evaluated column by column."""
     if is_op(node, *_ELEMENTWISE):
         return all(value is None or _may_be_operand(value, node, rows) for value in node.inputs)
     first = node.inputs[0] if node.inputs else None
@@ -69,7 +69,7 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
 def columns_of(
     node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
 ) -> list[Columns]:
-    """Return the columns of each output of ``node``, computed from the columns of its inputs.
+    """Return the columns of each output of a node, computed from the columns of the inputs.
 
     ``look`` returns the columns of a tensor with ``rows`` rows; ``emit`` writes an operator.
     """
@@ -103,7 +103,7 @@ def columns_of(
 
 
 def _may_be_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
-    """Return whether ``value`` has ``rows`` rows, is one number, or holds a constant per column."""
+    """Return whether a value has all rows, is one number, or holds a constant per column."""
     shape, result_shape = fixed_shape(value), fixed_shape(node.outputs[0])
     if shape is None or result_shape is None:
         return False

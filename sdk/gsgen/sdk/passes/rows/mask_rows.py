@@ -72,7 +72,7 @@ class MaskRows(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "MaskRows":
-        """Return the rewrite; the manifest names the count output."""
+        """Return the rewrite of boolean masks; the manifest names the count output."""
         declared = target.manifest
         known = declared.outputs.count if isinstance(declared, GeneratorManifest) else None
         return cls(known.name if known is not None else None)
@@ -100,7 +100,7 @@ class MaskRows(CautiousRewrite):
 
 
 class _Attempt:
-    """One attempt to rewrite the boolean masks of a graph, without those in ``excluded``."""
+    """One attempt to rewrite the boolean masks of a graph, except for some excluded masks."""
 
     def __init__(self, graph: ir.Graph, excluded: frozenset[Mask], count: str | None) -> None:
         self.graph, self.excluded, self.count = graph, excluded, count
@@ -109,7 +109,7 @@ class _Attempt:
         self.sources: list[ir.Node] = []
 
     def run(self) -> list[ir.Value | None]:
-        """Draft all nodes with static shapes, and return the replacement of each graph output.
+        """Create all nodes with static shapes, and return the replacement of each graph output.
 
         Raises :class:`Blocked` if a node mixes rows, or its shape would still vary.
         """
@@ -121,7 +121,7 @@ class _Attempt:
         return self._new_outputs()
 
     def finish(self, outputs: Sequence[ir.Value | None]) -> None:
-        """Add the drafted nodes to the graph, and replace values and outputs."""
+        """Add the created nodes to the graph, and replace values and outputs."""
         for node, input_index, value in self.draft.input_replacements:
             node.replace_input_with(input_index, value)
         self.draft.join(self.graph)
@@ -163,7 +163,7 @@ class _Attempt:
             raise Blocked(node, "it may mix rows, or its shape depends on the count", _masks(facts))
 
     def _fixed_size_value(self, node: ir.Node, facts: Sequence[Fact | None]) -> ir.Value | None:
-        """Draft the output of a node whose size no longer depends on a mask (cases 2 to 4)."""
+        """Create the output of a node whose size no longer depends on a mask (cases 2 to 4)."""
         if len(_masks(facts)) != 1:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
@@ -236,7 +236,7 @@ class _Attempt:
         return gather_nested_rows(node, rows, selector) if isinstance(selector, Index) else None
 
     def _replace_counts(self, node: ir.Node, facts: Sequence[Fact | None]) -> bool:
-        """Replace row counts that ``node`` reads as numbers; return whether that was possible.
+        """Replace row counts that a node reads as numbers; return whether that was possible.
 
         Any node may read numbers from a shape if they do not depend on the count.
         """
@@ -253,7 +253,7 @@ class _Attempt:
         return True
 
     def _new_outputs(self) -> list[ir.Value | None]:
-        """Draft outputs of N rows in place of K, if another output is provably K (case 1)."""
+        """Create outputs of N rows in place of K kept ones, if another output is K (case 1)."""
         facts = [self.facts.get(value) for value in self.graph.outputs]
         counted = {
             fact.mask.unrepeated
@@ -282,7 +282,7 @@ class _Attempt:
         return replacements
 
     def _count_output(self, fact: Linear, value: ir.Value) -> ir.Value:
-        """Draft a count output that ends on Add, an operator that graph capture records."""
+        """Create a count output that ends on Add, an operator that graph capture records."""
         zero = self.draft.constant(0, numpy_dtype(value))
         return self.draft.op(
             "Add", self.draft.number(fact, value), zero, shape=list(fact.constant.shape)

@@ -56,7 +56,7 @@ class Index:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A tensor with the K kept rows of a mask, represented by a drafted tensor with all N rows."""
+    """A tensor with the K rows that a mask keeps, represented by a tensor with all N rows."""
 
     mask: Mask  # the mask that selects the K rows
     value: ir.Value  # the tensor of all N rows
@@ -87,7 +87,7 @@ Fact = Index | Rows | Linear | Filler
 
 
 def read_mask(value: ir.Value | None) -> Mask | None:
-    """Return the boolean mask behind casts, flattening and repetition of ``value``."""
+    """Return the boolean mask behind the casts, flattening and repetition of a graph value."""
     root = _truth_source(value)
     dims = fixed_shape(root)
     if root is None or dims is None:

@@ -47,7 +47,7 @@ def compress_rows(node: ir.Node, mask: Mask, draft: RowDraft) -> Rows | None:
 
 
 def transform_index(node: ir.Node, index: Index) -> Index | None:
-    """Return a mask's indices after ``node`` reshaped or cast them; None if unknown."""
+    """Return a mask's indices after a node reshaped or cast the indices; None if unknown."""
     if is_op(node, "Cast", "Identity") or (is_op(node, "Max") and len(node.inputs) == 1):
         return index
     if is_op(node, "Transpose") and index.form != "flat":

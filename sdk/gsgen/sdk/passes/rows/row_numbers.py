@@ -18,7 +18,7 @@ _MOVES = ("Cast", "Concat", "Gather", "Identity", "Reshape", "Slice", "Squeeze",
 
 
 def mask_count(node: ir.Node) -> Linear | None:
-    """Return the number K of kept rows if ``node`` sums all elements of a boolean mask."""
+    """Return the number K of kept rows if a node sums all elements of a boolean mask."""
     source = node.inputs[0].producer() if node.inputs[0] is not None else None
     result_shape = fixed_shape(node.outputs[0])
     if not is_op(source, "Cast") or node.outputs[0].dtype not in _WHOLE or result_shape is None:

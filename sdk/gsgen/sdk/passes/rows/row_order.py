@@ -22,7 +22,7 @@ class RowOrder:
 
 
 def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
-    """Draft the nodes that compute the row order of a boolean mask of ``size`` elements.
+    """Create the nodes that compute the row order of a boolean mask.
 
     Let c be the mask's prefix sum. The j-th kept row is the first i with c[i] > j, so i is the
     number of elements of c that are at most j. A binary search finds it for all j at once, with

@@ -91,7 +91,7 @@ def _groups(graph: ir.Graph) -> Iterator[_Group]:
 
 
 def _rows(node: ir.Node) -> int | None:
-    """Return the number of rows of ``node``; None if it is not narrow or has no column rule."""
+    """Return the number of rows of a node; None if it cannot be computed column by column."""
     shapes = [fixed_shape(value) for value in node.outputs]
     rows = {shape[0] if shape else 0 for shape in shapes}
     if None in shapes or len(rows) != 1:
@@ -195,7 +195,7 @@ def _width(value: ir.Value) -> int:
 
 
 def _cost(node: ir.Node, rows: int) -> float:
-    """Return the predicted time of ``node``, in nanoseconds per row."""
+    """Return the predicted time of a node, in nanoseconds per row."""
     result_width = sum(_width(value) for value in node.outputs)
     first = node.inputs[0]
     input_width = (
@@ -262,7 +262,7 @@ def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns
 
 
 def _join_columns(write: InsertionPoint, columns: Columns, value: ir.Value, rows: int) -> ir.Value:
-    """Return ``columns`` joined to a tensor with the shape of ``value``."""
+    """Join columns to a tensor with the shape of a graph value."""
     shape = required(fixed_shape(value))
     parts = _restored_parts(write, list(columns.reshape(-1)), rows)
     whole = parts[0] if len(parts) == 1 else write.op("Concat", *parts, axis=1)

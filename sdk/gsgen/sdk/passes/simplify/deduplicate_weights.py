@@ -38,7 +38,7 @@ class DeduplicateWeights(CautiousRewrite):
         self._share(model.graph, ChainMap())
 
     def _share(self, graph: ir.Graph, known: "ChainMap[Hashable, ir.Value]") -> None:
-        """Merge equal weights of a graph and its subgraphs; ``known`` has those of outer graphs."""
+        """Merge equal weights of a graph, its subgraphs and its outer graphs."""
         for name, value in list(graph.initializers.items()):
             if self._occurrences[_outline(value)] < 2 or not self._can_merge(value):
                 continue

@@ -28,11 +28,11 @@ class MakeDefaultsExplicit(NodeRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the rewrite if ``target`` has operator tables."""
+        """Return the graph rewrite if the operators that the target runtime supports are known."""
         return cls() if target.tables else None
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` omits dilations or axes whose defaults are known."""
+        """Return whether a node omits dilations or axes whose defaults are known."""
         if is_op(node, "Conv"):
             rank = rank_of(node.inputs[0])
             return "dilations" not in node.attributes and rank is not None and rank > 2

@@ -36,7 +36,7 @@ class FreezeDimensions(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "FreezeDimensions | None":
-        """Return the rewrite if the user gave sizes of symbolic dimensions."""
+        """Return the graph rewrite if the user gave sizes of symbolic dimensions."""
         return cls(target.sizes) if target.sizes else None
 
     def rewrite(self, model: ir.Model) -> None:

@@ -25,7 +25,7 @@ class MergeCasts(NodeRewrite):
     name = "merge-casts"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` casts the output of a lossless Cast to the same numbers."""
+        """Return whether a node casts the output of a Cast that loses no information."""
         value = node.inputs[0] if is_op(node, "Cast") else None
         inner = value.producer() if value is not None else None
         if value is None or inner is None or not is_op(inner, "Cast") or not inner.inputs[0]:
@@ -51,7 +51,7 @@ class MergeCasts(NodeRewrite):
 
 
 def holds_all(container: ir.DataType, contained: ir.DataType) -> bool:
-    """Return whether ``container`` can represent every number of ``contained``."""
+    """Return whether one dtype can represent every number of another dtype."""
     if contained in _INTEGERS_OF_64_BITS and container.is_floating_point():
         return False  # NumPy calls that safe, although a double holds 53 bits
     try:

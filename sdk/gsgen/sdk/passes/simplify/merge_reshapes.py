@@ -23,7 +23,7 @@ class MergeReshapes(NodeRewrite):
     name = "merge-reshapes"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` reshapes the output of another reshape to a known shape."""
+        """Return whether a node reshapes the output of another reshape to a known shape."""
         if not is_op(node, *_SHAPERS) or node.inputs[0] is None:
             return False
         shape = fixed_shape(node.outputs[0])

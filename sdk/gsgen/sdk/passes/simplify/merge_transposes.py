@@ -21,7 +21,7 @@ class MergeTransposes(NodeRewrite):
     name = "merge-transposes"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` transposes the output of another Transpose."""
+        """Return whether a node transposes the output of another Transpose."""
         if not is_op(node, "Transpose") or node.inputs[0] is None:
             return False
         return is_op(node.inputs[0].producer(), "Transpose") and _permutation(node) is not None

@@ -31,7 +31,7 @@ class RemoveNoOps(NodeRewrite):
     name = "drop-idle"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether ``node`` changes nothing and does not separate an input from an output."""
+        """Return whether a node changes nothing and does not separate an input from an output."""
         x = next(iter(node.inputs), None)
         if x is None or not node.outputs or any(output.uses() for output in node.outputs[1:]):
             return False
@@ -56,7 +56,7 @@ class RemoveNoOps(NodeRewrite):
 
 
 def _unchanged_argument(node: ir.Node) -> ir.Value | None:
-    """Return the input that ``node`` returns unchanged; None if it changes its inputs."""
+    """Return the input that a node returns unchanged; None if the node changes all inputs."""
     x = node.inputs[0]
     if x is None:
         return None

@@ -1,0 +1,72 @@
+"""The command group `gsgen viewer-kit`: writes the viewer kit, and checks a viewer against it."""
+
+__all__ = ["app"]
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gsgen.contract.errors import ExitCode, InputUnreadable
+
+app = typer.Typer(
+    help="Test a viewer: small generators, their right pictures, and a verdict by case.",
+    no_args_is_help=True,
+)
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+@app.command("write")
+def write(
+    output: Annotated[
+        Path, typer.Argument(help="The folder to write; must be empty.", show_default=False)
+    ],
+) -> None:
+    """Write the kit to OUTPUT: models, cameras and inputs, expected pictures, and a script that compares.
+
+    Exits 0 if it was written, 2 if it cannot be.
+    """
+    from gsgen.conformance.viewer_kit.write import kit_cases, write_kit
+
+    index = write_kit(output)
+    typer.echo(
+        f"{index}: {len(kit_cases())} cases; check pictures with {output / 'check_viewer.py'}"
+    )
+
+
+@app.command("check")
+def check(
+    kit: Annotated[Path, typer.Argument(help="The folder of the kit.", show_default=False)],
+    pictures: Annotated[
+        Path,
+        typer.Argument(help="Folder of the viewer's pictures, .npy or .png.", show_default=False),
+    ],
+    html: Annotated[
+        Path | None, typer.Option(help="Write a page with all pictures and differences here.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Compare the PICTURES of a viewer with those of KIT, and name the faults that explain them.
+
+    Exits 0 if every case passes, 1 if one fails, 4 if the kit cannot be read.
+    """
+    from gsgen.conformance.viewer_kit import check_viewer as checking
+    from gsgen.contract.process.atomic_files import atomic_write, refuse_model
+
+    if html is not None:
+        refuse_model(html)
+    try:
+        result = checking.check_viewer(kit, pictures)
+    except checking.KitUnreadable as error:
+        raise InputUnreadable(str(error)) from error
+    if html is not None:
+        with atomic_write(html) as draft:
+            draft.write_text(checking.page_of(kit, pictures, result), "utf-8")
+    text = json.dumps(result, indent=2, ensure_ascii=False) if as_json else None
+    typer.echo(text or checking.summary_of(result).rstrip())
+    raise typer.Exit(ExitCode.FAILURE if result["verdict"] == "failed" else ExitCode.SUCCESS)

@@ -1,0 +1,1 @@
+"""The viewer kit: small generators with their right pictures, which those of a viewer are compared with."""

@@ -1,0 +1,97 @@
+"""The cases of the viewer kit: a model, the frames to draw, and the faults that they show."""
+
+__all__ = ["HEIGHT", "WIDTH", "KitCamera", "KitCase", "KitFrame", "kit_camera", "orbit_frame"]
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
+from gsgen.contract.spec.geometry import look_at
+
+WIDTH: Final = 64
+"""Width of the pictures, in pixels."""
+
+HEIGHT: Final = 48
+"""Height of the pictures, in pixels."""
+
+_NEAR: Final = 0.01
+_FOCAL: Final = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KitCamera:
+    """A pinhole camera with OpenCV axes.
+
+    Attributes:
+        view: World → camera, which acts on column vectors.
+        fx: Horizontal focal length, in pixels.
+        fy: Vertical focal length, in pixels.
+        cx: Principal point from the left edge, in pixels.
+        cy: Principal point from the upper edge, in pixels.
+        width: Width of the picture, in pixels.
+        height: Height of the picture, in pixels.
+        near: Distance of the near plane, in world units.
+    """
+
+    view: Float[np.ndarray, "4 4"]
+    fx: float = _FOCAL
+    fy: float = _FOCAL
+    cx: float = WIDTH / 2
+    cy: float = HEIGHT / 2
+    width: int = WIDTH
+    height: int = HEIGHT
+    near: float = _NEAR
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KitFrame:
+    """One frame of a case.
+
+    Attributes:
+        camera: The camera to draw from, which also feeds the model's camera inputs.
+        values: Input name → value as the tensor holds it; an absent input has its default.
+    """
+
+    camera: KitCamera
+    values: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KitCase:
+    """A model, the frames to draw with it one after the other, and the faults that they show.
+
+    Attributes:
+        name: The name, such as ``sh-degree-3``.
+        tests: The behaviour of the viewer that the pictures depend on, in one sentence.
+        faults: The ids of the faults that spoil a picture of this case.
+        spec: The model.
+        frames: The frames, in the order in which they are drawn in one session.
+        breaks: The ids of the rules that the model breaks on purpose.
+    """
+
+    name: str
+    tests: str
+    faults: tuple[str, ...]
+    spec: Callable[[], ModelSpec]
+    frames: tuple[KitFrame, ...]
+    breaks: tuple[str, ...] = ()
+
+
+def kit_camera(
+    eye: tuple[float, float, float] = (1.2, -1.0, -2.6),
+    target: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    **lens: float,
+) -> KitCamera:
+    """Return a camera at ``eye`` that looks at ``target``, with other intrinsics if named."""
+    view = look_at(np.array(eye), np.array(target), np.array([0.0, -1.0, 0.0]))
+    return KitCamera(view=view, **lens)  # type: ignore[arg-type]
+
+
+def orbit_frame(**values: object) -> KitFrame:
+    """Return a frame from the usual camera, with ``values`` by input name."""
+    arrays = {name: np.asarray(value) for name, value in values.items()}
+    return KitFrame(camera=kit_camera(), values=arrays)

@@ -1,0 +1,183 @@
+"""Cases of inputs: every role, memory orders, cameras, and frames that are replayed."""
+
+__all__ = ["INPUT_CASES"]
+
+import numpy as np
+
+from gsgen.conformance.fixtures.builders.clouds import still
+from gsgen.conformance.fixtures.builders.fixture import Fixture
+from gsgen.conformance.fixtures.builders.moving import drifting, driven, looking
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
+from gsgen.conformance.fixtures.valid import moving
+from gsgen.conformance.viewer_kit.case import KitCase, KitFrame, kit_camera, orbit_frame
+from gsgen.contract.spec.manifest import Input
+
+_SIDES = (KitFrame(camera=kit_camera()), KitFrame(camera=kit_camera((-1.6, -0.4, 2.2))))
+_MOVED = ("rows", "sh-stride", "stale-outputs")
+
+
+def _projected() -> ModelSpec:
+    """Centres move with the products of view and projection."""
+    entries = (
+        Input(name="lens", role="projection", default="identity"),
+        Input(name="eye", role="view", default="identity"),
+    )
+    shift = (
+        "both = MatMul (eye, lens) column = MatMul (both, weights) "
+        "top = Slice (column, first, last) shift = Transpose (top)"
+    )
+    model = driven("float[4,4] lens, float[4,4] eye", entries, shift)
+    return model.weighing(
+        weights=np.array([[0.1], [0.2], [0.3], [0.05]], np.float32),
+        first=np.array([0], np.int64),
+        last=np.array([3], np.int64),
+    )
+
+
+def _resized() -> ModelSpec:
+    entry = Input(name="pixels", role="viewport", default=(1280.0, 720.0))
+    shift = "all = ReduceSum <keepdims = 1> (pixels) part = Mul (all, small) shift = Tanh (part)"
+    return driven("float[2] pixels", entry, shift).weighing(small=np.array([4e-3], np.float32))
+
+
+def _eyed() -> ModelSpec:
+    entry = Input(name="where", role="camera_position", default="zeros")
+    shift = "bent = Mul (where, small) shift = Tanh (bent)"
+    return driven("float[3] where", entry, shift).weighing(small=np.array([0.3], np.float32))
+
+
+def _coefficients() -> ModelSpec:
+    entries = (
+        Input(name="betas", role="shape", shape=(10,), range=(-1.0, 1.0), default="zeros"),
+        Input(name="face", role="expression", shape=(5,), range=(-1.0, 1.0), default="zeros"),
+    )
+    basis = np.random.default_rng(4).uniform(-0.3, 0.3, (15, 3)).astype(np.float32)
+    shift = "joined = Concat <axis = 0> (betas, face) shift = MatMul (joined, basis)"
+    return driven("float[10] betas, float[5] face", entries, shift).weighing(basis=basis)
+
+
+def _moved(
+    name: str, tests: str, faults: tuple[str, ...], fixture: Fixture, *frames: KitFrame
+) -> KitCase:
+    return KitCase(
+        name=name, tests=tests, faults=(*_MOVED, *faults), spec=fixture.draw, frames=frames
+    )
+
+
+def _random(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-0.5, 0.5, shape).round(3)
+
+
+INPUT_CASES: tuple[KitCase, ...] = (
+    KitCase(
+        name="view-column",
+        tests="A view matrix that the tensor holds transposed, as the manifest declares.",
+        faults=(*_MOVED, "matrix-order", "role-view"),
+        spec=lambda: looking(20),
+        frames=_SIDES,
+    ),
+    KitCase(
+        name="view-row",
+        tests="A view matrix that the tensor holds as it is, as the manifest declares.",
+        faults=(*_MOVED, "matrix-order", "matrix-order-ignored", "role-view"),
+        spec=lambda: looking(20, order="row"),
+        frames=_SIDES,
+    ),
+    KitCase(
+        name="projection",
+        tests="A projection and a view matrix, whose names tell nothing.",
+        faults=(*_MOVED, "matrix-order", "role-projection", "role-view"),
+        spec=_projected,
+        frames=_SIDES,
+    ),
+    KitCase(
+        name="camera-position",
+        tests="The camera centre as an input.",
+        faults=(*_MOVED, "role-camera_position"),
+        spec=_eyed,
+        frames=_SIDES,
+    ),
+    KitCase(
+        name="viewport",
+        tests="The size of the picture as an input.",
+        faults=("rows", "sh-stride", "role-viewport"),
+        spec=_resized,
+        frames=(orbit_frame(),),
+    ),
+    KitCase(
+        name="camera-lens",
+        tests="A principal point beside the middle, and pixels that are not square.",
+        faults=("rows", "sh-stride", "intrinsics"),
+        spec=lambda: still(40),
+        frames=(KitFrame(camera=kit_camera(fx=70.0, fy=48.0, cx=24.0, cy=30.0)),),
+    ),
+    KitCase(
+        name="among-gaussians",
+        tests="A camera among the Gaussians, of which some lie behind it.",
+        faults=("rows", "sh-stride", "behind-camera"),
+        spec=lambda: still(60),
+        frames=(KitFrame(camera=kit_camera((0.1, 0.05, -0.3))),),
+    ),
+    KitCase(
+        name="time-in-seconds",
+        tests="Time from 2 to 10, forth and back.",
+        faults=(*_MOVED, "time-range", "role-time"),
+        spec=lambda: drifting(12, span=(2.0, 10.0)),
+        frames=tuple(orbit_frame(time=[time]) for time in (2.0, 10.0, 5.0, 2.0)),
+    ),
+    _moved(
+        "frame-index",
+        "A frame number in int32.",
+        ("role-frame_index",),
+        moving.frame_table,
+        *(orbit_frame(frame=[number]) for number in (1, 6, 3)),
+    ),
+    _moved(
+        "pose",
+        "Joint rotations of an avatar, and its translation.",
+        ("role-pose", "role-root_translation"),
+        moving.avatar,
+        orbit_frame(pose=_random(1, 4, 3), trans=_random(2, 3)),
+        orbit_frame(pose=_random(3, 4, 3), trans=_random(4, 3)),
+    ),
+    _moved(
+        "root-rotation",
+        "The rotation of an avatar's root as a matrix, stored row by row.",
+        ("role-root_rotation",),
+        moving.turned_back,
+        orbit_frame(turn=[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+        orbit_frame(turn=[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    ),
+    KitCase(
+        name="coefficients",
+        tests="Coefficients of a body's shape and of its expression.",
+        faults=(*_MOVED, "role-shape", "role-expression"),
+        spec=_coefficients,
+        frames=(
+            orbit_frame(betas=_random(5, 10), face=_random(6, 5)),
+            orbit_frame(betas=_random(7, 10), face=_random(8, 5)),
+        ),
+    ),
+    _moved(
+        "appearance-id",
+        "An identity number in int32 that chooses the colours.",
+        ("role-appearance_id",),
+        moving.appearance_id,
+        *(orbit_frame(look=[number]) for number in (3, 1)),
+    ),
+    _moved(
+        "control",
+        "A slider with a label of its own.",
+        ("role-control",),
+        moving.slider,
+        *(orbit_frame(amount=[amount]) for amount in (2.0, 0.0)),
+    ),
+    KitCase(
+        name="default",
+        tests="A slider without a value, which has the default of the manifest.",
+        faults=("rows", "sh-stride", "default"),
+        spec=moving.slider.draw,
+        frames=(orbit_frame(),),
+    ),
+)
+"""The cases of inputs."""

@@ -1,0 +1,120 @@
+"""Writes the viewer kit to a folder: models, expected pictures, index and the comparing script."""
+
+__all__ = ["PICTURES_GROUP", "DrawFrames", "kit_cases", "picture_name", "write_kit"]
+
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.conformance.viewer_kit import check_viewer
+from gsgen.conformance.viewer_kit.case import KitCase, KitFrame
+from gsgen.conformance.viewer_kit.faults import FAULTS
+from gsgen.conformance.viewer_kit.input_cases import INPUT_CASES
+from gsgen.conformance.viewer_kit.row_cases import ROW_CASES
+from gsgen.contract._entry_points import registered_entry_points
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.atomic_files import atomic_write
+
+PICTURES_GROUP: Final = "gsgen.kit_pictures"
+"""Entry point group of the function that draws the expected pictures."""
+
+TOLERANCE: Final = {"pixel": 0.02, "share": 0.005, "mean": 0.001}
+"""Largest difference of a channel, share of the pixels that may exceed it, and mean difference."""
+
+DrawFrames = Callable[[Path, Sequence[KitFrame]], Sequence[Float[np.ndarray, "h w 3"]]]
+
+
+def kit_cases() -> tuple[KitCase, ...]:
+    """Return the cases of the kit."""
+    return (*ROW_CASES, *INPUT_CASES)
+
+
+def picture_name(case: str, number: int) -> str:
+    """Return the name of the picture of a case's frame, without a suffix."""
+    return f"{case}-{number}"
+
+
+def write_kit(folder: Path, draw: DrawFrames | None = None) -> Path:
+    """Write the kit into ``folder``, and return the path of its index.
+
+    Args:
+        folder: A folder that does not exist, or is empty.
+        draw: Draws the expected pictures; by default the function that the runtime registers.
+
+    Raises:
+        ConfigInvalid: The folder holds files, or no renderer is installed.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        hint = "Name a folder that does not exist yet."
+        raise ConfigInvalid("is not an empty folder", where=str(folder), hint=hint)
+    draw_frames = draw or _registered_renderer()
+    index_path = folder / "index.json"
+    with atomic_write(index_path) as draft:
+        for name in ("models", "expected"):
+            (draft.parent / name).mkdir()
+        document = _index([_write_case(draft.parent, case, draw_frames) for case in kit_cases()])
+        text = json.dumps(document, indent=1, ensure_ascii=False)
+        draft.write_text(text + "\n", "utf-8")
+        shutil.copyfile(check_viewer.__file__, draft.parent / "check_viewer.py")
+    return index_path
+
+
+def _registered_renderer() -> DrawFrames:
+    points = registered_entry_points(PICTURES_GROUP)
+    if not points:
+        hint = "pip install 'gsgen[runtime]'"
+        raise ConfigInvalid("no renderer is installed", where="viewer-kit write", hint=hint)
+    draw: DrawFrames = points[0].load()
+    return draw
+
+
+def _write_case(folder: Path, case: KitCase, draw: DrawFrames) -> dict[str, Any]:
+    model = folder / "models" / f"{case.name}.onnx"
+    case.spec().write(model)
+    entries = []
+    for number, (frame, picture) in enumerate(
+        zip(case.frames, draw(model, case.frames), strict=True)
+    ):
+        name = picture_name(case.name, number)
+        np.save(folder / "expected" / f"{name}.npy", picture.astype(np.float32))
+        entries.append(_frame_entry(name, frame))
+    entry = {"name": case.name, "tests": case.tests, "model": f"models/{model.name}"}
+    breaks = {"breaks": list(case.breaks)} if case.breaks else {}
+    return {**entry, **breaks, "faults": list(case.faults), "frames": entries}
+
+
+def _frame_entry(name: str, frame: KitFrame) -> dict[str, Any]:
+    camera = frame.camera
+    numbers = ("fx", "fy", "cx", "cy", "width", "height", "near")
+    return {
+        "picture": name,
+        "camera": {
+            "view": camera.view.tolist(),
+            **{field: getattr(camera, field) for field in numbers},
+        },
+        "values": {key: value.tolist() for key, value in frame.values.items()},
+    }
+
+
+def _index(cases: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "schema": check_viewer.INDEX_SCHEMA,
+        "tool": {"name": "gsgen", "version": version("gsgen")},
+        "tolerance": TOLERANCE,
+        "faults": [
+            {
+                "id": fault,
+                "title": title,
+                "hint": hint,
+                "cases": [case["name"] for case in cases if fault in case["faults"]],
+            }
+            for fault, (title, hint) in FAULTS.items()
+        ],
+        "cases": cases,
+    }

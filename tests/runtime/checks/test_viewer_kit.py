@@ -1,0 +1,64 @@
+"""The viewer kit: our renderer passes it, and each wrong viewer fails the right cases alone."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.viewer_kit.check_viewer import check_viewer, read_index
+from gsgen.conformance.viewer_kit.faults import FAULTS
+from gsgen.conformance.viewer_kit.write import kit_cases, write_kit
+from gsgen.runtime import Camera, Renderer, Scene
+from gsgen.runtime.gpu.device import Device
+from support.viewers.wrong import WRONG_VIEWERS, Render, Viewer
+
+
+@pytest.fixture(scope="module")
+def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_kit(tmp_path_factory.mktemp("kit") / "kit").parent
+
+
+@pytest.fixture(scope="module", params=["tiles", "quads"])
+def drawn(request: pytest.FixtureRequest, device: Device) -> Render:
+    return _drawn_by(Renderer(device, rasteriser=request.param))
+
+
+@pytest.fixture(scope="module")
+def tiles(renderer: Renderer) -> Render:
+    return _drawn_by(renderer)
+
+
+def _drawn_by(renderer: Renderer) -> Render:
+    def draw(scene: Scene, camera: Camera) -> np.ndarray:
+        rgba = renderer.render(scene, camera).rgba
+        assert rgba is not None
+        return np.asarray(rgba, np.float64)
+
+    return draw
+
+
+def _failed(kit: Path, viewer: Viewer, render: Render, folder: Path) -> dict[str, set[str]]:
+    for case in kit_cases():
+        viewer.draw(kit / "models" / f"{case.name}.onnx", case, render, folder)
+    result = check_viewer(kit, folder)
+    return {
+        "cases": {case["name"] for case in result["cases"] if case["verdict"] == "failed"},
+        "faults": {fault["id"] for fault in result["faults"]},
+    }
+
+
+def test_our_renderer_passes_with_both_rasterisers(
+    kit: Path, drawn: Render, tmp_path: Path
+) -> None:
+    assert _failed(kit, Viewer(), drawn, tmp_path) == {"cases": set(), "faults": set()}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_wrong_viewer_fails_the_right_cases_and_its_fault_is_named(
+    fault: str, kit: Path, tiles: Render, tmp_path: Path
+) -> None:
+    failed = _failed(kit, WRONG_VIEWERS[fault], tiles, tmp_path)
+    (entry,) = (entry for entry in read_index(kit)["faults"] if entry["id"] == fault)
+    assert entry["cases"]
+    assert failed["cases"] == set(entry["cases"])
+    assert fault in failed["faults"]

@@ -1,0 +1,293 @@
+"""A viewer that draws the kit with a renderer, and the faults that perturb its data before."""
+
+__all__ = ["WRONG_VIEWERS", "Viewer"]
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsgen.conformance.viewer_kit.case import KitCamera, KitCase, KitFrame
+from gsgen.conformance.viewer_kit.write import picture_name
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.spec.manifest import GeneratorManifest, Space
+from gsgen.contract.spec.manifest_io import loads
+from gsgen.runtime import Camera, Scene, SplatData
+from gsgen.runtime.checks.level import scene_of
+from gsgen.runtime.checks.viewer_kit import on_screen, runtime_camera
+from gsgen.sdk.binding import FrameSession
+from gsgen.sdk.binding.camera_inputs import camera_values
+
+Arrays = dict[str, np.ndarray]
+Render = Callable[[Scene, Camera], np.ndarray]
+
+
+class Viewer:
+    """Draws a case frame by frame; a fault overrides one of the steps."""
+
+    def manifest(self, manifest: GeneratorManifest) -> GeneratorManifest:
+        """Return the manifest as the viewer reads it."""
+        return manifest
+
+    def values(self, manifest: GeneratorManifest, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values that the viewer feeds besides those of the camera."""
+        return dict(values)
+
+    def fed(self, manifest: GeneratorManifest, values: dict[str, Any]) -> dict[str, Any]:
+        """Return the values of all inputs, those of the camera by name."""
+        return values
+
+    def outputs(self, manifest: GeneratorManifest, outputs: Arrays, first: Arrays) -> Arrays:
+        """Return the outputs that the viewer reads; ``first`` are those of the first frame."""
+        return outputs
+
+    def camera(self, camera: KitCamera) -> KitCamera:
+        """Return the camera that the viewer draws with."""
+        return camera
+
+    def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
+        """Write the pictures of a case to ``folder``."""
+        declared = loads(open_model(model).manifest_text or "")
+        assert isinstance(declared, GeneratorManifest)
+        manifest = self.manifest(declared)
+        first: Arrays = {}
+        with FrameSession(model, provider="cpu", manifest=manifest) as session:
+            for number, frame in enumerate(case.frames):
+                feeds = self.values(declared, frame.values)
+                camera_inputs = self._camera_values(manifest, frame)
+                computed = session.run(self.fed(manifest, {**camera_inputs, **feeds}), copy=True)
+                outputs = {name: np.array(computed[name]) for name in computed}
+                first = first or outputs
+                read = self.outputs(declared, outputs, first)
+                scene = scene_of(manifest, read)
+                rgba = render(scene, runtime_camera(self.camera(frame.camera)))
+                name = picture_name(case.name, number)
+                np.save(folder / f"{name}.npy", on_screen(rgba, scene).astype(np.float32))
+
+    def _camera_values(self, manifest: GeneratorManifest, frame: KitFrame) -> dict[str, Any]:
+        known = camera_values(runtime_camera(frame.camera))
+        return {entry.name: known[entry.role] for entry in manifest.inputs if entry.role in known}
+
+
+class _ReadsManifest(Viewer):
+    """Reads some fields of the manifest wrongly."""
+
+    def __init__(self, edit: Callable[[GeneratorManifest], GeneratorManifest]) -> None:
+        self._edit = edit
+
+    def manifest(self, manifest: GeneratorManifest) -> GeneratorManifest:
+        return self._edit(manifest)
+
+
+class _ReadsRows(Viewer):
+    """Reads an output wrongly."""
+
+    def __init__(self, field: str, edit: Callable[[np.ndarray], np.ndarray]) -> None:
+        self._field, self._edit = field, edit
+
+    def outputs(self, manifest: GeneratorManifest, outputs: Arrays, first: Arrays) -> Arrays:
+        tensor = getattr(manifest.outputs, self._field)
+        if self._field == "appearance" and tensor.space == "rgb":
+            return outputs
+        return {**outputs, tensor.name: self._edit(outputs[tensor.name])}
+
+
+class _ReadsRgb(Viewer):
+    """Reads RGB of four channels with a stride of three."""
+
+    def outputs(self, manifest: GeneratorManifest, outputs: Arrays, first: Arrays) -> Arrays:
+        tensor = manifest.outputs.appearance
+        assert tensor is not None
+        if tensor.space == "sh":
+            return outputs
+        flat = outputs[tensor.name].reshape(-1)
+        rows = len(outputs[tensor.name])
+        return {**outputs, tensor.name: flat[: 3 * rows].reshape(rows, 3)}
+
+
+class _ReadsHalves(Viewer):
+    """Reads float16 outputs as float32."""
+
+    def outputs(self, manifest: GeneratorManifest, outputs: Arrays, first: Arrays) -> Arrays:
+        return {name: _as_float32(array) for name, array in outputs.items()}
+
+
+class _Counts(Viewer):
+    """Draws all rows, or as many as in the first frame."""
+
+    def __init__(self, *, first_only: bool) -> None:
+        self._first_only = first_only
+
+    def outputs(self, manifest: GeneratorManifest, outputs: Arrays, first: Arrays) -> Arrays:
+        entry, rows = manifest.outputs.count, manifest.outputs.gaussians
+        assert entry is not None
+        assert rows is not None
+        count = first[entry.name] if self._first_only else np.array([rows.capacity], np.int32)
+        return {**outputs, entry.name: count}
+
+
+class _KeepsFirst(Viewer):
+    """Shows the outputs of the first frame for ever."""
+
+    def outputs(self, manifest: GeneratorManifest, outputs: Arrays, first: Arrays) -> Arrays:
+        return first
+
+
+class _FindsByShape(Viewer):
+    """Takes the first output of ten columns for the rows."""
+
+    def outputs(self, manifest: GeneratorManifest, outputs: Arrays, first: Arrays) -> Arrays:
+        rows = manifest.outputs.gaussians
+        assert rows is not None
+        match = next(a for a in outputs.values() if a.ndim == 2 and a.shape[1] == 10)
+        return {**outputs, rows.name: match}
+
+
+class _LosesWeights(Viewer):
+    """Draws nothing where a model has weights in another file."""
+
+    def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
+        if not case.spec().external:
+            super().draw(model, case, render, folder)
+
+
+class _ForgetsRole(Viewer):
+    """Feeds no input of one role."""
+
+    def __init__(self, role: str) -> None:
+        self._role = role
+
+    def fed(self, manifest: GeneratorManifest, values: dict[str, Any]) -> dict[str, Any]:
+        unfed = {entry.name for entry in manifest.inputs if entry.role == self._role}
+        return {name: value for name, value in values.items() if name not in unfed}
+
+
+class _ForgetsDefaults(Viewer):
+    """Feeds zeros where an input has no value."""
+
+    def fed(self, manifest: GeneratorManifest, values: dict[str, Any]) -> dict[str, Any]:
+        return {entry.name: 0.0 for entry in manifest.inputs if entry.name not in values} | values
+
+
+class _ScalesTime(Viewer):
+    """Feeds time from 0 to 1, whatever its range."""
+
+    def values(self, manifest: GeneratorManifest, values: Mapping[str, Any]) -> dict[str, Any]:
+        ranges = {e.name: e.range for e in manifest.inputs if e.role == "time" and e.range}
+        shares = {name: (values[name] - low) / (high - low) for name, (low, high) in ranges.items()}
+        return {**values, **shares}
+
+    def manifest(self, manifest: GeneratorManifest) -> GeneratorManifest:
+        inputs = (
+            replace(entry, range=(0.0, 1.0), default=0.0) if entry.role == "time" else entry
+            for entry in manifest.inputs
+        )
+        return replace(manifest, inputs=tuple(inputs))
+
+
+class _CentresLens(Viewer):
+    """Ignores the principal point, and draws square pixels."""
+
+    def camera(self, camera: KitCamera) -> KitCamera:
+        return replace(camera, cx=camera.width / 2, cy=camera.height / 2, fy=camera.fx)
+
+
+class _MirrorsBehind(Viewer):
+    """Draws Gaussians behind the camera where their projection is."""
+
+    def draw(self, model: Path, case: KitCase, render: Render, folder: Path) -> None:
+        def mirrored(scene: Scene, camera: Camera) -> np.ndarray:
+            (splat_set,) = scene.sets
+            data = splat_set.data
+            rows = np.array(data.rows, np.float32)
+            behind = (rows[:, :3] @ camera.view[2, :3] + camera.view[2, 3]) < 0
+            rows[behind, :3] = 2 * camera.eye - rows[behind, :3]
+            moved = SplatData(
+                *(rows, data.appearance.astype(np.float32), data.space),
+                count=data.count,
+                cells=data.cells,
+                per_cell=data.per_cell,
+            )
+            return render(Scene([replace(splat_set, data=moved)], scene.color_space), camera)
+
+        super().draw(model, case, mirrored, folder)
+
+
+def _as_float32(array: np.ndarray) -> np.ndarray:
+    if array.dtype != np.float16:
+        return array
+    flat = np.nan_to_num(array.reshape(-1).copy().view(np.float32), posinf=0, neginf=0)
+    return np.resize(np.append(flat, np.zeros(flat.size, np.float32)), array.shape)
+
+
+def _by_channel(color: np.ndarray) -> np.ndarray:
+    return color.reshape(len(color), 3, -1).transpose(0, 2, 1).reshape(color.shape)
+
+
+def _stride_of_degree_3(color: np.ndarray) -> np.ndarray:
+    flat = np.zeros(len(color) * 48, color.dtype)
+    flat[: color.size] = color.reshape(-1)
+    return flat.reshape(-1, 48)[:, : color.shape[1]]
+
+
+def _opposite(color: np.ndarray) -> np.ndarray:
+    """Negate the odd degrees, as the opposite direction does."""
+    degree_of = np.repeat(np.arange(4), (1, 3, 5, 7))[: color.shape[1] // 3]
+    sign = np.where(degree_of % 2, -1, 1).astype(color.dtype)
+    signed = color.reshape(len(color), -1, 3) * sign[:, None]
+    return np.asarray(signed.reshape(color.shape))
+
+
+def _voigt(rows: np.ndarray) -> np.ndarray:
+    return rows[:, [0, 1, 2, 3, 4, 7, 9, 5, 6, 8]]
+
+
+def _order(manifest: GeneratorManifest, order: Any) -> GeneratorManifest:
+    return replace(manifest, space=replace(manifest.space or Space(), matrix_order=order))
+
+
+def _swapped(manifest: GeneratorManifest) -> GeneratorManifest:
+    space = manifest.space or Space()
+    return _order(manifest, "row" if space.matrix_order == "column" else "column")
+
+
+def _shown_unencoded(manifest: GeneratorManifest) -> GeneratorManifest:
+    assert manifest.outputs.appearance is not None
+    appearance = replace(manifest.outputs.appearance, color_space="srgb")
+    return replace(manifest, outputs=replace(manifest.outputs, appearance=appearance))
+
+
+_ROLES = (
+    *("view", "projection", "camera_position", "viewport", "time", "frame_index"),
+    *("pose", "root_rotation", "root_translation", "shape", "expression"),
+    *("appearance_id", "control"),
+)
+
+WRONG_VIEWERS: dict[str, Viewer] = {
+    "rows": _ReadsRows("gaussians", _voigt),
+    "sh-order": _ReadsRows("appearance", _by_channel),
+    "sh-stride": _ReadsRows("appearance", _stride_of_degree_3),
+    "sh-direction": _ReadsRows("appearance", _opposite),
+    "float16": _ReadsHalves(),
+    "fourth-channel": _ReadsRgb(),
+    "color-space": _ReadsManifest(_shown_unencoded),
+    "antialias": _ReadsManifest(lambda manifest: replace(manifest, antialias="classic")),
+    "count": _Counts(first_only=False),
+    "stale-count": _Counts(first_only=True),
+    "stale-outputs": _KeepsFirst(),
+    "matrix-order": _ReadsManifest(_swapped),
+    "matrix-order-ignored": _ReadsManifest(lambda manifest: _order(manifest, "column")),
+    "intrinsics": _CentresLens(),
+    "behind-camera": _MirrorsBehind(),
+    "time-range": _ScalesTime(),
+    "default": _ForgetsDefaults(),
+    "weighted-sum": _ReadsManifest(
+        lambda manifest: replace(manifest, blend="alpha", weighted_sum=None)
+    ),
+    "output-names": _FindsByShape(),
+    "external-data": _LosesWeights(),
+    **{f"role-{role}": _ForgetsRole(role) for role in _ROLES},
+}
+"""Fault id → the viewer that has it."""
