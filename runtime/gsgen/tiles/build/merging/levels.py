@@ -35,7 +35,7 @@ class Level:
 def choose_cells(
     code: UInt64[np.ndarray, " n"], depth: int, target: float
 ) -> tuple[int, Int64[np.ndarray, " m"]]:
-    """Choose a cell size with which about ``target`` cells are occupied by splats.
+    """Choose a grid cell size with which splats occupy about ``target`` cells.
 
     The side of a cell is that of the tile divided by a power of two: lattices of tiles nest, and
     no cell crosses the edge of a tile.
