@@ -41,6 +41,7 @@ check: setup
 
 types:
 	$(BIN)/mypy
+	$(BIN)/mypy docs/examples/demo.py docs/examples/demo_families.py
 
 style:
 	$(BIN)/ruff check .

@@ -2,7 +2,8 @@
 
 Run it with ``make demo``, or ``python docs/examples/demo.py OUT``. It uses the captured garden
 scene where ``GSGEN_SHARED`` (default ``../shared``) has it, and a generated one elsewhere.
-Then one model of each family of methods is made: see ``demo_families.py``.
+Then one model of each plugin is made, or of those that are named after OUT: see
+``demo_families.py``.
 """
 
 # %%
@@ -124,8 +125,9 @@ def main() -> None:
     for name, (title, rule, damage) in BREAKS.items():
         show_broken(good, name, title, rule, damage)
     drawn = draw(model, source)
-    with step("exporting, judging and drawing a model of each family, two at a time"):
-        families = demo_families.make_all(OUT / "families", list(demo_families.FAMILIES))
+    plugins = sys.argv[2:] or list(demo_families.demo_plugins())
+    with step(f"exporting, judging and drawing {len(plugins)} plugins, two at a time"):
+        families = demo_families.make_all(OUT / "families", plugins)
     demo_families.show(families, OUT / "families", console)
     console.print(f"[bold]Made:[/] {model} and four broken copies; the verdict is {report}")
     for line in drawn:
@@ -202,7 +204,7 @@ def show_broken(
     doubt = "" if match["certainty"] == "confirmed" else " (possible)"
     console.print(f"  [red]{match['rule']} {match['severity']}{doubt}[/] {match['slug']}")
     console.print(f"  {match['where']['subject']}: {match['message']}")
-    console.print(f"  hint: {match['mend']}\n")
+    console.print(f"  hint: {match['hint']}\n")
 
 
 def expect(completed: "subprocess.CompletedProcess[str]", code: int) -> None:

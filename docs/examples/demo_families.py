@@ -25,7 +25,7 @@ import numpy as np
 from PIL import Image
 from rich.console import Console
 
-from gsgen.sdk import Plugin, installed_plugins
+from gsgen.sdk import Demo, Plugin, installed_plugins
 
 TILE = (240, 240)  # width and height of each picture of a strip
 FRAMES = 6
@@ -41,6 +41,12 @@ VIEWS = {
 def demo_plugins() -> dict[str, Plugin]:
     """Return the installed plugins that have a demo, by name."""
     return {plugin.name: plugin for plugin in installed_plugins() if plugin.demo}
+
+
+def demo_of(plugin: Plugin) -> Demo:
+    """Return the demo of a plugin that has one."""
+    assert plugin.demo is not None, plugin.name
+    return plugin.demo
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,7 +112,7 @@ def make(name: str, folder: Path) -> DemoModel:
     shutil.rmtree(run, ignore_errors=True)
     run.mkdir(parents=True)
     log.write_text("", "utf-8")
-    words = plugin.demo.write(run)
+    words = demo_of(plugin).write(run)
     # Image models take minutes on a software driver, Gaussians take seconds.
     level = "behaviour" if works_on_images(plugin) else "live"
     checks = ("--level", level, "--report", str(report_file))
@@ -149,14 +155,14 @@ def frame_time(model: Path) -> float:
 
 def draw(plugin: Plugin, model: Path, folder: Path, log: Path) -> tuple[Path | None, str]:
     """Draw a strip of six pictures; return its path, or None and the reason."""
-    demo = plugin.demo
+    demo = demo_of(plugin)
     if demo.view == "recede":
         camera = ["--camera", str(write_receding_cameras(folder / "cameras.json"))]
     else:
         camera = VIEWS[demo.view].split()
     scene, count = str(model), FRAMES
     if works_on_images(plugin):  # it is shown on a static scene, in half as many frames
-        (scene,), count = demo_plugins()["static"].demo.write(folder), FRAMES // 2
+        (scene,), count = demo_of(demo_plugins()["static"]).write(folder), FRAMES // 2
     options = ["--frames", str(count), "--background", BACKGROUND, *camera]
     try:
         pictures = frames(scene, options, folder / "frames", log)
@@ -204,9 +210,10 @@ def write_receding_cameras(path: Path) -> Path:
     for distance in np.geomspace(6, 90, FRAMES):
         eye = distance * np.array([0.35, -0.5, -0.8])
         angle = 2 * math.degrees(math.atan(1.85 / distance))
-        size = {"width": TILE[0], "height": TILE[1]}
-        camera = Camera.look_at(eye.tolist(), [0, 0, 0], fov_y=angle, **size)
+        width, height = TILE
+        camera = Camera.look_at(eye.tolist(), [0, 0, 0], width=width, height=height, fov_y=angle)
         lens = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
+        size = {"width": width, "height": height}
         cameras.append({"view": camera.view.tolist(), **lens, **size})
     path.write_text(json.dumps(cameras), "utf-8")
     return path
@@ -220,8 +227,9 @@ def processed(model: Path, picture: np.ndarray) -> np.ndarray:
 
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     image = np.moveaxis(picture, 2, 0)[None].astype(np.float32) / 255
-    result = np.moveaxis(post_process(session, image)[0], 0, 2)
-    return (np.clip(result, 0, 1) * 255 + 0.5).astype(np.uint8)
+    result: np.ndarray = np.moveaxis(post_process(session, image)[0], 0, 2)
+    rounded: np.ndarray = (np.clip(result, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return rounded
 
 
 # %%
@@ -252,7 +260,7 @@ def table(models: list[DemoModel]) -> str:
     for model in models:
         count = "–" if model.gaussians is None else f"{model.gaussians:,}"
         size, frame = f"{model.size / 1024:,.0f} KiB", f"{model.milliseconds:.1f} ms"
-        caption = plugins[model.name].demo.caption if model.strip else "not drawn"
+        caption = demo_of(plugins[model.name]).caption if model.strip else "not drawn"
         verdict = f"{model.verdict} ({model.level}); picture: {caption}"
         lines.append(f"{model.name:<17}{count:>10}{size:>11}{frame:>10}  {verdict}")
     return "\n".join(lines)

@@ -15,7 +15,8 @@ class LitMlp(GaussianGenerator):
         super().__init__()
         torch.manual_seed(seed)
         self.register_buffer("position", math.safe_normalize(torch.randn(n, 3)))
-        self.register_buffer("rotation", torch.randn(n, 4))
+        x, y, z = self.position.T  # discs along the ball: rotations from the z axis outwards
+        self.register_buffer("rotation", torch.stack([1 + z, -y, x, 0 * z], dim=1))
         self.feature = torch.nn.Parameter(torch.randn(n, 8))
         self.head = torch.nn.Sequential(
             torch.nn.Linear(8 + 3, width), torch.nn.ReLU(), torch.nn.Linear(width, 4)
@@ -27,7 +28,7 @@ class LitMlp(GaussianGenerator):
         features = self.head(torch.cat([self.feature, towards], dim=1))
         return Gaussians(
             position=self.position,
-            opacity=0.2 + 0.8 * torch.sigmoid(features[:, 3]),
+            opacity=0.2 + 0.8 * torch.sigmoid(4 * features[:, 3]),
             scale=torch.tensor([0.06, 0.06, 0.01]).expand_as(self.position),
             rotation=self.rotation,
             rgb=torch.sigmoid(features[:, :3]),

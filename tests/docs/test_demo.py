@@ -1,5 +1,7 @@
-"""The demo's families: exported, judged and drawn as typed; and said so where nothing can be drawn."""
+"""The demo: run whole, as ``make demo`` does, and its plugins one by one."""
 
+import os
+import subprocess
 import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -21,6 +23,24 @@ def demo() -> ModuleType:
     sys.modules["demo_families"] = made  # dataclasses look their module up
     spec.loader.exec_module(made)
     return made
+
+
+def test_the_whole_demo_runs_without_the_captured_scene(tmp_path: Path) -> None:
+    demo = DOCS / "examples" / "demo.py"
+    completed = subprocess.run(
+        [sys.executable, demo, tmp_path / "out", "static"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"GSGEN_SHARED": str(tmp_path / "absent")},
+    )
+    assert completed.returncode == 0, completed.stderr
+    for rule in ("GV003", "GV014", "GV001", "GO011"):
+        assert f"  {rule} " in completed.stdout
+    assert completed.stdout.count("  hint: ") == 4
+    assert "static " in completed.stdout.partition("picture:")[0].splitlines()[-1]
+    drawn = ["views/frame_0002.png", "depth/frame_0002.png", "orbit.gif", "families/static.png"]
+    assert [name for name in drawn if not (tmp_path / "out" / name).is_file()] == []
 
 
 def test_a_family_is_exported_judged_and_drawn(demo: ModuleType, tmp_path: Path) -> None:

@@ -58,7 +58,7 @@ def test_a_copy_of_the_list_is_seen(source):
 
 
 def test_single_suffixes_and_titles_are_no_list():
-    assert not list(lists_of_formats('WEIGHTS = (".ply", ".pt"); TEXT = "PLY or GLB"'))
+    assert not list(lists_of_formats('WEIGHTS = (".ply", ".safetensors"); TEXT = "PLY or GLB"'))
 
 
 def test_every_name_and_suffix_belongs_to_one_format():

@@ -85,7 +85,8 @@ def test_other_content_is_refused_by_its_first_bytes(tmp_path, content, seen):
         open_splats(file)
     assert str(caught.value) == (
         f"{file}: first bytes: {seen}\n"
-        "expected a file of splats: PLY, compressed PLY, SPZ, GLB, SOG, KSPLAT, SPLAT or NPZ\n"
+        "expected a file of splats: PLY, compressed PLY, SPZ, GLB, SOG, KSPLAT, SPLAT, "
+        "PyTorch checkpoint or NPZ\n"
         "if it is of another format, convert it to one of these first"
     )
 

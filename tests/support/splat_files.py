@@ -218,10 +218,57 @@ def samples(folder: Path) -> dict[str, list[bytes]]:
             zipped(sog_files(bands=0), zipfile.ZIP_DEFLATED),
             written(write_sog, splats),
         ],
+        "checkpoint": [*checkpoints(plain).values(), *checkpoints(splats).values()],
         "npz": [_npz()],
     }
     file.unlink()
     return made
+
+
+def checkpoints(splats: Splats) -> dict[str, bytes]:
+    """The files of gsplat, splatfacto and the 3DGS training code that hold ``splats``."""
+    import torch
+
+    def tensor(array: np.ndarray) -> object:
+        return torch.nn.Parameter(torch.from_numpy(array.copy()))
+
+    means, quats, scales = map(tensor, (splats.position, splats.rotation, splats.log_scale))
+    opacities, column = tensor(splats.logit_opacity), tensor(splats.logit_opacity[:, None])
+    sh = torch.from_numpy(splats.sh.copy())  # the first and the others are views of one storage
+    gsplat = torch.nn.ParameterDict(
+        {"means": means, "scales": scales, "quats": quats, "opacities": opacities}
+        | {"sh0": sh[:, :1], "shN": sh[:, 1:]}
+    )
+    model = torch.nn.Module()
+    model.gauss_params = torch.nn.ParameterDict(
+        {"means": means, "scales": scales, "quats": quats, "opacities": column}
+        | {"features_dc": sh[:, 0], "features_rest": sh[:, 1:]}
+    )
+    pipeline = torch.nn.Module()
+    pipeline._model = model
+    optimizer = torch.optim.Adam([{"params": [means], "lr": 0.1, "name": "xyz"}], eps=1e-15)
+    means.sum().backward()
+    optimizer.step()
+    means.data[:] = torch.from_numpy(splats.position)  # the step has moved them
+    dc, rest = tensor(splats.sh[:, :1]), tensor(splats.sh[:, 1:])
+    statistics = (torch.zeros(len(splats)), torch.zeros(len(splats), 1), torch.ones(len(splats), 1))
+    capture = (splats.degree, means, dc, rest, scales, quats, column)
+    nerfstudio = {"step": 29_999, "pipeline": pipeline.state_dict(), "scalers": {}}
+    saved = {
+        "gsplat": {"step": 29_999, "splats": gsplat.state_dict()},
+        "nerfstudio": nerfstudio | {"optimizers": {"means": optimizer.state_dict()}},
+        "inria": ((*capture, *statistics, optimizer.state_dict(), np.float64(4.5)), 30_000),
+    }
+    return {name: torch_saved(content) for name, content in saved.items()}
+
+
+def torch_saved(content: object) -> bytes:
+    """What ``torch.save`` writes."""
+    import torch
+
+    stream = BytesIO()
+    torch.save(content, stream)
+    return stream.getvalue()
 
 
 def _npz() -> bytes:

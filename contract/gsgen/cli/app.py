@@ -91,7 +91,7 @@ def _fail(error: GsgenError) -> Never:
 
 
 def build(commands: list[Command]) -> typer.Typer:
-    """Return a typer app with ``commands``; only these are imported, which keeps start-up fast."""
+    """Return a typer app with only the commands needed, which keeps the program's start fast."""
     app = typer.Typer(
         name="gsgen",
         cls=_Sorted,

@@ -86,6 +86,6 @@ def _judged(
 
 
 def _words(findings: tuple[Finding, ...]) -> str:
-    """Return a rule's findings as `gsgen validate` prints them: those that count, or all."""
+    """Return a rule's findings as `gsgen validate` prints findings."""
     reported = [finding for finding in findings if finding.counts] or findings
     return "\n".join(line.text for line in finding_lines(reported))

@@ -152,7 +152,7 @@ def _is_near(path: Path) -> bool:
 
 
 def _options(settings: Settings) -> list[str]:
-    """Return the options of `gsgen repro` that are equivalent to ``settings``."""
+    """Return the options of `gsgen repro` that are equivalent to validation settings."""
     words = []
     if settings.source != "defaults":
         words += ["--config", settings.source]

@@ -59,7 +59,7 @@ def reproduce(
     probe: str | None = None,
     dump: Path | None = None,
 ) -> Reproduction:
-    """Check ``rule`` on a model again, with only the probe ``probe`` if it is set.
+    """Check one rule on a model again, with a single probe if one is named.
 
     Args:
         path: The ONNX file.
@@ -101,7 +101,7 @@ _SUBJECTS = {"model": "the file", "runs": "several runs compared", "report": "th
 
 
 def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
-    """Check ``rule`` and the rules that it depends on, up to the level of ``rule``."""
+    """Check one rule and the rules that it depends on, up to the rule's level."""
     registry = installed_rules()
     part = registry if rule.scope == "report" else needed_by(rule, registry)
     report = validate(path, settings, registry=part)

@@ -48,7 +48,7 @@ class Replay:
     settings: Settings
 
     def outputs(self, probe: int) -> Arrays:
-        """Return the model outputs at a probe; empty if the run ended before it."""
+        """Return the model outputs at a probe; empty if the run ended before the probe."""
         for run in self.execution.runs:
             if run.probe == probe:
                 return self.execution.samples[run.sample].outputs
@@ -62,7 +62,7 @@ class Replay:
         )
 
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
-        """Return the findings of ``rule`` for one probe alone."""
+        """Return the findings of one rule for one probe alone."""
         alone = Registry.of([replace(rule, needs=())])
         board = ResultCollector(registry=alone, settings=self.settings, kind=self.subject.kind)
         for subject, start in self._seen(rule, probe):
@@ -95,14 +95,14 @@ def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
 def replay(
     subject: InspectedModel, probes: Sequence[Probe], settings: Settings
 ) -> Iterator[Replay]:
-    """Run ``probes`` of a model again in the sandbox; results exist within the ``with`` block."""
+    """Run some probes of a model again in the sandbox; results last for the ``with`` block."""
     path, names = subject.file.path, fetched_outputs(subject)
     with execute(path, names, probes, subject.granted) as execution:
         yield Replay(subject, tuple(probes), execution, settings)
 
 
 def find_probes(probes: Sequence[Probe], key: str) -> tuple[Probe, ...]:
-    """Return the probes with the label or number ``key``; several probes may share a label.
+    """Return the probes with a given label or number; several probes may share a label.
 
     Raises:
         UnknownName: No probe has this label or number; the hint names the nearest.

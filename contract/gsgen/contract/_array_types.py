@@ -3,18 +3,18 @@
 Nothing evaluates them at run time, where ``Float[np.ndarray, "n 3"]`` is ``np.ndarray``.
 """
 
-__all__ = ["Bool", "Float", "UInt"]
+__all__ = ["Bool", "Float", "Int", "UInt"]
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, UInt
+    from jaxtyping import Bool, Float, Int, UInt
 else:
 
     class _Array:
-        """Stands for the array type of an annotation."""
+        """A stand-in for jaxtyping's array types at run time."""
 
         def __class_getitem__(cls, item: tuple[type, str]) -> type:
             return item[0]
 
-    Bool = Float = UInt = _Array
+    Bool = Float = Int = UInt = _Array

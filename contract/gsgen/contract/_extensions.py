@@ -36,7 +36,7 @@ class Command:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Required distributions that are not installed."""
+        """The packages that a command requires and that are not installed."""
         return _missing(self.point)
 
     @property

@@ -112,7 +112,7 @@ class UnknownName(ConfigInvalid):
 
     @classmethod
     def among(cls, noun: str, name: str, known: Iterable[str], where: str = "") -> "UnknownName":
-        """Return the UnknownName error for ``name``, with the nearest known name as its hint."""
+        """Return the error for an unknown name, with the nearest known name as a hint."""
         from difflib import get_close_matches  # imported on failure only: start-up time counts
 
         names = sorted(known)

@@ -8,6 +8,7 @@ Two formats need another package: SOG needs Pillow, version 4 of SPZ needs zstan
 A fault of a file raises a ``FormatError`` with the location, the expected value and a hint.
 """
 
+from gsgen.formats.checkpoints.checkpoint import read_checkpoint
 from gsgen.formats.codecs import CODECS, Codec, codec_named, codec_of_suffix
 from gsgen.formats.conversion import Conversion, convert
 from gsgen.formats.glb.glb import read_glb, write_glb
@@ -68,6 +69,7 @@ __all__ = [
     "differences",
     "open_splats",
     "ply_properties",
+    "read_checkpoint",
     "read_glb",
     "read_ksplat",
     "read_npz",

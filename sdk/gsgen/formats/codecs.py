@@ -9,12 +9,15 @@ __all__ = ["CODECS", "Codec", "codec_named", "codec_of_suffix", "format_titles",
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from fnmatch import filter as matching
 from pathlib import Path
 from typing import Final, final
 
 import numpy as np
 from jaxtyping import Int64
 
+from gsgen.formats.checkpoints.checkpoint import read_checkpoint
+from gsgen.formats.checkpoints.torch_archive import MEMBER
 from gsgen.formats.glb import container as glb_container
 from gsgen.formats.glb.glb import read_glb, write_glb
 from gsgen.formats.ksplat import looks_like_ksplat, read_ksplat
@@ -52,7 +55,7 @@ class Codec:
         read: Reads a file.
         write: Writes splats to a file; None if the format is only read.
         marks: The first bytes of a file; any of them marks it.
-        member: The file that a zip archive of this format holds; empty if any will do.
+        member: A pattern of a file that a zip archive of this format holds; empty if any will do.
         looks_like: Recognises a file without marks by its content.
         keeps_flags: The flags of ``Splats`` that a file can state.
         most_degree: The highest SH degree that is written.
@@ -170,6 +173,17 @@ CODECS: Final = (
         source="antimatter15/splat",
     ),
     Codec(
+        name="checkpoint",
+        title="PyTorch checkpoint",
+        contents="splats of gsplat (`ckpt_*.pt`), of splatfacto of nerfstudio (`step-*.ckpt`) and "
+        "of the 3DGS training code (`chkpnt*.pth`)",
+        suffixes=(".pt", ".pth", ".ckpt"),
+        read=read_checkpoint,
+        marks=(ZIP_MAGIC,),
+        member=MEMBER,
+        source="nerfstudio-project/gsplat",
+    ),
+    Codec(
         name="npz",
         title="NPZ",
         contents="packed rows of a frame, or points with colours",
@@ -209,7 +223,7 @@ def recognised(path: FilePath, data: Data) -> Codec | None:
     marked = [codec for codec in CODECS if bytes(data[:6]).startswith(codec.marks)]
     if data[: len(ZIP_MAGIC)] == ZIP_MAGIC:
         with unpacking("archive"), zipfile.ZipFile(path) as archive:
-            members = {"", *archive.namelist()}
-        marked = [codec for codec in marked if codec.member in members]
+            members = archive.namelist()
+        marked = [codec for codec in marked if not codec.member or matching(members, codec.member)]
     similar = (codec for codec in CODECS if codec.looks_like and codec.looks_like(data))
     return marked[0] if marked else next(similar, None)

@@ -40,8 +40,12 @@ def test_rules_as_json_is_the_catalogue() -> None:
 def test_published_rule_pages_are_current(tmp_path: Path) -> None:
     assert gsgen("rules", "--pages", tmp_path).code == 0
     fresh = {path.name: path.read_text() for path in tmp_path.iterdir()}
-    retained = {path.name: path.read_text() for path in (ROOT / "docs/rules").iterdir()}
-    assert fresh == retained, "run: gsgen rules --pages docs/rules"
+    retained = {
+        # The documentation adds pictures to some pages.
+        path.name: path.read_text().split("\n## Right and wrong\n")[0]
+        for path in (ROOT / "docs/rules").iterdir()
+    }
+    assert fresh == retained, "run: scripts/write_docs.py"
 
 
 def test_inspect_shows_what_a_model_says(good: Path) -> None:

@@ -204,7 +204,7 @@ def test_progress_is_told_in_a_few_words(good):
     validate(good, progress=texts.append)
     assert texts == [
         "reading good.onnx",
-        "running 22 probes in ONNX Runtime",
+        "running 27 probes in ONNX Runtime",
         "checking values",
         "comparing runs",
     ]

@@ -36,7 +36,7 @@ def test_words_win_over_the_file_of_the_current_folder(
         ({"ignore": ["GV003,GV03"]}, "--ignore: unknown rule 'GV03'"),
         ({"severity": ["GV003"]}, "--severity: 'GV003' has no '='"),
         ({"severity": ["GV003=bad"], "prefix": "--gsgen-"}, "--gsgen-severity: unknown"),
-        ({"timeout": 0.0}, "expected more than 0"),
+        ({"timeout": 0.0}, "expected limits above 0"),
         ({"config": Path("none.toml")}, "none.toml: cannot be read"),
     ],
 )

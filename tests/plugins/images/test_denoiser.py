@@ -396,7 +396,7 @@ def test_a_user_exports_half_precision_and_is_told_what_was_found(tmp_path: Path
 def test_rows_are_nothing_that_an_image_has(tmp_path: Path) -> None:
     out = tmp_path / "clean.onnx"
     model = command.build(write_denoiser(tmp_path, SMALL))
-    with pytest.raises(ConfigInvalid, match="no rows"):
+    with pytest.raises(ConfigInvalid, match="no Gaussians"):
         run_export(lambda: model, ExportRequest(output=out, capacity=3), "denoiser")
     assert not out.exists()
 

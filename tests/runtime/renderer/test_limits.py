@@ -57,7 +57,9 @@ def test_more_splats_than_a_dispatch_has_is_an_error(
     scene = Scene([cloud(5000, size=0.01)])
     renderer.render(scene, camera())
     monkeypatch.setattr(plans, "MOST_GROUPS", 1 if renderer.device.software else 16)
-    with pytest.raises(CapacityExceeded, match=r"scene: has 4,\d+ splats .* draws at most 4,096"):
+    with pytest.raises(
+        CapacityExceeded, match=r"scene: the scene has 4,\d+ splats .* draws at most 4,096"
+    ):
         renderer.render(scene, camera())
 
 

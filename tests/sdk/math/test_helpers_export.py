@@ -134,7 +134,7 @@ class Ensemble(GaussianGenerator):
         transforms = math.skinning_transforms(math.axis_angle_to_matrix(pose), self.joints, PARENTS)
         feature = math.sample_plane(self.plane, self.rest[:, :2] + 0.3 * time)
         position, turn = math.skin(self.rest + 0.05 * feature, self.weights, transforms)
-        scale = torch.full((N, 3), 0.05) * torch.tensor([1.0, 0.5, 0.2])
+        scale = torch.full((N, 3), 0.15) * torch.tensor([1.0, 0.5, 0.2])
         covariance = math.rotate_covariance(math.covariance_upper(scale, self.rotation), turn)
         towards = math.safe_normalize(position - math.camera_centre(view))
         mask = math.frustum_mask(position, view, proj, margin=-0.3)  # some go

@@ -176,5 +176,5 @@ def test_a_faulty_scene_raises(tmp_path, scene):
 def test_an_unfit_output_folder_raises(tmp_path, scene):
     (tmp_path / "file").write_text("x")
     refused(ConfigInvalid, "is a file", [scene], tmp_path / "file")
-    refused(ConfigInvalid, "files that no build wrote", [scene], tmp_path)
+    refused(ConfigInvalid, "no build wrote", [scene], tmp_path)
     assert (tmp_path / "file").read_text() == "x"

@@ -62,5 +62,5 @@ def diff(
 
 
 def _finite(number: float) -> float | None:
-    """Return ``number``, or None if it is infinite, since JSON cannot represent infinity."""
+    """Return a number, or None in place of infinity, which JSON cannot represent."""
     return number if math.isfinite(number) else None

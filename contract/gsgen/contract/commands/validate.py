@@ -131,7 +131,7 @@ def validate(
 
 
 def _settings(registry: "Registry", options: dict[str, Any]) -> "Settings":
-    """Return the settings; a name that no rule of models has may be that of a tileset's rule."""
+    """Return validation settings; rule names may be those of model rules or of tileset rules."""
     from gsgen.contract.rules.catalogue import installed_rules
     from gsgen.contract.validation.settings_from_options import make_settings
 

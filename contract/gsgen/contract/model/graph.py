@@ -126,7 +126,7 @@ class Graph:
         return next((tensor for tensor in self.inputs if tensor.name == name), None)
 
     def ancestors(self, name: str) -> tuple[set[str], list[NodeProto]]:
-        """Return all tensors and nodes that the tensor ``name`` is computed from, itself included.
+        """Return all tensors and nodes that a tensor is computed from, the tensor included.
 
         The result is cached: do not modify it.
         """
@@ -275,7 +275,7 @@ def _is_stub(tensor: TensorProto) -> bool:
 
 
 def _take_stubs(graph: GraphProto) -> list[TensorProto]:
-    """Remove and return the graph's weights whose payload was replaced by a stub.
+    """Remove and return the graph's weights whose data were not read.
 
     Sparse weights too: a runtime makes them dense, but shape inference ignores that.
     """
@@ -308,7 +308,7 @@ def _constant(tensor: TensorProto) -> NodeProto:
 
 
 def _fill_nodes(body: GraphProto | FunctionProto) -> None:
-    """Replace stub payloads in the attributes of all nodes of ``body`` by valid tensors."""
+    """Replace weights that were not read, in node attributes, by valid empty tensors."""
     for index in reversed(range(len(body.node))):
         node = body.node[index]
         for attribute in node.attribute:
@@ -324,7 +324,7 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
 
 
 def _squeeze(node: NodeProto) -> NodeProto:
-    """Make ``node`` produce a vector, and return the Squeeze node that turns it into a scalar."""
+    """Make an ONNX node output a vector, and return a Squeeze node that makes a scalar of it."""
     name = node.output[0]
     node.output[0] = f"{name}/stub"
     return NodeProto(op_type="Squeeze", input=node.output, output=[name])

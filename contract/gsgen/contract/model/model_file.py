@@ -74,7 +74,7 @@ _LOOKALIKES = (
 
 @dataclass(frozen=True, slots=True)
 class ExternalRef:
-    """A tensor whose payload lies in another file (ONNX external data).
+    """A tensor whose data lie in another file (ONNX external data).
 
     Attributes:
         tensor: Its name.
@@ -135,7 +135,7 @@ class ModelFile:
 
 
 def _covered(folder: Path, location: str, ranges: list[tuple[int, int]]) -> int:
-    """Return how many bytes of a file lie in any of the byte ranges; 0 if the file is missing."""
+    """Return the number of bytes of a file within some byte ranges; 0 if the file is missing."""
     try:
         entry = (folder / location).stat()
         size = entry.st_size if stat.S_ISREG(entry.st_mode) else 0
@@ -239,7 +239,7 @@ def _is_text(head: bytes) -> bool:
 
 
 def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:
-    """Replace every external tensor payload by a stub, and yield the payload's location."""
+    """Replace the data of each external tensor by a stub, and yield the data's location."""
     for tensor in _tensors(parts):
         if tensor.data_location != TensorProto.EXTERNAL:
             continue

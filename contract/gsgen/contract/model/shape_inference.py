@@ -34,7 +34,7 @@ _SECONDS, _MEMORY = 5.0, 1 << 30
 
 
 def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
-    """Return ``proto`` with inferred types, and ONNX's error message (empty if inference succeeds).
+    """Return an ONNX model with inferred types, and ONNX's error message, empty on success.
 
     No data is propagated: where sizes are unknown, :func:`propagate` may find them.
     """
@@ -44,7 +44,7 @@ def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
 
 
 def propagate(proto: ModelProto, inferred: ModelProto) -> tuple[ModelProto, str]:
-    """Run ONNX shape inference with data propagation; ``inferred`` is the result without it."""
+    """Run ONNX shape inference again, with data propagation."""
     if _may_be_long(inferred):
         return _propagated_elsewhere(proto) or inferred, ""
     try:

@@ -58,7 +58,7 @@ def _quotients(a: Interval, b: Interval) -> Interval:
 
 
 def _remainders(_: Interval, b: Interval) -> Interval:
-    """Return the interval of the remainders of a division by ``b``, by either sign rule."""
+    """Return the interval of the remainders of an integer division, by either sign rule."""
     most = max(abs(b[0]), abs(b[1]))
     return -most, most
 

@@ -73,7 +73,7 @@ def trial_probes(
 
 
 def turned_away(manifest: Manifest, base: Probe) -> Iterator[Probe]:
-    """Yield ``base`` with its camera turned by half a circle about its own y axis, if it has one."""
+    """Yield a probe with the camera turned by 180° about the camera's y axis, for camera inputs."""
     if isinstance(manifest, GeneratorManifest):
         order = manifest.space.matrix_order if manifest.space else "column"
         for entry in _of_role(manifest, "view")[:1]:
@@ -86,7 +86,7 @@ def _changed(base: Probe, words: str, **inputs: Array) -> Probe:
 
 
 def _paths(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
-    """The history unchanged, moved, at rest, and with its quaternions negated."""
+    """Yield probes of a camera history: unchanged, moved, at rest, and with negated quaternions."""
     quaternions = manifest.outputs.future.representation == "position+quaternion-wxyz"
     for entry in _of_role(manifest, "camera_history")[:1]:
         history = base.inputs[entry.name]
@@ -107,7 +107,7 @@ def _of_role(manifest: Manifest, role: str) -> list[Input]:
 
 
 def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """Yield probes of the camera unchanged, moved, and moved in the other matrix order."""
+    """Yield probes of the camera: unchanged, moved, and moved in the other matrix memory order."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "view")[:1]:
         view = base.inputs[entry.name]
@@ -154,7 +154,7 @@ def _flipped(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _edges(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """Yield probes with one role zero at a time, then all inputs at the ends of their ranges."""
+    """Yield probes with one input role zero at a time, then all inputs at their ranges' ends."""
     for role in dict.fromkeys(entry.role for entry in manifest.inputs):
         names = [entry.name for entry in _of_role(manifest, role)]
         zeros = {name: np.zeros_like(base.inputs[name]) for name in names}
@@ -246,7 +246,7 @@ def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
 
 
 def _frame_numbers(entry: Input, base: Probe) -> Iterator[Probe]:
-    """The first frames of a frame index, and some from the middle of its range on."""
+    """Yield probes at the first frame numbers, and at some from the middle of the range on."""
     assert entry.range is not None
     if not entry.frames or entry.frames < 2:
         return

@@ -1,4 +1,4 @@
-"""The subject of statistical rules: a sample of drawn rows, with their nearest neighbours.
+"""The input of statistical rules: a sample of visible Gaussians, with nearest neighbours.
 
 A statistic of neighbours needs every row around a row, so a large scene is sampled in patches:
 a few rows spread over the scene, each with the rows nearest to it. The inner rows of a patch find
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from gsgen.contract._array_types import Bool, Float, Int
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.geometry import symmetric
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
@@ -37,7 +37,7 @@ _SMALLEST = 1e-30
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnSample:
-    """Drawn rows of one probe, in float64.
+    """A sample of the visible Gaussians of one model run, in float64.
 
     Attributes:
         emission: The outputs that the rows come from.
@@ -63,13 +63,13 @@ class DrawnSample:
 
     @cached_property
     def offsets(self) -> Float[np.ndarray, "m k 3"]:
-        """Vectors from each measured row to its neighbours, in scene units."""
+        """The vectors from each sampled Gaussian to its nearest neighbours, in scene units."""
         position = self.rows[:, POSITION]
         return np.asarray(position[self.neighbours] - position[self.inner][:, None])
 
     @cached_property
     def spacing(self) -> Float[np.ndarray, " m"]:
-        """Mean distance of each measured row to its three nearest neighbours."""
+        """The mean distance of each sampled Gaussian to its three nearest neighbours."""
         distance = np.linalg.norm(self.offsets[:, :_SPACING], axis=2).mean(axis=1)
         return np.asarray(np.maximum(distance, _SMALLEST))
 
@@ -80,44 +80,44 @@ class DrawnSample:
 
     @property
     def sigma(self) -> Float[np.ndarray, "m 3"]:
-        """Standard deviations of each measured row, the smallest first."""
+        """The standard deviations of each sampled Gaussian, the smallest first."""
         return np.asarray(np.sqrt(self._spectrum[0]))
 
     @property
     def axes(self) -> Float[np.ndarray, "m 3 3"]:
-        """The principal axes of each measured row as columns, the thinnest first."""
+        """The principal axes of each sampled Gaussian as columns, the thinnest first."""
         return self._spectrum[1]
 
     @cached_property
     def scatter(self) -> Float[np.ndarray, "m 3 3"]:
-        """Mean of d dᵀ over the unit vectors d to the neighbours; its trace is 1."""
+        """The mean of d dᵀ over the unit vectors d from each sampled Gaussian to its neighbours."""
         length = np.maximum(np.linalg.norm(self.offsets, axis=2, keepdims=True), _SMALLEST)
         unit = self.offsets / length
         return np.asarray(unit.transpose(0, 2, 1) @ unit / unit.shape[1])
 
     @cached_property
     def scatter_eigenvalues(self) -> Float[np.ndarray, "m 3"]:
-        """Eigenvalues of :attr:`scatter`, the smallest first."""
+        """The eigenvalues of the neighbours' scatter matrix (mean of d dᵀ), the smallest first."""
         return np.linalg.eigvalsh(self.scatter)
 
     @property
     def is_planar(self) -> bool:
-        """Whether neighbours lie in planes, as on a surface."""
+        """Whether the neighbours of most Gaussians lie in planes, as on a surface."""
         return bool(self.scatter_eigenvalues[:, 0].mean() < PLANAR)
 
     @property
     def is_linear(self) -> bool:
-        """Whether neighbours lie on lines, as along a strand."""
+        """Whether the neighbours of most Gaussians lie on lines, as along a strand of hair."""
         return bool(self.scatter_eigenvalues[:, 2].mean() > LINEAR)
 
     def share_along(self, axis: int) -> Float[np.ndarray, " m"]:
-        """Return the mean of (d · a)² over the unit vectors d to neighbours, for one axis a."""
+        """Return the mean of (d · a)² for an axis a, over unit vectors d to the neighbours."""
         along = self.axes[:, :, axis]
         return np.asarray(np.einsum("mi,mij,mj->m", along, self.scatter, along))
 
 
 def draw_sample(emission: ModelOutputs) -> DrawnSample | None:
-    """Return a sample of the drawn rows; None if too few rows are drawn."""
+    """Return a sample of the visible Gaussians; None if too few are visible."""
     packed = emission.gaussians
     if packed is None or emission.zeros:
         return None
@@ -148,7 +148,7 @@ def draw_sample(emission: ModelOutputs) -> DrawnSample | None:
 
 
 def _drawn(emission: ModelOutputs) -> Bool[np.ndarray, " n"]:
-    """Return which rows before the count are finite and opaque enough to change a pixel."""
+    """Return the mask of the Gaussians that are finite and opaque enough to change a pixel."""
     assert emission.gaussians is not None
     live = emission.gaussians[: emission.count]
     is_drawn = (live[:, OPACITY] >= CULL_OPACITY) & np.isfinite(live).all(axis=1)
@@ -163,7 +163,7 @@ def _colors(emission: ModelOutputs, rows: Int[np.ndarray, " n"]) -> Float[np.nda
 
 
 def _patches(position: Float[np.ndarray, "n 3"]) -> list[tuple[Int[np.ndarray, " p"], int]]:
-    """Return the rows of each patch, the nearest to its middle first, and how many to measure."""
+    """Return the Gaussians of each sampled patch, nearest first, and the number to measure."""
     total = len(position)
     if total <= _WHOLE:
         return [(np.arange(total), total)]
@@ -176,7 +176,7 @@ def _patches(position: Float[np.ndarray, "n 3"]) -> list[tuple[Int[np.ndarray, "
 
 
 def _nearest(position: Float[np.ndarray, "p 3"], measured: int) -> Int[np.ndarray, "m k"]:
-    """Return the nearest other rows of the first ``measured`` rows, nearest first."""
+    """Return the nearest neighbours of the first ``measured`` Gaussians, nearest first."""
     square = np.square(position[:measured, None] - position[None]).sum(axis=2)
     square[np.arange(measured), np.arange(measured)] = np.inf
     count = min(_NEIGHBOURS, len(position) - 1)

@@ -1,4 +1,4 @@
-"""Infers from the numbers of packed rows which column holds which field."""
+"""Infers from the values of packed Gaussians which column holds which field."""
 
 __all__ = ["FieldOrder", "suspect_order"]
 
@@ -105,7 +105,7 @@ def suspect_order(
 def _layouts(
     rows: Float[np.ndarray, "n 10"], bounds: Box | None, planes: Float[np.ndarray, "n 10"] | None
 ) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
-    """Yield every other layout with the mask of rows that do not fit it, likelier layouts first."""
+    """Yield every other column layout with the mask of rows that do not fit, likeliest first."""
     for name, columns in _PERMUTATIONS.items():
         yield name, _unfit(rows[:, columns], bounds)
     yield from _with_quaternions(rows).items()
@@ -148,7 +148,7 @@ def _unfit(
 
 
 def _outside(rows: Float[np.ndarray, "n 10"], bounds: Box) -> Bool[np.ndarray, " n"]:
-    """Return which centres lie outside a box, by more than a hundredth of its diagonal."""
+    """Return the mask of centres outside a box by more than a hundredth of the box's diagonal."""
     low, high = np.asarray(bounds)
     slack = _OUTSIDE * np.linalg.norm(high - low)
     position = rows[:, :3]
@@ -156,7 +156,7 @@ def _outside(rows: Float[np.ndarray, "n 10"], bounds: Box) -> Bool[np.ndarray, "
 
 
 def _with_quaternions(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.ndarray, " n"]]:
-    """Return the mask of rows that are not a position with scales and a unit quaternion."""
+    """Return the mask of packed rows that do not hold a position, scales and a unit quaternion."""
 
     def unfit(scale: slice, quaternion: slice, *, log: bool) -> Bool[np.ndarray, " n"]:
         length = np.linalg.norm(rows[:, quaternion], axis=1)
@@ -174,7 +174,7 @@ def _with_quaternions(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.ndar
 
 
 def _squared_factor(rows: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, "n 10"]:
-    """Return rows with the covariance L Lᵀ in place of their Cholesky factor L."""
+    """Return packed rows with the covariance L Lᵀ in place of the Cholesky factor L."""
     lower = np.zeros((len(rows), 3, 3))
     lower[:, [0, 1, 1, 2, 2, 2], [0, 0, 1, 0, 1, 2]] = rows[:, 4:]
     sigma = lower @ lower.transpose(0, 2, 1)

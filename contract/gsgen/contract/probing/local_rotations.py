@@ -5,8 +5,8 @@ __all__ = ["LocalRotations", "fit_local_rotations"]
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.layout import POSITION
 
@@ -19,7 +19,7 @@ _SMALLEST = 1e-30
 
 @dataclass(frozen=True, kw_only=True)
 class LocalRotations:
-    """The rotation of each measured row's neighbourhood.
+    """The rotation of each sampled Gaussian's neighbourhood between two model runs.
 
     Attributes:
         rotation: The fitted rotations, [m, 3, 3].
@@ -33,7 +33,7 @@ class LocalRotations:
 
 
 def fit_local_rotations(sample: DrawnSample, later: Float[np.ndarray, "n 10"]) -> LocalRotations:
-    """Fit R of b ≈ R a to the offsets of each measured row's neighbours (Kabsch 1976).
+    """Fit the rotation of each Gaussian's neighbourhood between two runs (Kabsch 1976).
 
     Args:
         sample: Drawn rows of the first run.

@@ -192,12 +192,12 @@ class Rows:
 
     @cached_property
     def live_rows(self) -> int:
-        """The number of rows of the chunk below the live count."""
+        """The number of live rows of the chunk, before the row count."""
         return int(np.clip(self.emission.count - self.start, 0, len(self)))
 
     @cached_property
     def counted(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the rows below the live count."""
+        """The mask of the live rows of the chunk, before the row count."""
         return np.arange(len(self)) < self.live_rows
 
     @cached_property
@@ -232,7 +232,7 @@ class Rows:
 
     @cached_property
     def trace(self) -> Float[np.ndarray, " n"]:
-        """The sum of each Gaussian's variances along the axes."""
+        """The trace of each Gaussian's covariance: the sum of the variances along the axes."""
         xx, _, _, yy, _, zz = self.covariance
         return np.asarray(xx + yy + zz)
 

@@ -88,7 +88,7 @@ def default_probes(
 def dependency_probes(
     manifest: Manifest, base: Probe, other_probes: tuple[Probe, ...]
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield, for each role, probes that differ from ``base`` in that role's inputs alone.
+    """Yield, for each input role, probes that differ from a base probe in that role's inputs alone.
 
     An input that ``depends_on`` names has probes of its own, under the key ``input NAME``.
     """
@@ -110,7 +110,7 @@ def dependency_probes(
 
 
 def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray, "4 4"]:
-    """Return a matrix as [4, 4] tensor data: ``column`` stores Mᵀ, ``row`` stores M."""
+    """Return a matrix as [4, 4] tensor data; column-major order stores Mᵀ, row-major stores M."""
     tensor = matrix.T if order == "column" else matrix
     return np.ascontiguousarray(tensor, np.float32)
 
@@ -148,7 +148,7 @@ def _sample(
 def _history(
     span: tuple[float, float], count: int, size: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "t s"]:
-    """Return a smooth camera path: states of ``size`` numbers, the centre and then the rotation."""
+    """Return a smooth camera path: state vectors of centre and rotation."""
     steps = np.arange(count)[:, None]
     sides = _between(*span, rng.random((2, 3)))
     pace = (sides[1] - sides[0]) / max(count - 1, 1)
@@ -161,12 +161,12 @@ def _history(
 
 
 def _between(low: float, high: float, along: Array) -> Array:
-    """Interpolate linearly between ``low`` and ``high`` without overflow of their difference."""
+    """Interpolate linearly between two numbers without overflow of their difference."""
     return np.asarray(low * (1 - along) + high * along)
 
 
 def _cast(values: Array, dtype: str) -> Array:
-    """Convert numbers to ``dtype``, clamped to its range."""
+    """Convert numbers to another dtype, clamped to the dtype's range."""
     kind = np.dtype(dtype)
     if kind.kind in "iuf":
         limits = np.finfo(kind) if kind.kind == "f" else np.iinfo(kind)
@@ -189,14 +189,14 @@ def _viewport(along: float) -> tuple[float, float]:
 
 
 def _lens(along: float) -> Float[np.ndarray, "4 4"]:
-    """Return the projection of the camera at ``along`` (0..1) on the probe spiral, per viewport."""
+    """Return the projection matrix of a camera on the probes' spiral around the scene."""
     narrowest, widest = _FOV
     width, height = _viewport(along)
     return perspective(narrowest + (widest - narrowest) * along, width / height, _NEAR, _FAR)
 
 
 def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:
-    """Return the view matrix of the camera at ``along`` (0..1) on a spiral around the bounds."""
+    """Return the view matrix of a camera on the probes' spiral around the declared bounds."""
     bounds = getattr(manifest, "bounds", None) or Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
     low, high = np.clip([bounds.min, bounds.max], -_FARTHEST, _FARTHEST)
     center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)

@@ -94,45 +94,45 @@ class Behaviour:
     unfinished_probes: list[str] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
-        """Return the same runs with an empty list of unfinished probes, for the next rule."""
+        """Return the model runs with an empty list of unfinished probes, for the next rule."""
         return replace(self, unfinished_probes=[])
 
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The outputs at the value rules' probes, all-zero probes excluded."""
+        """The model outputs at the probes of value rules, without all-zero probes."""
         return [runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The base probe and the probes that differ from it in the inputs of ``role`` alone."""
+        """The base probe, and the probes that differ in the inputs of one role alone."""
         base, variants = self.trial.plan.variants.get(role, (0, ()))
         return self._of((base, *variants)) if variants else []
 
     @property
     def values(self) -> list[ProbeRun]:
-        """The runs at the value rules' probes, in order."""
+        """The model runs at the probes of value rules, in order."""
         return [self._visit(index) for index in range(self.trial.plan.values)]
 
     @property
     def base(self) -> ProbeRun:
-        """The run that most other runs are compared with."""
+        """The model run that most other runs are compared with."""
         repeated = self.trial.plan.repeated
         assert repeated is not None
         return self._visit(repeated[0])
 
     @property
     def seconds(self) -> list[float]:
-        """The duration of each run at the value rules' probes, in seconds."""
+        """The duration of each model run at the probes of value rules, in seconds."""
         return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
 
     def visits(self, trial: str) -> list[ProbeRun]:
-        """Return the finished extra runs of a probe group, and record the unfinished ones."""
+        """Return the finished model runs of a probe group, and record the unfinished probes."""
         probe_indices = self.trial.plan.trials.get(trial, ())
         missed = (index for index in probe_indices if not self._ran(index))
         self.unfinished_probes.extend(self.trial.plan.probes[index].label for index in missed)
         return [self._visit(index) for index in probe_indices if self._ran(index)]
 
     def runs(self, indices: Iterable[int]) -> list[ProbeRun]:
-        """Return the runs with these numbers in the plan that finished."""
+        """Return the finished model runs with given numbers in the probe plan."""
         return [self._visit(index) for index in indices if self._ran(index)]
 
     def _ran(self, index: int) -> bool:

@@ -109,7 +109,7 @@ def execute(
     worker: str = _WORKER,
     **options: object,
 ) -> Iterator[Execution]:
-    """Run ``model`` once for each probe, in order, in one sandboxed session.
+    """Run a model once for each probe, in order, in one sandboxed session.
 
     Args:
         model: The ONNX file.

@@ -46,12 +46,12 @@ Emit = Callable[..., None]
 
 
 def main(folder: Path) -> int:
-    """Run the sandbox job described in ``folder/job.json``."""
+    """Run the sandbox job that ``job.json`` in a folder describes."""
     return serve(folder, _work)
 
 
 def serve(folder: Path, work: Callable[[Path, dict[str, Any], Emit], int]) -> int:
-    """Read the sandbox job in ``folder``, do its ``work``, and return the exit status."""
+    """Read a sandbox job from its folder, do the job, and return the exit status."""
     job = json.loads((folder / "job.json").read_text())
     with (folder / "events.jsonl").open("w", buffering=1) as log:
 
@@ -131,7 +131,7 @@ def keep_outputs(
     *,
     thin: bool = False,
 ) -> int:
-    """Store a set of outputs unless an equal one is stored; return the number of the stored set.
+    """Store a run's outputs unless equal outputs are stored; return the number of the stored set.
 
     Where ``thin``, a part of the rows is stored, and which outputs are not finite is noted.
     """
@@ -161,7 +161,7 @@ def digest_of(outputs: dict[str, np.ndarray]) -> str:
 
 
 def thinned(value: np.ndarray) -> np.ndarray:
-    """Return about 16,384 evenly spaced rows of ``value``, or all rows if it has fewer."""
+    """Return about 16,384 evenly spaced rows of a model output, or all rows of a small one."""
     step = max(1, len(value) // _THIN_ROWS) if value.ndim else 1
     return value[::step] if step > 1 else value
 
@@ -171,7 +171,7 @@ def _finite(value: np.ndarray) -> bool:
 
 
 def stage_of(error: Exception, probe: int | None) -> str:
-    """Return the limit that an error is about, or else the stage in which it happened."""
+    """Return the exceeded limit that an error names, or else the stage of the failed run."""
     if isinstance(error, MemoryError) or any(word in str(error) for word in _OUT_OF_MEMORY):
         return "memory"
     return "load" if probe is None else "run"

@@ -13,7 +13,7 @@ MOST_SEEDS = 4
 
 
 def vector_label(label: str, seed: int) -> str:
-    """Return the label of the probe ``label`` when it is generated with a non-default seed."""
+    """Return the label of a probe that is generated with a non-default seed."""
     return f"{label}, seed {seed}"
 
 

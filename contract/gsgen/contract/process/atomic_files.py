@@ -24,7 +24,7 @@ MODEL_SUFFIX = ".onnx"
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path; the file written there is renamed to ``path`` after the block.
+    """Yield a temporary path; a file written there is renamed to the final path after the block.
 
     Files beside it (external weights), also in subfolders, are moved first, so that a model never
     refers to a missing file. If the block raises, nothing is moved and the temporary files are
@@ -80,7 +80,7 @@ def refuse_missing_folder(path: Path) -> None:
 
 
 def is_device(path: Path) -> bool:
-    """Return whether ``path`` exists and is neither a regular file nor a folder.
+    """Return whether a path is a device, pipe or socket: neither a regular file nor a folder.
 
     /dev/stdout counts as a device even where the shell redirects it to a file: a rename would
     replace the name for every other process.

@@ -31,7 +31,7 @@ class Interrupts:
 
 @contextmanager
 def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[Interrupts]:
-    """End this process ``seconds`` after an interrupt, unless it has ended by itself.
+    """End this process some seconds after an interrupt, unless it has ended by itself.
 
     The timer keeps running after the block, since Python waits for threads at exit.
 

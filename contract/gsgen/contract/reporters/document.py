@@ -163,7 +163,7 @@ class RuleEntry:
 
 @dataclass(frozen=True, slots=True)
 class UncheckedEntry:
-    """A required rule that was not checked."""
+    """A rule that is required but was not checked."""
 
     rule: RuleId
     status: str
@@ -259,7 +259,7 @@ class Batch:
 
 
 def schema() -> dict[str, object]:
-    """Return the JSON Schema that every report follows."""
+    """Return the JSON Schema that every JSON validation report follows."""
     batch_schema = schema_of(Batch, title=f"gsgen report: {SCHEMA}")
     definitions = batch_schema["$defs"]
     assert isinstance(definitions, dict)

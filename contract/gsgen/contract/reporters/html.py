@@ -28,7 +28,7 @@ _EXPECTED = "; expected "
 
 
 def to_html(entries: Sequence[Entry]) -> str:
-    """Return all reports as one page."""
+    """Return all validation reports as one HTML page."""
     style = files("gsgen.contract.reporters").joinpath("report.css").read_text("utf-8")
     title = summary_line(entries) if len(entries) != 1 else entries[0].path
     sections = "\n".join(_section(entry, number) for number, entry in enumerate(entries, 1))

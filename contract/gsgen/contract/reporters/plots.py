@@ -13,7 +13,7 @@ _ROOM = 0.15
 
 
 def histogram(distribution: Distribution, name: str) -> str:
-    """Return a histogram; rows that break the rule stand on those that keep it."""
+    """Return an SVG histogram of a rule's values; bars of bad rows stand on bars of good rows."""
     bars = list(zip(distribution.valid, distribution.invalid, strict=True))
     tallest = max(valid + invalid for valid, invalid in bars)
     width = (_WIDTH - 2 * _MARGIN) / len(bars)
@@ -36,7 +36,7 @@ def histogram(distribution: Distribution, name: str) -> str:
 
 
 def number_line(statistic: Statistic) -> str:
-    """Return a number as a mark, and its allowed range as a band."""
+    """Return an SVG plot of a number as a mark, and its allowed range as a band."""
     limits = [limit for limit in (statistic.low, statistic.high) if limit is not None]
     ends = [*limits, statistic.value]
     room = _ROOM * ((max(ends) - min(ends)) or abs(statistic.value) or 1.0)

@@ -24,12 +24,12 @@ FAMILIES = {
 
 
 def help_path(rule: Rule) -> str:
-    """Return the path of the documentation page of ``rule``; empty for third-party rules."""
+    """Return the path of a rule's documentation page; empty for third-party rules."""
     return "" if "/" in rule.id else f"rules/{rule.id}.md"
 
 
 def help_url(rule: Rule, docs_url: str = "") -> str:
-    """Return the address of the page of ``rule``; empty where no documentation is published.
+    """Return the web address of a rule's page; empty where no documentation is published.
 
     Args:
         rule: The rule.
@@ -41,7 +41,7 @@ def help_url(rule: Rule, docs_url: str = "") -> str:
 
 @cache
 def _published_docs() -> str:
-    """Return the address under ``Documentation`` in the package's metadata."""
+    """Return the web address of the documentation, from the package's metadata."""
     for line in metadata("gsgen").get_all("Project-URL") or ():
         label, _, url = line.partition(",")
         if label.strip().lower() == "documentation":

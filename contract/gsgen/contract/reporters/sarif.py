@@ -63,7 +63,7 @@ def to_sarif(entries: Sequence[Entry]) -> str:
 
 
 def _speaking(report: Report) -> set[str]:
-    """Return the ids of the rules that the log mentions; readers need no others."""
+    """Return the ids of the rules that a SARIF log mentions."""
     silent_failures = [*_crashed(report), *report.unchecked]
     rules_of_findings = {finding.rule for finding in report.findings}
     return rules_of_findings | {outcome.rule.id for outcome in silent_failures}

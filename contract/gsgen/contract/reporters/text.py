@@ -46,7 +46,7 @@ def brief_line(report: Report) -> Line:
 
 
 def render(report: Report, *, verbose: bool = False) -> list[Line]:
-    """Return one model's report as lines of text.
+    """Return one model's validation report as lines of text.
 
     Args:
         report: The report of one model.

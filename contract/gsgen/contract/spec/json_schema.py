@@ -56,7 +56,7 @@ class Hint:
 
 
 def schema_of(cls: type, *, title: str | None = None) -> dict[str, object]:
-    """Return the JSON Schema of the frozen dataclass ``cls``, with nested ones in ``$defs``."""
+    """Return the JSON Schema of a frozen dataclass, with nested dataclasses in ``$defs``."""
     definitions: dict[str, object] = {}
     body = _object_schema(cls, definitions)
     head: dict[str, object] = {"$schema": DIALECT, "title": title or cls.__name__}
@@ -144,7 +144,7 @@ def _key(field: "Field[Any]") -> str:
 
 
 def _is_absent(field: "Field[Any]", value: Any) -> bool:
-    """Return whether ``value`` is written by leaving ``field`` out: None, or an empty default."""
+    """Return whether JSON omits a dataclass field: a value of None, or an empty default."""
     if value is None:
         return True
     default = field.default
@@ -154,7 +154,7 @@ def _is_absent(field: "Field[Any]", value: Any) -> bool:
 
 
 def from_json(hint: Any, value: Any) -> Any:
-    """Build a value of type ``hint`` from JSON that fits its schema; unknown fields are ignored."""
+    """Build a typed value from JSON that fits the schema; unknown fields are ignored."""
     origin = get_origin(hint)
     if origin is Annotated:
         return from_json(get_args(hint)[0], value)
@@ -178,7 +178,7 @@ def from_json(hint: Any, value: Any) -> Any:
 
 @cache
 def _members_of(cls: type) -> dict[str, tuple[str, Any]]:
-    """Return the key in JSON of each field → its name and its type."""
+    """Map the JSON key of each dataclass field to the field's name and type."""
     hints = get_type_hints(cls, include_extras=True)
     return {_key(field): (field.name, hints[field.name]) for field in fields(cls)}
 

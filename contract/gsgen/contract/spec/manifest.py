@@ -178,7 +178,7 @@ class Input:
         return low + (high - low) * frame / count
 
     def frame_at(self, time: float) -> int:
-        """Return the frame that a time shows; the end of the range shows the last, or the first."""
+        """Return the frame shown at a time; the end shows the last frame, or a loop's first."""
         low, high, count = self._frames()
         frame = math.floor(count * (time - low) / (high - low) + _FRAME_ROUNDING)
         return frame % count if self.loop else min(max(frame, 0), count - 1)
@@ -328,7 +328,7 @@ class ReferenceImage:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What one frame costs on one device."""
+    """The declared time and memory of one frame on one device."""
 
     device: Annotated[str, Hint(text="The device, as its driver calls it.", min_length=1)]
     milliseconds: Annotated[Fraction | None, Hint(text="Median time of one run.")] = None
@@ -339,7 +339,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class ExternalData:
-    """A file with weights, and its digest."""
+    """A file with a model's external weights, and the file's digest."""
 
     path: Annotated[str, Hint(text="As the model writes it: its `location`.", min_length=1)]
     sha256: Sha256
@@ -395,7 +395,7 @@ class GeneratorManifest(_Common):
     kind: Literal["gaussian-generator"] = "gaussian-generator"
 
     def depends(self, entry: Input) -> bool:
-        """Return whether outputs may change with an input; its name comes before its role."""
+        """Return whether outputs may change with an input, as `depends_on` declares."""
         return self.depends_on.get(entry.name, self.depends_on.get(entry.role, True))
 
 
@@ -455,7 +455,7 @@ class TrajectoryOutputs:
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryTolerances:
-    """How closely two executions of a trajectory predictor agree."""
+    """The largest differences between two executions of a trajectory predictor."""
 
     position: Annotated[Fraction, Hint(text="In units of length.")] = 1e-3
     rotation: Annotated[Fraction, Hint(text="Angle between two rotations, in radians.")] = 1e-3

@@ -1,4 +1,4 @@
-"""What a reader must know to read a model: the registry of extensions, and operator profiles."""
+"""The registry of manifest extensions, and the operator profiles that models declare."""
 
 __all__ = ["PROFILES", "REGISTERED", "Extension", "OperatorProfile", "smallest_profile"]
 
@@ -42,11 +42,11 @@ class OperatorProfile:
     summary: str
 
     def missing(self, operators: Iterable[str]) -> list[str]:
-        """Return the operators that the profile does not have, sorted."""
+        """Return the operators that an operator profile does not have, sorted."""
         return sorted(set(operators) - self.operators)
 
     def holds(self, operators: Iterable[str], opset: int) -> bool:
-        """Return whether a runtime of this profile runs a graph of ``operators``."""
+        """Return whether a runtime of an operator profile runs a graph with given operators."""
         return self.opset[0] <= opset <= self.opset[1] and not self.missing(operators)
 
 
@@ -76,6 +76,6 @@ PROFILES = {
 
 
 def smallest_profile(operators: Iterable[str], opset: int) -> str | None:
-    """Return the name of the first profile that holds a graph, or None."""
+    """Return the name of the first operator profile that covers a graph's operators, or None."""
     names = set(operators)
     return next((p.name for p in PROFILES.values() if p.holds(names, opset)), None)

@@ -229,7 +229,7 @@ def role(name: str) -> Role:
 
 
 def matching_shape(entry: Role, dims: Shape) -> Shape | None:
-    """Return the shape of the role ``entry`` that ``dims`` fits, or None.
+    """Return the input role's shape that a tensor's dimensions fit, or None.
 
     A named size fits any positive number; ``*`` alone fits any shape.
     """
@@ -242,7 +242,7 @@ def matching_shape(entry: Role, dims: Shape) -> Shape | None:
 
 
 def matches_shape(shape: Shape, dims: Shape) -> bool:
-    """Return whether ``dims`` has the sizes of ``shape``; a named size fits any."""
+    """Return whether a tensor's dimensions fit an input role's shape; a named size fits any."""
     return len(shape) == len(dims) and all(
         isinstance(expected, str) or expected == dim
         for expected, dim in zip(shape, dims, strict=True)

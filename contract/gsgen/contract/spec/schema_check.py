@@ -1,4 +1,4 @@
-"""Quick acceptance of JSON documents, without the library that explains why one is refused.
+"""Checks valid JSON documents quickly, without the library that explains invalid ones.
 
 Importing jsonschema takes a sixth of a static validation. Documents that :func:`accepts` are valid;
 for all others, jsonschema decides and finds the faults.
@@ -17,7 +17,7 @@ _NOTES = frozenset({"$schema", "$defs", "title", "description", "default", "exam
 
 
 def accepts(schema: Schema, document: object) -> bool:
-    """Return True only if ``document`` follows ``schema``; a keyword not known here gives False."""
+    """Return True only if a JSON document surely follows a schema; unknown keywords give False."""
     return _Check(schema.get("$defs", {})).accepts(schema, document)
 
 
@@ -48,7 +48,7 @@ _LIMITS: dict[str, Callable[[Any, Any], bool]] = {
 
 
 class _Check:
-    """Evaluates the keywords of one schema document."""
+    """Evaluates the keywords of one JSON Schema."""
 
     def __init__(self, definitions: Mapping[str, Schema]) -> None:
         self.definitions = definitions

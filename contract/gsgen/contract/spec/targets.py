@@ -43,7 +43,7 @@ class Target:
 
     @property
     def runs_natively(self) -> bool:
-        """Whether the level live runs a release that the target names, or it names none."""
+        """Whether validation at the level live runs a browser runtime release of the target."""
         return not self.operators or any(name.startswith("ep-") for name in self.operators)
 
     @property

@@ -32,7 +32,7 @@ def upgrade_1_0_to_1_1(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def upgrade_1_1_to_1_2(document: dict[str, Any]) -> dict[str, Any]:
-    """Lift a manifest to 1.2, which only adds fields: all that 1.1 says stays as it is."""
+    """Convert a manifest of contract 1.1 to 1.2, which only adds fields."""
     return document | {"contract": "1.2"}
 
 
@@ -43,7 +43,7 @@ UPGRADES: dict[Version, Step] = {(1, 0): upgrade_1_0_to_1_1, (1, 1): upgrade_1_1
 def upgrade(
     document: dict[str, Any], version: Version, steps: Mapping[Version, Step] = UPGRADES
 ) -> dict[str, Any]:
-    """Upgrade a manifest document version by version, as far as ``steps`` reach.
+    """Upgrade a manifest document version by version to the current contract version.
 
     The document given is not changed. Where no step starts at a version, it stays there.
     """

@@ -16,7 +16,7 @@ from gsgen.contract.validator import validate
 
 
 def registry_for(paths: Sequence[Path]) -> Registry:
-    """Return the installed rules; rules of other file kinds only if ``paths`` has such a file."""
+    """Return the installed rules; tileset rules only if one of the files is a tileset."""
     models_only = all(path.suffix.lower() == MODEL_SUFFIX for path in paths)
     return model_rules() if models_only else installed_rules()
 

@@ -25,7 +25,7 @@ Draw = Callable[[Path, str, Settings], bytes]
 
 
 def with_picture(report: Report, settings: Settings) -> Report:
-    """Return ``report`` with a picture of the probe that its first finding names."""
+    """Return a validation report with a picture of the probe that the first finding names."""
     return replace(report, picture=_picture(report, settings))
 
 
@@ -45,7 +45,7 @@ def _picture(report: Report, settings: Settings) -> Picture:
 
 
 def _obstacle(report: Report) -> str:
-    """Return why nothing can be drawn, or an empty text."""
+    """Return the reason why a model cannot be drawn; empty if the model can be drawn."""
     if report.kind != GENERATOR:
         return "only generators are drawn"
     if not report.probes:
@@ -56,7 +56,7 @@ def _obstacle(report: Report) -> str:
 
 
 def _probe(report: Report) -> str:
-    """Return the label of a probe: one that a finding names, or else one in the middle."""
+    """Return the label of the probe to draw: one that a finding names, or else a middle one."""
     labels = [label for label in report.probes if label != _ZEROS] or list(report.probes)
     named = (
         example.probe

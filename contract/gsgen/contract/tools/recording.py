@@ -85,7 +85,7 @@ def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
 
 
 def current_document(subject: InspectedModel) -> dict[str, Any]:
-    """Return the manifest's JSON, upgraded: an older version has not all fields to record in."""
+    """Return a manifest's JSON, upgraded to the version that has all fields to record in."""
     document: dict[str, Any] = json.loads(subject.file.manifest_text or "{}")
     version = subject.parsed.version if subject.parsed else None
     return upgrade(document, version) if version is not None else document

@@ -46,14 +46,14 @@ _SET = re.compile(r"^test_data_set_[0-9]+$")
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """Where vectors are recorded: seed of the probe set, the copy of the model, their folder."""
+    """The destination of recorded test vectors: probe seed, copy of the model, and folder."""
 
     seed: int
     model: Path
     folder: Path
 
     def location(self, name: str) -> str | None:
-        """Return the path of a file in the folder as the manifest writes it.
+        """Return the path of a test vector's file as the manifest writes paths.
 
         None if the folder is neither the model's nor below it: the manifest cannot name it.
         """

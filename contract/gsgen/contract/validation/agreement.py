@@ -79,7 +79,7 @@ def _beyond(
 
 
 def comparable_parts(first: ModelOutputs, second: ModelOutputs) -> tuple[bool, bool, bool]:
-    """Return for packed rows, colours and cells whether each can be compared field by field."""
+    """Return whether packed rows, colours and cells can each be compared field by field."""
     rows, second_rows = first.gaussians, second.gaussians
     if rows is None or second_rows is None or rows.shape != second_rows.shape:
         return False, False, False
@@ -130,7 +130,7 @@ def _packed_measured(
     drawn: Bool[np.ndarray, " n"],
     dtype: str,
 ) -> Iterator[tuple[str, Measured]]:
-    """Yield the errors of opacity, position and covariance of packed rows or cells."""
+    """Yield the differences in opacity, position and covariance of packed rows or cells."""
     rounding, tiny = _ROUNDING[dtype], _TINY[dtype]
     yield "opacity", (_distance(a, b, OPACITY), np.full(len(a), rounding))
     trace = np.maximum(a[:, VARIANCES].sum(axis=1), _SMALLEST_TRACE)
@@ -147,7 +147,7 @@ def _where(drawn: np.ndarray, error: np.ndarray, rounding: np.ndarray) -> Measur
 
 
 def _ratio(distance: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Divide distances by ``unit``; a zero distance stays zero, even for a zero unit."""
+    """Divide distances by a unit length; a distance of zero stays zero, even for unit 0."""
     return np.asarray(np.where(distance == 0, 0.0, distance / unit))
 
 

@@ -33,7 +33,7 @@ class Baseline:
     known: Mapping[str, KnownFindings]
 
     def apply(self, report: Report) -> Report:
-        """Mark the known findings of ``report``, and list the resolved ones.
+        """Mark a report's findings that the baseline knows, and list the resolved findings.
 
         A finding is resolved only if its rule was checked this time.
         """

@@ -55,7 +55,7 @@ def validate_with(
     *,
     progress: Progress = silent,
 ) -> Report:
-    """Validate the model at ``path`` by the rules of ``registry`` and return the report.
+    """Validate a model file by the rules of a registry, and return the report.
 
     Args:
         registry: The rules, and the backends of further levels.
@@ -70,7 +70,7 @@ def validate_with(
 
 
 class _Validation:
-    """One validation of one model; each method is a stage."""
+    """Validates one model; each method is a stage of the validation."""
 
     def __init__(
         self, path: Path, settings: Settings, registry: Registry, progress: Progress

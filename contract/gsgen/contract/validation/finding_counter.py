@@ -96,7 +96,7 @@ class FindingCounter:
             self.samples.append((values[::step].astype(np.float64), invalid[::step]))
 
     def distribution(self) -> Distribution | None:
-        """Return the histogram of the sampled values; None without finite ones."""
+        """Return the histogram of a rule's sampled values; None without finite values."""
         if not self.samples:
             return None
         values, invalid = (np.concatenate(part) for part in zip(*self.samples, strict=True))

@@ -112,7 +112,7 @@ class ResultCollector:
         counters[key].add(violation, probe, start)
 
     def fails(self, rule: Rule) -> bool:
-        """Return whether the violations so far are enough for ``rule`` to fail."""
+        """Return whether the violations so far are enough for a rule to fail."""
         return any(counter.fails for counter in self._counters.get(rule.id, {}).values())
 
     def settle(self, rules: Iterable[Rule], items: int = 0) -> None:
@@ -133,7 +133,7 @@ class ResultCollector:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="crashed", reason=last))
 
     def exclude(self, rules: Iterable[Rule], reason: str) -> None:
-        """Settle rules as not applicable, with the reason."""
+        """Record rules as not applicable, with the reason."""
         for rule in rules:
             outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
             self.outcomes.setdefault(rule.id, outcome)

@@ -109,7 +109,7 @@ class ResolvedFinding:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A drawn probe of a validated model, or the reason why none was drawn.
+    """A picture of a validated model at one probe, or the reason why no picture was drawn.
 
     Attributes:
         probe: Label of the probe.

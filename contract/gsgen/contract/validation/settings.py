@@ -68,7 +68,7 @@ class Settings:
     today: date = field(default_factory=date.today)
 
     def severity_of(self, rule: Rule) -> Severity:
-        """Return the severity of ``rule`` under these settings."""
+        """Return the severity of a rule under the validation settings."""
         if rule.id in self.severities:
             return self.severities[rule.id]
         if self.strict and rule.id == "GM001":

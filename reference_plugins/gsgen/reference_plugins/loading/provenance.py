@@ -6,9 +6,10 @@ import hashlib
 from importlib.metadata import version
 
 from gsgen.contract.spec.manifest import Producer
+from gsgen.formats.codecs import codec_named
 from gsgen.reference_plugins.loading.training_run import TrainingRun
 
-_WEIGHTS = (".ply", ".pt", ".pth")
+_WEIGHTS = (*codec_named("ply").suffixes, *codec_named("checkpoint").suffixes)
 _PARENTS = ("point_cloud", "deform", "mlp_ckpt")
 
 

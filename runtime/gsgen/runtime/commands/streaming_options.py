@@ -54,15 +54,14 @@ def with_streaming_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the options of streaming, which are passed as one settings object."""
     own = inspect.signature(command).parameters
 
-    def streaming_command(**values: Any) -> None:
-        settings = _settings(**{name: values.pop(name) for name in _OPTIONS})
-        command(**values, streaming=settings)
+    def streaming_command(*arguments: Any, **values: Any) -> None:
+        given = {name: values.pop(name) for name in _OPTIONS if name in values}
+        command(*arguments, **values, streaming=_settings(**given))
 
-    merged = [
-        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for parameter in (*own.values(), *_OPTIONS.values())
-        if parameter.name != "streaming"
+    further = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in _OPTIONS.values()
     ]
+    merged = [*(own[name] for name in own if name != "streaming"), *further]
     # typer reads the signature and the annotations.
     streaming_command.__signature__ = inspect.Signature(merged)  # type: ignore[attr-defined]
     streaming_command.__annotations__ = {entry.name: entry.annotation for entry in merged}

@@ -137,7 +137,7 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _bare_share(hidden: Float[np.ndarray, "m 10"], drawn: Float[np.ndarray, "n 10"]) -> float:
-    """Return the share of hidden rows that no drawn row covers, of a sample."""
+    """Return the fraction of hidden Gaussians that no visible Gaussian covers, of a sample."""
     if not len(drawn):
         return 1.0
     size = np.square(_COVERED) * drawn[:, list(VARIANCES)].max(axis=1)

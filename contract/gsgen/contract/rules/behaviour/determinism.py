@@ -95,13 +95,13 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _inputs_of(subject: InspectedModel, key: str) -> list[Input]:
-    """Return the inputs of a key of ``Behaviour.varied``: a role, or one input."""
+    """Return the model inputs that a role or an input's name denotes."""
     inputs = subject.manifest.inputs if subject.manifest else ()
     return [entry for entry in inputs if key in (entry.role, f"{INPUT_PREFIX}{entry.name}")]
 
 
 def _depends(behaviour: Behaviour, key: str) -> bool:
-    """Return whether outputs may change with any of the inputs of a key."""
+    """Return whether outputs may change with any input of a role."""
     generator = behaviour.subject.generator
     entries = _inputs_of(behaviour.subject, key)
     return generator is None or any(map(generator.depends, entries))

@@ -1,10 +1,10 @@
-"""GB rules of the root: a translation is added, and a rotation turns the body as the text says."""
+"""GB rules of root motion: a translation is added, and a rotation turns the body forwards."""
 
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.spec.geometry import rotation_matrix
@@ -25,7 +25,7 @@ _Pair = tuple[Probe, Probe, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
 
 
 def _pairs(behaviour: Behaviour, role: str) -> Iterator[_Pair]:
-    """Yield two probes that differ in one role, and the centres of rows that both draw."""
+    """Yield pairs of probes that differ in one input role, and the centres drawn in both."""
     declared = behaviour.subject.declared_gaussians
     runs = behaviour.variants(role)
     if declared is None or len(behaviour.subject.inputs_of(role)) != 1 or len(runs) < 2:

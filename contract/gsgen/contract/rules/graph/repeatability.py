@@ -22,7 +22,7 @@ _TRAINING_FLAG = 2  # the input of Dropout that switches it on
 
 
 def _nodes(subject: InspectedModel) -> Iterator[NodeProto]:
-    """Yield the nodes of the standard domain that outputs need, and all of subgraphs and functions."""
+    """Yield the standard ONNX nodes that the outputs need, and those of subgraphs and functions."""
     graph = subject.graph
     needed = {id(node) for tensor in graph.outputs for node in graph.ancestors(tensor.name)[1]}
     idle = {id(node) for node in graph.nodes} - needed

@@ -37,7 +37,7 @@ def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _misplaced_manifest(subject: InspectedModel) -> str:
-    """Return where else a text that looks like a manifest is stored; empty if nowhere."""
+    """Return another location of a text that looks like a manifest; empty if there is none."""
     proto = subject.file.proto
     for key, value in subject.file.metadata.items():
         if key.lower() == MANIFEST_KEY:

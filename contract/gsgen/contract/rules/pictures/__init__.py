@@ -1,1 +1,1 @@
-"""Do the numbers draw what their author meant, as far as statistics of the picture tell?"""
+"""Do valid output values draw what the author meant, as far as statistics tell?"""

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.rules.pictures.displayed_colors import SH_OFFSET, displayed_colors
 from gsgen.contract.spec.layout import OPACITY
@@ -61,7 +61,7 @@ def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _mistake(constant: Float[np.ndarray, "e 3"]) -> str:
-    """Return the wrong conversion that the constant terms look like; empty if none."""
+    """Return the wrong conversion that the constant SH terms look like; empty if none."""
     low, high = float(constant.min()), float(constant.max())
     shown = SH_OFFSET + SH_DC * constant
     bright = float((shown > 1).mean())
@@ -160,7 +160,7 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _roughness(sample: DrawnSample, color: Float[np.ndarray, "n 3"]) -> float:
-    """Return the mean squared difference of neighbours over that of any two rows."""
+    """Return the ratio of neighbours' mean squared colour difference to that of random pairs."""
     variance = color.var(axis=0).sum()
     nearest = color[sample.neighbours[:, 0]] - color[sample.inner]
     return float(np.square(nearest).sum(axis=1).mean() / (2 * variance)) if variance > 0 else 0.0

@@ -3,8 +3,8 @@
 __all__ = ["SH_OFFSET", "displayed_colors"]
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.spherical_harmonics import SH_DC
 
@@ -13,7 +13,7 @@ SH_OFFSET = 0.5
 
 
 def displayed_colors(sample: DrawnSample) -> Float[np.ndarray, "e 3"] | None:
-    """Return RGB of the evenly sampled rows, unclamped; None if the appearance cannot be read."""
+    """Return the unclamped RGB of sampled Gaussians; None if the appearance cannot be read."""
     if sample.even_color is None or sample.emission.declared is None:
         return None
     color = sample.even_color[:, :3]

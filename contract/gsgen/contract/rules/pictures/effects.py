@@ -142,7 +142,7 @@ Series = list[tuple[float, ModelOutputs]]
 
 
 def _all_series(behaviour: Behaviour) -> Iterator[tuple[Input, Series]]:
-    """Yield each time or frame input with the outputs of all runs that differ in it alone."""
+    """Yield each time or frame input with the outputs of the runs that vary only that input."""
     generator = behaviour.subject.generator
     behaviour.visits("swept")  # a rule whose probes did not run is skipped
     for entry in generator.inputs if generator else ():
@@ -171,13 +171,13 @@ def _outputs(behaviour: Behaviour, run: ProbeRun) -> ModelOutputs:
 
 
 def _differs(a: ModelOutputs, b: ModelOutputs, tolerances: tuple[Tolerance, ...]) -> bool:
-    """Return whether two runs differ in rows that are drawn, beyond the tolerances."""
+    """Return whether two model runs differ in visible Gaussians, beyond the tolerances."""
     same_count = a.count == b.count
     return not same_count or next(field_errors(a, b, tolerances), None) is not None
 
 
 def _motion(a: ModelOutputs, b: ModelOutputs) -> float:
-    """Return the root mean square motion of drawn rows between two runs; 0 of a few rows."""
+    """Return the root mean square motion of visible Gaussians between two model runs."""
     x, y = a.gaussians, b.gaussians
     if x is None or y is None or x.shape != y.shape:
         return 0.0

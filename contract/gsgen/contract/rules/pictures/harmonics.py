@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation
@@ -55,7 +55,7 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _correlation(detail: Float[np.ndarray, "e k 3"]) -> float:
-    """Return the mean correlation between two channels, over coefficients and pairs; 0 if constant."""
+    """Return the mean correlation of colour channels over SH coefficients; 0 if constant."""
     centred = detail - detail.mean(axis=0)
     deviation = np.sqrt(np.square(centred).mean(axis=0))
     unit = centred / np.where(deviation > 0, deviation, 1)

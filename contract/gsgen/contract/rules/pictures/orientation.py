@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from itertools import permutations, product
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.drawn_sample import FEWEST_DRAWN, LINEAR, PLANAR, DrawnSample
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation
@@ -62,7 +62,7 @@ def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _deviation(sample: DrawnSample) -> tuple[float, int, str] | None:
-    """Return the statistic, the axis it is of, and the shape; None where neighbours form neither."""
+    """Return how well Gaussians align with their neighbours; None without surface or strand."""
     scatter = sample.scatter_eigenvalues
     discs, needles = _shapes(sample)
     if _is_enough(discs) and (limit := scatter[discs, 0].mean()) < PLANAR:
@@ -84,7 +84,7 @@ def _is_enough(mask: Bool[np.ndarray, " m"]) -> bool:
 
 
 def _explaining_axes(sample: DrawnSample, axis: int) -> str:
-    """Return the signed axes by which orientations fit their neighbours; empty if none do."""
+    """Return the axis permutation that aligns Gaussians with their neighbours; empty if none."""
     is_shape = _shapes(sample)[0 if axis == 0 else 1]
     along, scatter = sample.axes[is_shape][:, :, axis], sample.scatter[is_shape]
     limit = sample.scatter_eigenvalues[is_shape, axis].mean()

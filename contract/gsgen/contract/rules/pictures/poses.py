@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample, draw_sample
 from gsgen.contract.probing.local_rotations import LocalRotations, fit_local_rotations
 from gsgen.contract.probing.outputs import read_outputs
@@ -102,7 +102,7 @@ def _deviation(
 def _motions(
     behaviour: Behaviour, role: str
 ) -> Iterator[tuple[DrawnSample, Float[np.ndarray, "n 10"], LocalRotations, ProbeRun]]:
-    """Yield drawn rows of the base, the same rows of a run that differs in ``role``, the motion."""
+    """Yield visible Gaussians in two model runs of different pose, with local rotations."""
     subject = behaviour.subject
     declared = subject.declared_gaussians
     base, indices = behaviour.trial.plan.variants.get(role, (0, ()))
@@ -160,7 +160,7 @@ def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _reading(entry: Input, base: np.ndarray, value: np.ndarray, motion: LocalRotations) -> str:
-    """Return the other reading of a pose that explains the motion; empty if none is needed."""
+    """Return the wrong reading of a pose that explains the motion, such as degrees; or empty."""
     rigid = motion.is_rigid
     if np.count_nonzero(rigid) < _FEWEST_ROWS or base.shape == (3, 3):
         return ""
@@ -225,7 +225,7 @@ def _angles(matrices: Float[np.ndarray, "... 3 3"]) -> Float[np.ndarray, "..."]:
 
 
 def _explained(motion: LocalRotations, joints: Float[np.ndarray, "j 3 3"]) -> float:
-    """Return the fraction of rigid neighbourhoods that turn as some joint does."""
+    """Return the fraction of rigid neighbourhoods of Gaussians that turn as some joint does."""
     rotation = motion.rotation[motion.is_rigid]
     difference = _angles(rotation[:, None] @ joints.transpose(0, 2, 1)[None])
     return float((difference.min(axis=1) < _FITTING).mean())

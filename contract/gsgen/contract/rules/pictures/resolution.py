@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.layout import POSITION
@@ -63,7 +63,7 @@ def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _lattice_step(values: Float[np.ndarray, " n"]) -> float:
-    """Return the step of the lattice that all values lie on; 0 if they lie on none."""
+    """Return the step of the lattice on which all values lie; 0 if the values lie on none."""
     distinct = np.unique(values)
     if len(distinct) < _AXES + 1:
         return 0.0

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation
@@ -83,7 +83,7 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _mistake(sample: DrawnSample, ratio: float) -> str:
-    """Return the mistake that explains the sizes; empty if none does."""
+    """Return the likely mistake behind wrong sizes of Gaussians; empty if unclear."""
     sigma, spacing = sample.sigma, sample.spacing
     if _EXP_TWICE[0] <= sigma.min() <= _EXP_TWICE[1] and ratio > _USUAL[1]:
         return "exp was applied twice: no standard deviation is below 1"
@@ -97,7 +97,7 @@ def _mistake(sample: DrawnSample, ratio: float) -> str:
 
 
 def _may_be_roots(sample: DrawnSample) -> bool:
-    """Return whether the shapes are those of discs or needles after a square root."""
+    """Return whether Gaussians have the shapes of discs or needles after a square root."""
     thickness = float(np.median(sample.sigma[:, 0] / sample.sigma[:, 2]))
     is_thick = _THICK[0] <= thickness <= _THICK[1] and (sample.is_planar or sample.is_linear)
     is_aligned = not sample.rows[:, [5, 6, 8]].any()

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.behaviour_probes import AWAY, TILTED
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
@@ -86,7 +86,7 @@ def _possible(subject: str, field: str, actual: str, expected: str) -> Violation
 
 
 def _outputs(subject: InspectedModel, run: ProbeRun) -> ModelOutputs | None:
-    """Return the outputs of a run; None if it failed or has no packed rows."""
+    """Return the outputs of a model run; None if the run failed or has no packed rows."""
     outputs = read_outputs(subject, run.probe.label, run.outputs)
     return outputs if outputs.gaussians is not None else None
 
@@ -99,7 +99,7 @@ def _drawn(outputs: ModelOutputs) -> Bool[np.ndarray, " n"]:
 
 
 def _drawn_twice(first: ModelOutputs, second: ModelOutputs) -> Bool[np.ndarray, " n"]:
-    """Return which rows are drawn at the same place in both runs."""
+    """Return the mask of Gaussians that are drawn at the same place in two model runs."""
     a, b = first.gaussians, second.gaussians
     assert a is not None
     assert b is not None

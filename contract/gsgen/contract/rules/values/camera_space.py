@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.probes import as_tensor
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
@@ -29,7 +29,7 @@ _FEW = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Seen:
-    """The drawn rows of one camera.
+    """The Gaussians that are visible for one camera.
 
     Attributes:
         view: The matrix from local to camera space.
@@ -74,7 +74,7 @@ def _seen(probe_runs: ProbeRuns, index: int) -> _Seen | None:
 
 
 def _isolated_views(probe_runs: ProbeRuns) -> list[_Seen]:
-    """Return runs that differ in the camera alone."""
+    """Return model runs that differ in the camera alone."""
     plan = probe_runs.plan
     base, variants = plan.variants.get("view", (0, ()))
     indices = [base, *variants] if variants else []
@@ -120,7 +120,7 @@ def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 
 def _follows(first: _Seen, second: _Seen, drawn: Bool[np.ndarray, " n"], space: str) -> bool:
-    """Return whether the centres of two cameras agree once the camera is undone, and only then."""
+    """Return whether two runs' centres agree only after the camera's motion is undone."""
     undone = [_undone(seen, space) for seen in (first, second)]
     if undone[0] is None or undone[1] is None:
         return False

@@ -1,0 +1,231 @@
+"""Reads splats of the checkpoints of gsplat, nerfstudio's splatfacto and the 3DGS training code.
+
+Layouts, read from the code that writes them:
+
+- gsplat 1.5.3 and main of August 2026 (90d7b4b, ``examples/simple_trainer.py``): a dict with
+  ``splats``: means, scales, quats, opacities, sh0 and shN.
+- nerfstudio (8e20ec6, ``models/splatfacto.py``, and ``engine/trainer.py``): a dict with
+  ``pipeline``, whose names begin with ``_model.gauss_params.``, or with ``_model.`` before 2024.
+- graphdeco-inria/gaussian-splatting (1152adc, ``scene/gaussian_model.py``): the tuple of
+  ``capture()``, and the iteration.
+
+All store logarithms of scales, logits of opacities and quaternions (w, x, y, z), as PLY does.
+"""
+
+__all__ = ["read_checkpoint"]
+
+import os
+import re
+import warnings
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats.checkpoints.methods import refuse_other_content
+from gsgen.formats.checkpoints.pickled_data import TensorReference
+from gsgen.formats.checkpoints.torch_archive import TorchArchive
+from gsgen.formats.shared.errors import (
+    NotRecognised,
+    NotSupported,
+    PropertyMissing,
+    ValueInvalid,
+    listed,
+)
+from gsgen.formats.shared.files import FilePath, opened
+from gsgen.formats.shared.notices import FormatWarning
+from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
+from gsgen.formats.shared.quantities import SH_C0, sigmoid
+from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.splats import SH_COUNTS, Splats
+
+_GSPLAT: Final = ("means", "quats", "scales", "opacities", "sh0", "shN")
+_SPLATFACTO: Final = ("means", "quats", "scales", "opacities", "features_dc", "features_rest")
+_CAPTURE_LENGTH = 12
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Layout:
+    """The tensors of a checkpoint, in the order positions to higher harmonics."""
+
+    names: tuple[str, ...]
+    tensors: Mapping[str, Any]
+    antialiased: bool = False
+    notes: tuple[str, ...] = ()
+    # splatfacto trains colours through a sigmoid where it has no higher harmonics
+    has_sigmoid_colors: bool = False
+
+
+def read_checkpoint(path: FilePath) -> Splats:
+    """Read the splats of a training's checkpoint, without torch; no code of the file is run.
+
+    The file does not say whether training drew antialiased; the settings beside it do
+    (``cfg.yml`` of gsplat, ``config.yml`` of nerfstudio), and are read if they are there.
+
+    Raises:
+        FileUnreadable: The file is missing or empty, or may not be read.
+        NotRecognised: The file is not an archive of torch.save.
+        NotSupported: The file holds something else than plain splats; the message says what.
+        ArchiveDamaged: The archive, or a tensor in it, cannot be unpacked.
+        PropertyMissing: The file lacks tensors of splats.
+        SizeExceeded: A member claims more bytes than the file has.
+        ValueInvalid: A tensor has a wrong shape or type, or a value that cannot be drawn.
+    """
+    with opened(path) as file:
+        first = file.read(len(ZIP_MAGIC))
+        if first != ZIP_MAGIC:
+            raise NotRecognised(
+                first.hex(" "),
+                where="first bytes",
+                expected="50 4b 03 04, the start of a checkpoint of torch 1.6 or later",
+                hint="load an older checkpoint with torch, and save it again",
+            )
+        with unpacking("archive"):
+            opened_archive = zipfile.ZipFile(file)
+        with opened_archive as archive:
+            torch_archive = TorchArchive(archive, os.fstat(file.fileno()).st_size)
+            layout = _layout_of(torch_archive, Path(path))
+            splats = _splats(torch_archive, layout)
+        require_drawable(splats)
+    for note in layout.notes:
+        warnings.warn(f"{path}: {note}", FormatWarning, stacklevel=2)
+    return splats
+
+
+def _layout_of(archive: TorchArchive, path: Path) -> _Layout:
+    """Return where a checkpoint has its tensors; raise if it holds no plain splats."""
+    content = archive.data()
+    if isinstance(content, dict) and isinstance(content.get("splats"), dict):
+        return _of_gsplat(content, path)
+    if isinstance(content, dict) and isinstance(content.get("pipeline"), dict):
+        return _of_nerfstudio(content["pipeline"], path)
+    if isinstance(content, tuple) and len(content) == 2 and isinstance(content[0], tuple):
+        return _of_capture(content[0])
+    raise refuse_other_content(content, is_script=archive.is_script)
+
+
+def _of_gsplat(content: dict[Any, Any], path: Path) -> _Layout:
+    tensors = dict(content["splats"])
+    if "means3d" in tensors:  # the name until gsplat 1.0
+        tensors["means"] = tensors.pop("means3d")
+    if "features" in tensors or "app_module" in content:
+        raise NotSupported(
+            "colours come from an appearance network (app_opt of gsplat)",
+            where="splats",
+            expected="harmonics sh0 and shN",
+            hint="convert the PLY that the trainer saves (--save_ply), whose colours are computed",
+        )
+    notes = []
+    if "post_processing" in content:
+        notes.append("colour correction per image (post_processing) has no effect")
+    shares = sorted(path.parent.glob(re.sub(r"_rank\d+$", "_rank*", path.stem) + path.suffix))
+    if len(shares) > 1:
+        notes.append(f"one of {len(shares)} files of a training on several GPUs; convert them all")
+    return _Layout(
+        names=_GSPLAT,
+        tensors=tensors,
+        antialiased=_setting(path.parent.parent / "cfg.yml", r"antialiased:\s*true"),
+        notes=tuple(notes),
+    )
+
+
+def _of_nerfstudio(state: dict[Any, Any], path: Path) -> _Layout:
+    prefix = "_model.gauss_params."
+    has_prefix = any(str(name).startswith(prefix) for name in state)
+    prefix = prefix if has_prefix else "_model."
+    tensors = {
+        name.removeprefix(prefix): value
+        for name, value in state.items()
+        if isinstance(name, str) and name.startswith(prefix)
+    }
+    extra = [name for name in tensors if name not in _SPLATFACTO]
+    if "means" not in tensors or (has_prefix and extra):
+        raise NotSupported(
+            f"a model of nerfstudio with {listed(extra or list(map(str, state)), limit=6)}",
+            where="pipeline",
+            expected=f"{prefix}* of splatfacto: {listed(list(_SPLATFACTO))}",
+        )
+    rest = tensors.get("features_rest")
+    has_grids = any(str(name).startswith("_model.bil_grids") for name in state)
+    return _Layout(
+        names=_SPLATFACTO,
+        tensors=tensors,
+        antialiased=_setting(
+            path.parent.parent / "config.yml", r"\s*rasterize_mode:\s*antialiased"
+        ),
+        notes=("colour correction per image (bil_grids) has no effect",) if has_grids else (),
+        has_sigmoid_colors=isinstance(rest, TensorReference) and rest.shape[1:2] == (0,),
+    )
+
+
+def _of_capture(values: tuple[Any, ...]) -> _Layout:
+    tensors = [isinstance(value, TensorReference) for value in values[:7]]
+    if len(values) != _CAPTURE_LENGTH or not all(tensors[1:]) or tensors[0]:
+        raise refuse_other_content(values, is_script=False)
+    # capture() lists scales before quaternions, and harmonics before both.
+    _, means, dc, rest, scales, quats, opacities, *_ = values
+    ordered = (means, quats, scales, opacities, dc, rest)
+    return _Layout(names=_SPLATFACTO, tensors=dict(zip(_SPLATFACTO, ordered, strict=True)))
+
+
+def _splats(archive: TorchArchive, layout: _Layout) -> Splats:
+    missing = [name for name in layout.names if name not in layout.tensors]
+    if missing:
+        raise PropertyMissing(
+            f"{listed(missing)} missing, found {listed(list(map(str, layout.tensors)))}",
+            expected=f"the tensors {listed(list(layout.names))}",
+        )
+    for name in layout.names:
+        if not isinstance(layout.tensors[name], TensorReference):
+            kind = type(layout.tensors[name]).__name__
+            raise ValueInvalid(f"a {kind}", where=name, expected="a tensor")
+    references = [layout.tensors[name] for name in layout.names]
+    _require_shapes(layout.names, references)
+    arrays = [
+        archive.array(tensor, name) for name, tensor in zip(layout.names, references, strict=True)
+    ]
+    position, rotation, log_scale, opacity, dc, rest = arrays
+    if layout.has_sigmoid_colors:
+        dc = (sigmoid(dc) - np.float32(0.5)) / np.float32(SH_C0)
+    return Splats(
+        position=position,
+        rotation=rotation,
+        log_scale=log_scale,
+        logit_opacity=opacity.reshape(-1),
+        sh=_joined(dc, rest),
+        antialiased=layout.antialiased,
+    )
+
+
+def _joined(
+    constant: Float32[np.ndarray, "..."], higher: Float32[np.ndarray, "n k 3"]
+) -> Float32[np.ndarray, "n l 3"]:
+    return np.concatenate([constant.reshape(len(higher), 1, 3), higher], axis=1)
+
+
+def _require_shapes(names: tuple[str, ...], tensors: list[TensorReference]) -> None:
+    """Raise unless the tensors have the shapes of splats of one number."""
+    n = tensors[0].shape[0] if tensors[0].shape else 0
+    if tensors[2].shape == (n, 2):
+        raise NotSupported(
+            "two scales, as of 2DGS: flat splats", where=names[2], expected="three scales"
+        )
+    higher = tuple((n, count - 1, 3) for count in SH_COUNTS)
+    allowed = (((n, 3),), ((n, 4),), ((n, 3),), ((n,), (n, 1)), ((n, 1, 3), (n, 3)), higher)
+    for name, tensor, shapes in zip(names, tensors, allowed, strict=True):
+        if tensor.shape not in shapes:
+            expected = " or ".join(str(list(shape)) for shape in shapes)
+            raise ValueInvalid(f"shape {list(tensor.shape)}", where=name, expected=expected)
+
+
+def _setting(path: Path, line: str) -> bool:
+    """Return whether a settings file beside a checkpoint has a line; false without the file."""
+    if not path.is_file():
+        return False
+    text = path.read_text("utf-8", errors="replace")
+    return re.search(rf"^{line}\s*$", text, re.MULTILINE) is not None

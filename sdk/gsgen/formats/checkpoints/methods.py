@@ -1,0 +1,69 @@
+"""Says what a checkpoint that holds no plain splats is, and which plugin reads it."""
+
+__all__ = ["refuse_other_content"]
+
+from typing import Any, Final
+
+from gsgen.contract._entry_points import registered_entry_points
+from gsgen.formats.checkpoints.pickled_data import TensorReference
+from gsgen.formats.shared.errors import NotSupported, listed
+
+# Beginnings of names in the files of each method, its name, and its plugin.
+_METHODS: Final = (
+    (("deformation_net.", "_deformation"), "4DGaussians", "hexplane-4dgs"),
+    (("opacity_mlp", "mlp_opacity", "cov_mlp"), "Scaffold-GS", "scaffold-gs"),
+    (("gaussian_warp.", "gaussian_scaling."), "Deformable-3DGS", "deformable-3dgs"),
+    (("nodes", "_node_radius", "_node_weight"), "SC-GS", "sc-gs"),
+    (("pose_decoder.", "lweight_offset_decoder."), "GauHuman", "gauhuman"),
+)
+
+
+def refuse_other_content(content: Any, *, is_script: bool) -> NotSupported:
+    """Return the error for a file of ``torch.save`` or ``torch.jit.save`` without plain splats."""
+    if is_script:
+        return NotSupported(
+            "a network (TorchScript), as Scaffold-GS and Octree-GS save them",
+            expected="a checkpoint of splats",
+            hint=_hint("scaffold-gs"),
+        )
+    for beginnings, method, plugin in _METHODS:
+        matches = [name for name in _names(content) if name.startswith(beginnings)]
+        if matches:
+            return _of_method(method, plugin, f"{listed(matches, limit=4)} of {method}")
+    if isinstance(content, tuple):
+        return _of_tuple(content)
+    shown = listed(_names(content), limit=12)
+    return NotSupported(
+        f"a {type(content).__name__} of {shown}",
+        expected="a checkpoint of gsplat (splats), splatfacto (pipeline) or 3DGS (capture)",
+    )
+
+
+def _of_tuple(values: tuple[Any, ...]) -> NotSupported:
+    """Return the error for another ``capture()`` than that of 3DGS."""
+    tensors = [value for value in values[:4] if isinstance(value, TensorReference)]
+    if any(isinstance(value, dict) for value in values[2:3]):
+        return _of_method("4DGaussians", "hexplane-4dgs", "a capture of 4DGaussians")
+    if tensors and values[0] is tensors[0] and any(len(t.shape) == 3 for t in tensors[1:2]):
+        return _of_method("Scaffold-GS", "scaffold-gs", "anchors and offsets of Scaffold-GS")
+    return NotSupported(
+        f"a capture of {len(values)} values",
+        expected="the 12 of 3DGS: SH degree, 6 tensors, statistics and optimizer",
+        hint="another method has saved it; convert its PLY, or export it with the method's plugin",
+    )
+
+
+def _of_method(method: str, plugin: str, message: str) -> NotSupported:
+    return NotSupported(
+        message, expected=f"plain splats; {method} computes them", hint=_hint(plugin)
+    )
+
+
+def _hint(plugin: str) -> str:
+    if plugin in {point.name for point in registered_entry_points("gsgen.generators")}:
+        return f"`gsgen export {plugin} FOLDER` reads the folder of the training"
+    return f"no installed plugin reads it (it would be called {plugin})"
+
+
+def _names(content: Any) -> list[str]:
+    return [name for name in content if isinstance(name, str)] if isinstance(content, dict) else []

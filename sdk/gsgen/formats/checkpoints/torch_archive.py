@@ -1,0 +1,102 @@
+"""Reads tensors of a file of ``torch.save`` (zip archive, torch 1.6 and later) with NumPy alone."""
+
+__all__ = ["MEMBER", "TorchArchive"]
+
+import math
+import zipfile
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats.checkpoints.pickled_data import TensorReference, pickled_data
+from gsgen.formats.shared.errors import ArchiveDamaged, NotSupported, SizeExceeded, ValueInvalid
+from gsgen.formats.shared.npz_arrays import unpacking
+
+MEMBER: Final = "*/data.pkl"
+"""The member of the archive that names the tensors; its folder has the name of the file."""
+
+_MAX_PICKLE = 16 << 20
+"""The most bytes of names and settings; checkpoints of splats have a few thousand."""
+
+
+@final
+class TorchArchive:
+    """An open archive: its data, with tensors that are read when they are asked for."""
+
+    def __init__(self, archive: zipfile.ZipFile, file_size: int) -> None:
+        self._archive, self._file_size = archive, file_size
+        with unpacking("archive"):
+            names = [name for name in archive.namelist() if name.endswith("/data.pkl")]
+            if len(names) != 1:
+                raise ValueError(f"{len(names)} members data.pkl")
+            self._root = names[0].removesuffix("data.pkl")
+            self.is_script = f"{self._root}constants.pkl" in archive.namelist()
+            has_order = f"{self._root}byteorder" in archive.namelist()
+            self._order = ">" if has_order and self._member("byteorder") == b"big" else "<"
+
+    def data(self) -> Any:
+        """Return what was saved, with a :class:`TensorReference` for each tensor."""
+        with unpacking("data.pkl"):
+            return pickled_data(self._member("data.pkl", _MAX_PICKLE))
+
+    def array(self, tensor: TensorReference, name: str) -> Float32[np.ndarray, "..."]:
+        """Return the numbers of a tensor of floats as float32.
+
+        Raises:
+            ArchiveDamaged: The numbers are missing, or fewer than the shape needs.
+            ValueInvalid: The tensor does not hold floats.
+        """
+        dtype = tensor.storage.dtype
+        if not dtype:
+            raise ValueInvalid("no floats", where=name, expected="a tensor of floats")
+        with unpacking(name):
+            content = self._member(f"data/{tensor.storage.key}")
+            stored_type = "u2" if dtype == "bfloat16" else np.dtype(dtype).str[1:]
+            numbers = np.frombuffer(content, f"{self._order}{stored_type}")
+            strided = _strided(numbers, tensor, name)
+            if dtype == "bfloat16":  # the upper half of a float32
+                return (strided.astype(np.uint32) << 16).view(np.float32)
+            # A double beyond float32 becomes infinite, which the check of values refuses.
+            with np.errstate(over="ignore", invalid="ignore"):
+                return strided.astype(np.float32, order="C")
+
+    def _member(self, name: str, limit: int | None = None) -> bytes:
+        """Return the bytes of a member, whose size the archive's own bytes prove."""
+        entry = self._archive.getinfo(self._root + name)
+        if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
+            raise NotSupported(
+                "is compressed", where=name, expected="an archive as torch.save writes it"
+            )
+        most = self._file_size if limit is None else min(limit, self._file_size)
+        if entry.file_size > most:
+            raise SizeExceeded(
+                f"{entry.file_size} bytes", where=name, expected=f"{most} bytes or fewer"
+            )
+        return self._archive.read(entry)
+
+
+def _strided(numbers: np.ndarray, tensor: TensorReference, name: str) -> np.ndarray:
+    shape, strides = tensor.shape, tensor.strides
+    if len(shape) != len(strides):
+        raise ValueError(f"{len(shape)} sizes and {len(strides)} strides")
+    if 0 in shape:
+        # A hostile shape may have any other size beside the 0.
+        if max(shape) > 1 << 40:
+            raise ValueError(f"a size of {max(shape)}")
+        return np.empty(shape, numbers.dtype)
+    last = tensor.offset + sum((n - 1) * step for n, step in zip(shape, strides, strict=True))
+    # Strides of 0 would make a small file a large array.
+    if last >= len(numbers) or math.prod(shape) > len(numbers):
+        raise ArchiveDamaged(
+            f"a tensor {list(shape)} in {len(numbers)} numbers",
+            where=name,
+            expected="numbers for the whole tensor",
+            hint="copy, download or save the file again",
+        )
+    return np.lib.stride_tricks.as_strided(
+        numbers[tensor.offset :],
+        shape,
+        [step * numbers.itemsize for step in strides],
+        writeable=False,
+    )
