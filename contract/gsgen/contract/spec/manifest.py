@@ -214,8 +214,7 @@ class AppearanceOutput:
     color_space: Literal["srgb", "linear"] = "srgb"
     _: KW_ONLY
     range: Annotated[
-        tuple[float, float] | None,
-        Hint(text="Extremes of `rgb`, if the method clips pictures alone; [0, 1] if absent."),
+        tuple[float, float] | None, Hint(text="Lowest and highest `rgb`; [0, 1] if absent.")
     ] = None
 
 

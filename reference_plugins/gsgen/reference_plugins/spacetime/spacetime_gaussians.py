@@ -108,7 +108,7 @@ class SpacetimeGaussians(GaussianGenerator):
         specular = self.features[:, _FEATURES : 2 * _FEATURES]
         changing = dt * self.features[:, 2 * _FEATURES :]
         # One product for each part of the input, so that none is copied into a wide tensor.
-        weights = self.hidden.weight.split(_FEATURES)
+        weights = torch.split(self.hidden.weight, _FEATURES)
         hidden = specular @ weights[0] + changing @ weights[1] + direction @ weights[3]
         color: Tensor = albedo + self.out(torch.relu(hidden + origin @ weights[2]))
         return torch.sigmoid(color) if self.activation == "sigmoid" else color.clamp(0.0, 1.0)
