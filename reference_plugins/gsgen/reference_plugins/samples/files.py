@@ -34,7 +34,7 @@ def _write_cameras(path: Path) -> None:
     cameras = []
     for azimuth in np.radians(np.linspace(-60, 60, 6)):
         eye = [3.9 * np.sin(azimuth), -1.75, 3.9 * np.cos(azimuth)]
-        camera = Camera.look_at(eye, [0.0, -0.75, 0.0], fov_y=42.0, **_SIZE)
+        camera = Camera.look_at(eye, [0.0, -0.75, 0.0], fov_y=42.0, width=960, height=540)
         lens = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
         cameras.append({"view": camera.view.tolist(), **lens, **_SIZE})
     path.write_text(json.dumps(cameras, indent=1), "utf-8")

@@ -56,11 +56,11 @@ def lit(cloud: Cloud, *, shadows: bool = True) -> Splats:
     axes = np.stack([cloud.along, np.cross(cloud.normal, cloud.along), cloud.normal], axis=2)
     half_turn = np.array([-1.0, -1.0, 1.0])  # about z: y points down, handedness stays
     return Splats(
-        position=np.float32(cloud.position * half_turn),
+        position=(cloud.position * half_turn).astype(np.float32),
         rotation=rotations(axes * half_turn[:, None]),
-        log_scale=np.float32(np.log(cloud.scale)),
+        log_scale=np.log(cloud.scale).astype(np.float32),
         logit_opacity=np.full(len(cloud), _OPACITY, np.float32),
-        sh=np.float32((display - 0.5) / SH_C0)[:, None],
+        sh=((display - 0.5) / SH_C0).astype(np.float32)[:, None],
     )
 
 
@@ -77,7 +77,7 @@ def _in_shadow(position: Vectors, sun: Float[np.ndarray, "3"]) -> Bool[np.ndarra
         miss = np.linalg.norm(toward - ahead[:, None] * sun, axis=1)
         inside = np.linalg.norm(toward, axis=1) < 1.05 * size
         shadow |= (ahead > 0) & (miss < 0.75 * size) & ~inside
-    return shadow
+    return np.asarray(shadow)
 
 
 def _ground(unit: float, rng: np.random.Generator) -> list[Cloud]:
