@@ -87,7 +87,7 @@ def merge_level(mixture: Mixture, depth: int, most: int, side: float) -> Level:
 
 
 def _largest(mixture: Mixture, cell: float, count: int) -> Bool[np.ndarray, " n"]:
-    """Return the mask of the largest splats, at most ``count``, that are large for their cell."""
+    """Return the mask of at most ``count`` splats, the largest, that are large for a grid cell."""
     x, y, z = mixture.scale.T
     size = np.maximum(np.maximum(x, y), z)
     order = np.argsort(-size, kind="stable")[:count]
