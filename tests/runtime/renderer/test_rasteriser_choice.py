@@ -8,7 +8,7 @@ import pytest
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.renderer import rasteriser_choice
-from gsgen.runtime.renderer.frame_plan import Kernels
+from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.rasteriser_choice import Timings, choose, probe
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
