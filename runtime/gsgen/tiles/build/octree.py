@@ -97,7 +97,7 @@ def _above(plan: Plan, location: int, parts: list[Built]) -> Built:
     if len(tiles) == 1 and not plan.parameters.implicit:
         return tiles, mixture
     depth = depth_of(location)
-    level = merge_level(mixture, depth, plan.parameters.leaf, plan.cube.side)
+    level = merge_level(mixture, depth, plan.parameters.leaf)
     return [write_level(plan, level, location, tiles)], level.mixture
 
 
