@@ -13,6 +13,7 @@ from typing import Annotated, Any, Never
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from gsgen.cli.text_streams import accept_any_text
 from gsgen.contract._extensions import Command, escape_markup, find_commands
 from gsgen.contract.commands.options import OPTION_ORDER
 from gsgen.contract.errors import ExitCode, GsgenError, UnknownName
@@ -26,6 +27,7 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 def main() -> None:
     """Run `gsgen` on the process's arguments, and exit with an exit code of the contract."""
+    accept_any_text()
     try:
         with ending_at_interrupts() as interrupts:
             _run()

@@ -16,8 +16,9 @@ from gsgen.contract.reporters.text import Line
 
 
 def show(lines: Iterable[Line]) -> None:
-    """Print styled lines to stdout, in colour on a terminal unless NO_COLOR is set."""
-    if not sys.stdout.isatty() or "NO_COLOR" in os.environ:
+    """Print styled lines to stdout, in colour on a terminal or by FORCE_COLOR, not by NO_COLOR."""
+    is_coloured = sys.stdout.isatty() or os.environ.get("FORCE_COLOR")
+    if not is_coloured or "NO_COLOR" in os.environ:
         for line in lines:
             typer.echo(line.text)
         return

@@ -157,7 +157,7 @@ def _write_job(
         "seconds": limits.seconds,
         **options,
     }
-    (folder / "job.json").write_text(json.dumps(job))
+    (folder / "job.json").write_text(json.dumps(job), "utf-8")
 
 
 def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
@@ -223,7 +223,7 @@ def _events(path: Path) -> list[dict[str, Any]]:
     """Read the events that a sandbox process wrote; a half-written last line ends the list."""
     events: list[dict[str, Any]] = []
     if path.exists():
-        for line in path.read_text().splitlines():
+        for line in path.read_text("utf-8").splitlines():
             try:
                 events.append(json.loads(line))
             except ValueError:
@@ -257,7 +257,7 @@ def _fault(
         return Fault("time", f"still running after {limits.seconds:g} s", probe)
     if status < 0:
         return Fault("crash", f"ended by signal {_signal_name(-status)}", probe)
-    tail = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no message"]
+    tail = log.read_text("utf-8", errors="replace").strip().splitlines()[-1:] or ["no message"]
     return Fault("crash", f"exit status {status}: {tail[0][:300]}", probe)
 
 

@@ -52,8 +52,8 @@ def main(folder: Path) -> int:
 
 def serve(folder: Path, work: Callable[[Path, dict[str, Any], Emit], int]) -> int:
     """Read a sandbox job from its folder, do the job, and return the exit status."""
-    job = json.loads((folder / "job.json").read_text())
-    with (folder / "events.jsonl").open("w", buffering=1) as log:
+    job = json.loads((folder / "job.json").read_text("utf-8"))
+    with (folder / "events.jsonl").open("w", buffering=1, encoding="utf-8") as log:
 
         def emit(event: str, **facts: object) -> None:
             log.write(json.dumps({"event": event} | facts) + "\n")

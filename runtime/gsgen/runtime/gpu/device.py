@@ -13,6 +13,7 @@ from jaxtyping import Shaped, UInt8
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.errors import CapacityExceeded, DeviceLost, DeviceUnavailable, MemoryFull
 from gsgen.runtime.gpu.handles import Buffer, Encoder, RawDevice, Texture
+from gsgen.runtime.gpu.sizes import at_least
 
 STORAGE_BUFFERS: Final = 8
 """Storage buffers that a kernel may bind on every WebGPU device."""
@@ -131,7 +132,7 @@ class Device:
                 hint="Draw fewer Gaussians or a smaller image.",
             )
         usage = "STORAGE|COPY_DST|COPY_SRC" + (f"|{extra}" if extra else "")
-        return self._buffer(label, max(16, -(-size // 16) * 16), usage)
+        return self._buffer(label, at_least(-(-size // 16) * 16, 16), usage)
 
     def dynamic_storage(self, label: str, size: int) -> Buffer:
         """Return a new storage buffer for data that changes often.

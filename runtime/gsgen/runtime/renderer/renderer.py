@@ -1,6 +1,6 @@
 """The renderer: draws a scene from a camera and returns a frame."""
 
-__all__ = ["Drawn", "Renderer"]
+__all__ = ["FIRST_PAIRS", "PAIRS_ROOM", "Drawn", "Renderer"]
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,7 +21,8 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
-from gsgen.runtime.renderer.frame_plan import Kernels, Placed, Plan
+from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.rasteriser_choice import Rasteriser, RasteriserOption, choose
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, NOTHING, Frame, Output
@@ -29,8 +30,12 @@ from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet
 
-_FIRST_PAIRS: Final = 1 << 16
-_ROOM: Final = 1.25  # times the pairs that a frame needed, so that the next rarely needs to grow
+FIRST_PAIRS: Final = 1 << 16
+"""Pairs of a splat and a tile for which a new renderer has room."""
+
+PAIRS_ROOM: Final = 1.25
+"""Room for pairs, times those that a frame needed, so that the next rarely needs to grow."""
+
 _OUTPUTS: Final = ("color", "depth", "normal")
 
 
@@ -95,7 +100,7 @@ class Renderer:
             self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
         self._mesh_residency = MeshResidency(self.device)
-        self._pairs = _FIRST_PAIRS
+        self._pairs = FIRST_PAIRS
         if rasteriser == "quads" and not self.device.blends_floats:
             raise DeviceUnavailable(
                 f"{self.device.name} cannot blend 32-bit floats", hint="Use the rasteriser 'tiles'."
@@ -178,7 +183,7 @@ class Renderer:
         except MemoryFull as error:
             # Free the plan's memory, and the rows that it keeps alive, for a smaller scene.
             self._plan, self._key, self._rows = None, None, None
-            self._pairs = _FIRST_PAIRS
+            self._pairs = FIRST_PAIRS
             raise _too_large(scene, camera, error, compact=self._compact) from error
 
     def _fitted(
@@ -284,7 +289,7 @@ class Renderer:
                 where="scene",
                 hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
-        self._pairs = min(int(pairs * _ROOM), most)
+        self._pairs = min(int(pairs * PAIRS_ROOM), most)
 
 
 def _bare_set(pooled: PooledSet) -> SplatSet:

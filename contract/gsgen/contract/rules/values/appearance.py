@@ -27,7 +27,7 @@ _LARGE_SHARE = 0.01
 
 @rule("GV012", "rgb-range", Severity.ERROR, over="rows", fixture="rgb_in_bytes", needs=COLORED_ROWS)
 def rgb_range(rows: Rows) -> Iterator[Violation]:
-    """Raw RGB lies in [0, 1] in every drawn row.
+    """Raw RGB lies in [0, 1], or in the declared range, in every drawn row.
 
     Why:
         Values up to 255 are bytes that were not divided, and show as white. Values around zero
@@ -36,16 +36,18 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
 
     Hint:
         Divide bytes by 255; turn [-1, 1] into (x + 1) / 2, and the SH constant term into colour as
-        0.5 + 0.28209479 · f_dc; clamp what a network gives beyond 1.
+        0.5 + 0.28209479 · f_dc; clamp what a network gives beyond 1. Where the method itself clips
+        the picture alone, declare the colours' `range`.
     """
     declared, color = rows.emission.declared, rows.color
     if declared is None or declared.space != "rgb" or color is None:
         return
     rgb = color[:, :3].astype(np.float32)
-    in_range = ((rgb >= -_COLOR_SLACK) & (rgb <= 1 + _COLOR_SLACK)).all(axis=1)
+    low, high = declared.range or (0.0, 1.0)
+    in_range = ((rgb >= low - _COLOR_SLACK) & (rgb <= high + _COLOR_SLACK)).all(axis=1)
     guessed = rows.emission.subject.candidate is not None
     invalid = rows.drawn & ~in_range
-    expected = "0 <= rgb <= 1"
+    expected = f"{low:g} <= rgb <= {high:g}"
     if invalid.any():
         expected += f"; {diagnose_rgb(rgb[rows.drawn])}"
     yield Violation.rows(

@@ -9,6 +9,7 @@ from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.sizes import at_least
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
@@ -64,7 +65,7 @@ class OrderTies:
             origins = (lows,)  # a buffer has to be bound, but is not read
         bind = self.kernel.bind(counts, keys, lows, order, *origins)
         # A direct dispatch: the kernel writes the counts, so they cannot be its indirect arguments.
-        groups = max(1, -(-capacity // self._block))
+        groups = at_least(-(-capacity // self._block), 1)
         lines = -(-groups // MOST_GROUPS)
         return Step(self.kernel, (bind,), (-(-groups // lines), lines, 1))
 

@@ -10,6 +10,7 @@ from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.sizes import at_least
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Dispatch, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import ABSENT
@@ -77,7 +78,7 @@ class RadixSort:
 
     def blocks(self, capacity: int) -> int:
         """Return the number of workgroups that sort ``capacity`` keys."""
-        return max(1, -(-capacity // self._cut.block))
+        return at_least(-(-capacity // self._cut.block), 1)
 
     def steps(
         self,
