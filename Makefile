@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench exactness adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel clean
+.PHONY: setup demo test check types style drivers bench exactness web adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel clean
 
 setup: $(READY)
 
@@ -96,6 +96,10 @@ gallery: setup drivers
 # The picture that README.md and the home page open with.
 hero: setup drivers
 	$(BIN)/python scripts/write_hero.py
+
+# The frame plans that the browser executes, written from the renderer.
+web: setup
+	$(BIN)/python scripts/write_plans.py
 
 docs: setup
 	$(PIP) --group docs
