@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
 from urllib.parse import unquote, urlsplit
@@ -30,8 +31,10 @@ GPU_FLAGS = (
 def require_chromium() -> str:
     """Return the path of chromium; without it fail the test in CI, and skip it elsewhere."""
     path = which("chromium")
-    if path is None:
-        message = f"missing: chromium on the PATH; hint: {INSTALL}"
+    missing = [] if path else [f"chromium on the PATH ({INSTALL})"]
+    missing += [] if find_spec("playwright") else ["playwright (pip install playwright)"]
+    if path is None or missing:
+        message = f"missing: {' and '.join(missing)}"
         if os.environ.get("CI"):
             pytest.fail(message)
         pytest.skip(message)

@@ -5,6 +5,7 @@ import { openDevice } from "/client/device.js";
 import { KernelCache } from "/client/host.js";
 import { choosePlan, evaluate, loadPlans } from "/client/plan.js";
 import { Renderer } from "/client/renderer.js";
+import { readSplats } from "/client/splat_files.js";
 import { SplatBuffers } from "/client/splat_buffers.js";
 import * as uniforms from "/client/uniforms.js";
 
@@ -93,4 +94,15 @@ export async function draw({ sets, cameras, outputs, background, pairs }) {
 /** Return the first plan of a shape at given sizes. */
 export async function choose(shape, sizes) {
   return choosePlan(await loadPlans("/client/plans.json"), shape, sizes);
+}
+
+/** Read a served splat file; an error is returned with its hint. */
+export async function splatFile(path) {
+  const data = await (await fetch(path)).arrayBuffer();
+  try {
+    const { rows, appearance, ...rest } = await readSplats(data, path);
+    return { ...rest, rows: textOf(rows), appearance: textOf(appearance) };
+  } catch (error) {
+    return { error: error.message, hint: error.hint };
+  }
 }
