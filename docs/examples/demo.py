@@ -42,7 +42,9 @@ def step(title: str) -> Iterator[None]:
 
 def gsgen(*words: str | Path) -> "subprocess.CompletedProcess[str]":
     """Run the command line as a user does."""
-    return subprocess.run([*GSGEN, *map(str, words)], capture_output=True, text=True)
+    utf8 = os.environ | {"PYTHONIOENCODING": "utf-8"}
+    command = [*GSGEN, *map(str, words)]
+    return subprocess.run(command, capture_output=True, env=utf8, encoding="utf-8")
 
 
 # %% Four ways in which models are really broken.
@@ -117,7 +119,7 @@ def main() -> None:
     with step("validating it"):
         report = OUT / "report.json"
         expect(gsgen("validate", model, "--format", "json", "-o", report), 0)
-        verdict = json.loads(report.read_text())
+        verdict = json.loads(report.read_text("utf-8"))
     holds = verdict["counts"]["rules"]["pass"]
     console.print(f"     verdict [bold green]{verdict['verdict']}[/]: {holds} rules hold")
     console.print("\nFour copies, each broken in a way that happens:\n")
@@ -155,7 +157,7 @@ def cameras(source: Path) -> str:
             size | {"view": view, "fx": k[0][0], "fy": k[1][1], "cx": k[0][2], "cy": k[1][2]}
             for view, k in poses
         ]
-    path.write_text(json.dumps(document))
+    path.write_text(json.dumps(document), "utf-8")
     return str(path)
 
 
@@ -196,7 +198,7 @@ def show_broken(
     path.write_bytes(copy.SerializeToString())
     # A heuristic rule only ever says "possible", and so never fails a run by itself.
     gsgen("validate", path, "--format", "json", "-o", report)
-    findings = json.loads(report.read_text())["findings"]
+    findings = json.loads(report.read_text("utf-8"))["findings"]
     match = next((finding for finding in findings if finding["rule"] == rule), None)
     if match is None:
         sys.exit(f"demo: {path} should break {rule}, but the report has {findings}")

@@ -1,4 +1,4 @@
-"""`gsgen export hexplane-4dgs`: a checkpoint of 4DGaussians as a generator."""
+"""The command `gsgen export hexplane-4dgs`: exports a 4DGaussians checkpoint as a generator."""
 
 __all__ = ["PLUGIN"]
 
