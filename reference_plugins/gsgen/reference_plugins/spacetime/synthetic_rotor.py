@@ -6,6 +6,7 @@ The Gaussians are a torus knot along which splats move; they appear and fade.
 __all__ = ["write_rotor"]
 
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -41,14 +42,14 @@ def write_rotor(
     rests = torch.arange(count)[:, None] % 4 == 0
     part = 0.18 + 0.04 * torch.randn((count, 1), generator=noise).clamp(-2, 2)
     lasting = torch.where(rests, 3.0, part) * length
-    x, _, z = position.split(1, dim=1)
+    x, _, z = torch.split(position, 1, dim=1)
     velocity = sway / length * torch.cat([z, torch.sin(3 * x), -x], dim=1) * ~rests
     left, right = _rotors(velocity, torch.randn((count, 4), generator=noise))
     sh = torch.zeros((count, coefficients, 3))
     sh[:, :16] = torch.from_numpy(knot.sh)
     sh[:, 16:] = 0.2 * torch.randn((count, coefficients - 16, 3), generator=noise)
     sh[:, 17:32] *= 0.2
-    values = (
+    values: tuple[Any, ...] = (
         degree,
         position,
         sh[:, :1],
