@@ -177,7 +177,8 @@ def _holds(entry: Input, shape: tuple[int, ...]) -> bool:
         return shape == (3, 3)
     if convention == "quaternion-wxyz":
         return shape[-1:] == (_QUATERNION,)
-    return shape[-1:] == (_AXIS_ANGLE,) and shape != (3, 3)
+    # [3, 3] is three joints of a pose, but a matrix of a root.
+    return shape[-1:] == (_AXIS_ANGLE,) and (entry.role != "root_rotation" or len(shape) == 1)
 
 
 @rule(
