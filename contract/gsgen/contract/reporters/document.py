@@ -75,11 +75,15 @@ class Counts:
 
 @dataclass(frozen=True, slots=True)
 class LevelEntry:
-    """A level of validation, and whether it ran."""
+    """A level of validation, whether it ran, and its cost."""
 
     level: str
     status: Literal["ran", "skipped"]
     reason: str | None = None
+    runs: Annotated[int, Hint(text="How often the model ran in ONNX Runtime on the CPU.")] = 0
+    seconds: Annotated[
+        float | None, Hint(text="Time of runs and rules; only where times were asked for.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
