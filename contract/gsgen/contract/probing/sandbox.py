@@ -78,7 +78,7 @@ class Sample:
     extremes: Extremes | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
     """One inference: its probe, the number of its output sample, and its duration.
 
@@ -221,11 +221,11 @@ def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -
     events = _events(folder / "events.jsonl")
     runs = tuple(
         Run(
-            event["probe"],
-            event["sample"],
-            event["seconds"],
-            event.get("error", ""),
-            tuple(event.get("center", ())),
+            probe=event["probe"],
+            sample=event["sample"],
+            seconds=event["seconds"],
+            error=event.get("error", ""),
+            center=tuple(event.get("center", ())),
         )
         for event in events
         if event["event"] == "run"

@@ -23,7 +23,7 @@ from gsgen.contract.probing.probes import (
 )
 from gsgen.contract.spec.geometry import look_at
 from gsgen.contract.spec.manifest import GeneratorManifest, Input
-from gsgen.contract.spec.roles import CAMERA_ROLES
+from gsgen.contract.spec.roles import CAMERA_ROLES, ROTATION_ROLES
 
 # Start of the label of a camera outside the bounds that looks at their centre.
 SIDE_LABEL = "from side"
@@ -45,7 +45,6 @@ _SIDES = np.array(
     ]
 ) / np.sqrt(3)
 _SEED = 20
-_ROTATIONS = ("pose", "root_rotation")
 
 
 def survey_probes(
@@ -130,7 +129,7 @@ def _corner(ranged: list[Input], base: Probe, number: int) -> dict[str, Array]:
     for entry in ranged:
         assert entry.range is not None
         like = base.inputs[entry.name]
-        if entry.role in _ROTATIONS and (like.shape[-1] == 4 or like.shape == (3, 3)):
+        if entry.role in ROTATION_ROLES and (like.shape[-1] == 4 or like.shape == (3, 3)):
             continue  # ends of ranges form no quaternion and no rotation matrix
         ends = np.where(rng.random(like.shape) < 0.5, *entry.range)
         if like.dtype.kind == "f":

@@ -73,7 +73,7 @@ class Counts:
     rules: dict[str, int]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LevelEntry:
     """A level of validation, whether it ran, and its cost."""
 

@@ -86,7 +86,7 @@ class _Validation:
         self.results = ResultCollector(
             registry=self.registry, settings=settings, kind=self.subject.kind
         )
-        self.levels = [LevelOutcome(Level.STATIC, ran=True)]
+        self.levels = [LevelOutcome(level=Level.STATIC, ran=True)]
         self.probes: tuple[str, ...] = ()
         self.environment = {"onnx": _version("onnx")}
         self.runtime_seconds = 0.0
@@ -190,7 +190,7 @@ class _Validation:
         for level in (Level.VALUES, Level.BEHAVIOUR):
             if level <= self.settings.level:
                 message = f"the model was not run {reason}" if reason else ""
-                self.levels.append(LevelOutcome(level, ran=not reason, reason=message))
+                self.levels.append(LevelOutcome(level=level, ran=not reason, reason=message))
         return not reason
 
     def _check_values(self, execution: Execution, plan: Plan) -> None:
@@ -273,14 +273,18 @@ class _Validation:
             try:
                 context = stack.enter_context(backend.prepare(probe_runs))
             except LevelUnavailable as error:
-                self.levels.append(LevelOutcome(backend.level, ran=False, reason=error.reason))
+                self.levels.append(
+                    LevelOutcome(level=backend.level, ran=False, reason=error.reason)
+                )
                 self.results.skip(rules, error.reason)
                 return
             except Exception:  # a faulty backend must not prevent the report
-                self.levels.append(LevelOutcome(backend.level, ran=False, reason="it crashed"))
+                self.levels.append(
+                    LevelOutcome(level=backend.level, ran=False, reason="it crashed")
+                )
                 self.results.crash(rules)
                 return
-            self.levels.append(LevelOutcome(backend.level, ran=True))
+            self.levels.append(LevelOutcome(level=backend.level, ran=True))
             self.environment.update(context.environment)
             self.runtime_seconds += context.seconds
             for rule in rules:
@@ -298,7 +302,7 @@ class _Validation:
             if level <= requested_level and level not in settled:
                 known = level in self.registry.backends
                 message = "the model did not run to the end on the CPU" if known else reason
-                self.levels.append(LevelOutcome(level, ran=False, reason=message))
+                self.levels.append(LevelOutcome(level=level, ran=False, reason=message))
         for rule in _needs_first(self.registry.rules.values()):
             if rule.id in self.results.outcomes or rule.scope == "report":
                 continue

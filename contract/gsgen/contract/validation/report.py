@@ -54,7 +54,7 @@ class Outcome:
     blocked_by: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LevelOutcome:
     """Whether a level ran, the reason if it did not, and its cost.
 

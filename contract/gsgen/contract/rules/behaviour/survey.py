@@ -4,13 +4,12 @@ from collections.abc import Iterator
 
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.probing.sandbox import Extremes
-from gsgen.contract.spec.layout import OPACITY, VARIANCES
+from gsgen.contract.spec.layout import OPACITY, OPACITY_SLACK, VARIANCES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.gates import FINITE_OUTPUTS, ORDERED_ROWS, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
-_OPACITY_SLACK = 1e-3
 # Rounding of a variance that is zero, relative to the largest one.
 _VARIANCE_SLACK = 1e-5
 
@@ -97,9 +96,9 @@ def _outside(field: str, extremes: Extremes) -> str:
         return ""
     if field == "opacity":
         low, high = extremes.low[OPACITY], extremes.high[OPACITY]
-        if high > 1 + _OPACITY_SLACK:
+        if high > 1 + OPACITY_SLACK:
             return f"{high:.4g}"
-        return f"{low:.4g}" if low < -_OPACITY_SLACK else ""
+        return f"{low:.4g}" if low < -OPACITY_SLACK else ""
     lowest = min(extremes.low[k] for k in VARIANCES)
     largest = max(extremes.high[k] for k in VARIANCES)
     return f"{lowest:.4g}" if lowest < -_VARIANCE_SLACK * largest else ""
