@@ -104,7 +104,11 @@ def run(block: Block, folder: Path) -> None:
         command = [sys.executable, script.name]
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     completed = subprocess.run(
-        command, cwd=folder, env=os.environ | {"PATH": path}, capture_output=True, text=True
+        command,
+        cwd=folder,
+        env=os.environ | {"PATH": path, "PYTHONIOENCODING": "utf-8"},
+        capture_output=True,
+        encoding="utf-8",
     )
     if completed.returncode:
         sys.exit(

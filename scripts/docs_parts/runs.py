@@ -34,6 +34,6 @@ def _run(words: tuple[str, ...]) -> "subprocess.CompletedProcess[str]":
             [sys.executable, "-m", "gsgen.cli", *words[1:]],
             cwd=folder,
             capture_output=True,
-            text=True,
-            env=os.environ | {"COLUMNS": "96", "NO_COLOR": "1"},
+            encoding="utf-8",
+            env=os.environ | {"PYTHONIOENCODING": "utf-8", "COLUMNS": "96", "NO_COLOR": "1"},
         )

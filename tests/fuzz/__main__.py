@@ -71,7 +71,7 @@ def _bar() -> Progress:
 def _read(log: Path) -> dict[int, dict[str, Any]]:
     """Return what an earlier run of the same seed judged; a half-written line is its end."""
     done: dict[int, dict[str, Any]] = {}
-    for line in log.read_text().splitlines() if log.exists() else ():
+    for line in log.read_text(encoding="utf-8").splitlines() if log.exists() else ():
         try:
             one = json.loads(line)
         except ValueError:

@@ -188,7 +188,7 @@ def _resident() -> int:
 
 def _reserved() -> int:
     """Return the bytes of private memory that the process has, as RLIMIT_DATA counts them."""
-    for line in Path("/proc/self/status").read_text().splitlines():
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
         if line.startswith("VmData"):
             return int(line.split()[1]) * 1024
     raise RuntimeError("no VmData in /proc/self/status")

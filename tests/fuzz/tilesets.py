@@ -287,7 +287,9 @@ def _keep(seed: int, case: int, failure: str) -> None:
 def _work(count: int, seed: int, first: int) -> int:
     """Judge mutants, and write a line of JSON about each."""
     whole()
-    used = int(Path("/proc/self/statm").read_text().split()[5]) * os.sysconf("SC_PAGE_SIZE")
+    used = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[5]) * os.sysconf(
+        "SC_PAGE_SIZE"
+    )
     resource.setrlimit(resource.RLIMIT_DATA, (used + MEMORY, used + MEMORY))
     signal.signal(signal.SIGALRM, _stop)
     for case in range(first, count):

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Never
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from gsgen.cli.text_streams import accept_any_text
 from gsgen.contract._extensions import Command, escape_markup, find_commands
 from gsgen.contract.commands.options import OPTION_ORDER
 from gsgen.contract.errors import ExitCode, GsgenError, UnknownName
@@ -26,6 +27,7 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 def main() -> None:
     """Run `gsgen` on the process's arguments, and exit with an exit code of the contract."""
+    accept_any_text()
     try:
         with ending_at_interrupts() as interrupts:
             _run()
@@ -113,10 +115,10 @@ def build(commands: list[Command]) -> typer.Typer:
 
 
 class _Ordered(TyperCommand):
-    """A command that keeps the order of its options, in ``ctx.meta[OPTION_ORDER]``."""
+    """A click command that records in which order the user typed its options."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments, and note the name of each parameter in the order typed."""
+        """Parse command-line arguments, and record parameter names in the order typed."""
         *_, order = self.make_parser(ctx).parse_args(args=list(args))
         ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
         return super().parse_args(ctx, args)

@@ -103,7 +103,11 @@ def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
     failed = partial(Check, name=name, state="broken", remedy=remedy, purpose=purpose)
     try:
         completed = subprocess.run(
-            [sys.executable, "-P", "-c", code], capture_output=True, text=True, timeout=_TIMEOUT
+            [sys.executable, "-P", "-c", code],
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=_TIMEOUT,
         )
     except subprocess.TimeoutExpired:
         return failed(detail=f"no answer after {_TIMEOUT} s")

@@ -47,7 +47,7 @@ def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ],
 )
 def test_a_file_that_cannot_be_read_is_4(words: tuple[str, ...], suffix: str, file: str) -> None:
-    Path(f"text{suffix}").write_text("this is nothing of the sort")
+    Path(f"text{suffix}").write_text("this is nothing of the sort", encoding="utf-8")
     by_name = f"{file}{suffix}"
     ran = gsgen_here(*(by_name if word == "MODEL" else word for word in words))
     assert ran.code == 4, ran.err
@@ -66,7 +66,7 @@ def test_a_checkpoint_that_cannot_be_read_is_4(method: str, folder: str) -> None
 
 
 def test_wrong_options_are_2() -> None:
-    Path("text.onnx").write_text("no model")
+    Path("text.onnx").write_text("no model", encoding="utf-8")
     for words in (
         ("export", "static", "gone.ply", "-o", "out.onnx", "--level", "values2"),
         ("export", "lhm", "--checkpoint", "gone"),

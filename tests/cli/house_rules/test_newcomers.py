@@ -35,7 +35,7 @@ def test_no_report_and_no_model_replaces_what_is_read(logits: Path, words: tuple
     head = "ply\nformat ascii 1.0\nelement vertex 1\n"
     names = ("x", "y", "z", "red", "green", "blue")
     head += "".join(f"property float {name}\n" for name in names)
-    Path("splats.ply").write_text(f"{head}end_header\n0 0 0 1 1 1\n")
+    Path("splats.ply").write_text(f"{head}end_header\n0 0 0 1 1 1\n", encoding="utf-8")
     before = {path: path.read_bytes() for path in Path().iterdir()}
     ran = gsgen_here(*(str(logits) if word == "MODEL" else word for word in words))
     assert ran.code == 2
@@ -150,7 +150,7 @@ def test_a_folder_of_models_is_validated(logits: Path) -> None:
 
 
 def test_a_setting_outside_of_its_table_is_sent_there(logits: Path) -> None:
-    Path("gsgen.toml").write_text('target = "webgpu"\n')
+    Path("gsgen.toml").write_text('target = "webgpu"\n', encoding="utf-8")
     ran = gsgen_here("validate", logits)
     assert ran.err == "gsgen: gsgen.toml: unknown key 'target'\n  Put it under [validate].\n"
 

@@ -158,9 +158,9 @@ def test_a_report_to_stdout_by_a_name_of_it_takes_nobodys_place(name: str, kind:
     if kind == "a pipe":
         message = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     else:
-        with Path("said").open("w") as file:
+        with Path("said").open("w", encoding="utf-8") as file:
             subprocess.run(words, stdout=file, check=True)
-        message = Path("said").read_text()
+        message = Path("said").read_text(encoding="utf-8")
     assert message == "a report"
     assert os.lstat("/dev/stdout").st_ino == before
 

@@ -11,7 +11,9 @@ def compared(*outputs, samples=None, variants=None, revisited=None):
     """What is seen when the runs, from first to last, gave ``outputs``."""
     probes = tuple(Probe(label=f"probe {index}", inputs={}) for index in range(len(outputs)))
     numbers = samples or range(len(outputs))
-    runs = tuple(Run(probe=index, sample=sample, seconds=0.1) for index, sample in enumerate(numbers))
+    runs = tuple(
+        Run(probe=index, sample=sample, seconds=0.1) for index, sample in enumerate(numbers)
+    )
     kept = tuple(Sample(index=index, outputs=output) for index, output in enumerate(outputs))
     plan = Plan(
         probes=probes, values=1, repeated=(0, 1), revisited=revisited, variants=variants or {}

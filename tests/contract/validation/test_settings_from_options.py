@@ -18,11 +18,11 @@ def test_words_win_over_the_file_of_the_current_folder(
     monkeypatch.chdir(tmp_path)
     assert make_settings(REGISTRY).source == "defaults"
     text = '[validate]\ntarget = "webgpu"\nlevel = "static"\nfail_on = "warning"\n'
-    Path("gsgen.toml").write_text(text)
+    Path("gsgen.toml").write_text(text, encoding="utf-8")
     settings = make_settings(REGISTRY, level="values")
     assert (settings.target.name, settings.source) == ("webgpu", "gsgen.toml")
     assert (settings.level, settings.fail_on) == (Level.VALUES, Severity.WARNING)
-    Path("other.toml").write_text('[validate]\ntarget = "visionary"\n')
+    Path("other.toml").write_text('[validate]\ntarget = "visionary"\n', encoding="utf-8")
     unchanged = make_settings(REGISTRY, config=Path("other.toml"))
     assert (unchanged.target.name, unchanged.level) == ("visionary", Level.BEHAVIOUR)
 

@@ -223,9 +223,9 @@ def test_the_other_body_is_refused_by_its_joints(tmp_path: Path) -> None:
 
 
 def edited(path: Path, old: str, new: str) -> None:
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     assert old in text
-    path.write_text(text.replace(old, new))
+    path.write_text(text.replace(old, new), encoding="utf-8")
 
 
 def test_flags_have_to_agree_with_files(tmp_path: Path) -> None:

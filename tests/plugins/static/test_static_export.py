@@ -51,7 +51,7 @@ def test_rows_that_break_a_rule_are_rejected_and_reported(
     assert ran.code == 1
     assert "gsgen: m.onnx was not written" in ran.err
     assert not Path("m.onnx").exists()
-    report = json.loads(Path("r.json").read_text())
+    report = json.loads(Path("r.json").read_text(encoding="utf-8"))
     assert (report["written"], report["source"]) == (False, "static")
     assert report["error"]["kind"] == "ExportRejected"
     assert report["options"]["dtype"] == "float32"
@@ -90,7 +90,7 @@ def test_packed_rows_keep_their_dtype_unless_another_is_requested(
         ran = gsgen_here(*words, "--report", "r.json", *options)
         assert ran.code == 0, ran.err
         assert f"m.onnx: 4 packed rows, {expected}" in ran.out
-        report = json.loads(Path("r.json").read_text())
+        report = json.loads(Path("r.json").read_text(encoding="utf-8"))
         assert report["options"]["dtype"] == expected
         assert (report["parity"], report["rewrites"]) == (None, [])
 

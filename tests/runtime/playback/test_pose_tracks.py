@@ -51,7 +51,7 @@ def write(path: Path, **arrays: object) -> Path:
 
 
 def nested(path: Path) -> Path:
-    path.write_text(json.dumps(POSE.tolist()))
+    path.write_text(json.dumps(POSE.tolist()), encoding="utf-8")
     return path
 
 

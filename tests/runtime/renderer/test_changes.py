@@ -11,7 +11,7 @@ from gsgen.runtime.gpu import device as devices
 from gsgen.runtime.gpu import spatial_order, splat_residency
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.renderer import renderer as renderers
-from gsgen.runtime.renderer.frame_plan import Kernels
+from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame

@@ -8,7 +8,7 @@ import pytest
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.renderer import rasteriser_choice
-from gsgen.runtime.renderer.frame_plan import Kernels
+from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.rasteriser_choice import Timings, choose, probe
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -84,7 +84,7 @@ def test_a_device_is_measured_once(
     forget(monkeypatch)  # as another process
     assert choose(gpu, kernels, watch) == "quads"
     assert watch.asked == 1
-    held = json.loads(kept.read_text())
+    held = json.loads(kept.read_text(encoding="utf-8"))
     assert list(held.values()) == [{"tiles": 2.0, "quads": 1.0}]
     assert gpu.name in next(iter(held))
     assert [path.name for path in kept.parent.iterdir()] == [kept.name]
@@ -92,9 +92,9 @@ def test_a_device_is_measured_once(
 
 def test_other_adapters_are_kept_beside_it(gpu: Device, kernels: Kernels, kept: Path) -> None:
     kept.parent.mkdir()
-    kept.write_text('{"another": {"tiles": 1.0, "quads": 3.0}}')
+    kept.write_text('{"another": {"tiles": 1.0, "quads": 3.0}}', encoding="utf-8")
     assert choose(gpu, kernels, Stopwatch(2.0, 1.0)) == "quads"
-    assert json.loads(kept.read_text())["another"] == {"tiles": 1.0, "quads": 3.0}
+    assert json.loads(kept.read_text(encoding="utf-8"))["another"] == {"tiles": 1.0, "quads": 3.0}
 
 
 @pytest.mark.parametrize(
@@ -115,11 +115,13 @@ def test_a_file_that_is_damaged_is_written_anew(
     gpu: Device, kernels: Kernels, kept: Path, text: str
 ) -> None:
     kept.parent.mkdir()
-    kept.write_text(text.replace("KEY", rasteriser_choice._key(gpu)))
+    kept.write_text(text.replace("KEY", rasteriser_choice._key(gpu)), encoding="utf-8")
     watch = Stopwatch(2.0, 1.0)
     assert choose(gpu, kernels, watch) == "quads"
     assert watch.asked == 1
-    assert list(json.loads(kept.read_text()).values()) == [{"tiles": 2.0, "quads": 1.0}]
+    assert list(json.loads(kept.read_text(encoding="utf-8")).values()) == [
+        {"tiles": 2.0, "quads": 1.0}
+    ]
 
 
 def test_where_nothing_can_be_written_it_is_measured_again(

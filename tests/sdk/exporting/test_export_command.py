@@ -171,7 +171,7 @@ def test_how_far_a_model_is_off_stands_in_the_report() -> None:
     error = ParityFailed("off", where="m.onnx", parity=Parity((worst,), 13))
     outcome = Outcome(written=False, parity=error.parity, error=error)
     write_report(Path("r.json"), ExportRequest(output=Path("m.onnx")), "dots:Dots", outcome)
-    told = json.loads(Path("r.json").read_text())
+    told = json.loads(Path("r.json").read_text(encoding="utf-8"))
     assert told["error"]["kind"] == "ParityFailed"
     assert told["parity"] == {
         "probes": 13,

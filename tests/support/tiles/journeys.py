@@ -113,7 +113,7 @@ def networks() -> dict[str, list[Row]]:
 
 def write_rows(path: Path, header: str, rows: list[Row]) -> Path:
     """Write a table as CSV, with all digits."""
-    with path.open("w", newline="") as file:
+    with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(header.split(","))
         writer.writerows([[repr(float(value)) for value in row] for row in rows])

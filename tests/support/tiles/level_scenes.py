@@ -143,7 +143,10 @@ def garden_cameras(splats: Splats, views: np.ndarray, k: np.ndarray) -> dict[str
             depth = (view[:3, :3] @ splats.position.T.astype(np.float64) + view[:3, 3:])[2]
             moved[2, 3] += back * np.median(depth)
             fx, fy, cx, cy = inner[0, 0], inner[1, 1], inner[0, 2], inner[1, 2]
-            cameras[name].append(Camera(moved, fx / 2, fy / 2, cx / 2, cy / 2, 324, 210))
+            camera = Camera(
+                moved, fx=fx / 2, fy=fy / 2, cx=cx / 2, cy=cy / 2, width=324, height=210
+            )
+            cameras[name].append(camera)
     return cameras
 
 
@@ -158,7 +161,7 @@ def in_cells(splats: Splats, side: float) -> tuple[Splats, np.ndarray]:
 
 def _rows(splats: Splats, index: np.ndarray) -> Splats:
     names = ("position", "rotation", "log_scale", "logit_opacity", "sh")
-    return Splats(*(getattr(splats, name)[index] for name in names))
+    return Splats(**{name: getattr(splats, name)[index] for name in names})
 
 
 def random_grown(splats: Splats, count: int, seed: int = 1) -> Splats:

@@ -81,40 +81,65 @@ def test_the_chosen_cells_are_those_nearest_to_the_target(depth, target):
 
 def test_a_level_has_about_a_quarter_and_stays_in_its_cells():
     members = mixture(np.random.default_rng(2), 4000)
-    level = merge_level(members, 0, 1 << 20, 1e9)
+    level = merge_level(members, 0, 1 << 20)
     assert 1 / 12 < len(level.mixture) / len(members) < 3 / 4
     own = np.unique(cell_codes(members.code, level.depth))
-    np.testing.assert_array_equal(cell_codes(level.mixture.code, level.depth), own)
+    np.testing.assert_array_equal(np.unique(cell_codes(level.mixture.code, level.depth)), own)
+
+
+def clusters_oracle(members, depth, count):
+    """The members of each splat of a level: the largest alone while there is room."""
+    cells = {}
+    for row, code in enumerate(members.code.tolist()):
+        cells.setdefault(code >> 3 * (DEPTH - depth), set()).add(row)
+    alone = []
+    for row in sorted(range(len(members)), key=lambda row: (-members.mass[row], row)):
+        cell = cells[members.code[row].item() >> 3 * (DEPTH - depth)]
+        if len(alone) + len([rest for rest in cells.values() if rest]) + (len(cell) > 1) > count:
+            break
+        alone.append(row)
+        cell.remove(row)
+    return alone, [sorted(rest) for rest in cells.values() if rest]
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_largest_splats_stay_where_there_is_room(seed):
-    rng = np.random.default_rng(seed)
-    members = mixture(rng, 3000)
-    side = 0.5 * 2**5  # cells of 0.5 at depth 5
-    level = merge_level(members, 0, 1 << 20, side)
-    _, starts = choose_cells(members.code, 0, 750)
-    size = members.scale.max(axis=1)
-    room = max(0, 750 - len(starts))
-    large = np.sort(size)[::-1][:room]
-    large = large[large > 0.5 * side / 2**level.depth]
-    assert len(level.mixture) <= max(750, len(starts))
-    # Each of them is in the level, with its own mean and opacity.
+@pytest.mark.parametrize("spread", [0.1, 4.0])
+def test_the_largest_splats_stay_where_there_is_room(seed, spread):
+    members = mixture(np.random.default_rng(seed), 1600)
+    members.scale[:] **= spread  # at 4, some splats have most of the mass
+    level = merge_level(members, 0, 1 << 20)
+    alone, clusters = clusters_oracle(members, level.depth, 400)
+    assert len(level.mixture) == len(alone) + len(clusters)
+    assert len(alone) == 0 or len(level.mixture) == 400
     retained = np.isin(members.mean[:, 0], level.mixture.mean[:, 0])
-    np.testing.assert_array_equal(np.isin(size, large) & ~retained, np.zeros(3000, bool))
+    assert retained[alone].all()
     assert (np.diff(level.mixture.code.astype(object)) >= 0).all()
+
+
+@pytest.mark.parametrize(("large", "finer"), [(1.0, True), (50.0, False)])
+def test_coarser_cells_leave_room_for_splats_that_hold_most_of_the_mass(large, finer):
+    members = mixture(np.random.default_rng(1), 2000)
+    members.code[:] = np.sort(members.code >> np.uint64(3) & ~np.uint64(7))
+    members.scale[:] = 1
+    members.scale[::20] = large
+    target = 0.9 * len(np.unique(cell_codes(members.code, 4)))
+    nearest, starts = choose_cells(members.code, 0, target)
+    assert len(starts) > target
+    level = merge_level(members, 0, int(target))
+    assert level.depth == nearest - (not finer)
+    assert finer or len(level.mixture) == int(target)
 
 
 def test_mass_is_conserved_beside_retained_splats():
     members = mixture(np.random.default_rng(3), 2000)
     members.opacity[:] *= 1e-4
-    level = merge_level(members, 0, 1 << 20, 8.0)
+    level = merge_level(members, 0, 1 << 20)
     np.testing.assert_allclose(level.mixture.mass.sum(), members.mass.sum(), rtol=1e-9)
 
 
 def test_a_level_is_not_larger_than_a_leaf_may_be():
     members = mixture(np.random.default_rng(2), 4000)
-    assert len(merge_level(members, 0, 100, 1.0).mixture) < 300
+    assert len(merge_level(members, 0, 100).mixture) < 300
 
 
 def test_harmonics_without_energy_are_not_stored():

@@ -33,12 +33,12 @@ def read_tiles(path: Path) -> list[dict]:
             tiles[row]["children"].append(len(tiles))
             visit(child, row, level + 1)
 
-    visit(json.loads(path.read_text())["root"], -1, 0)
+    visit(json.loads(path.read_text(encoding="utf-8"))["root"], -1, 0)
     return tiles
 
 
 def read_csv(path: Path) -> list[list[float]]:
-    with path.open() as file:
+    with path.open(encoding="utf-8") as file:
         return [[float(value) for value in row] for row in list(csv.reader(file))[1:]]
 
 

@@ -1,4 +1,4 @@
-"""Prints reports, styled on a terminal, and writes report files atomically."""
+"""Prints validation reports, styled on a terminal, and writes report files atomically."""
 
 __all__ = ["append_text", "show", "write_text"]
 
@@ -16,8 +16,9 @@ from gsgen.contract.reporters.text import Line
 
 
 def show(lines: Iterable[Line]) -> None:
-    """Print styled lines to stdout, in colour on a terminal unless NO_COLOR is set."""
-    if not sys.stdout.isatty() or "NO_COLOR" in os.environ:
+    """Print styled lines to stdout, in colour on a terminal or by FORCE_COLOR, not by NO_COLOR."""
+    is_coloured = sys.stdout.isatty() or os.environ.get("FORCE_COLOR")
+    if not is_coloured or "NO_COLOR" in os.environ:
         for line in lines:
             typer.echo(line.text)
         return
@@ -30,7 +31,7 @@ def show(lines: Iterable[Line]) -> None:
 
 
 def append_text(path: Path, text: str) -> None:
-    """Append text to a file to which other programs may write as well."""
+    """Append text to a file to which other programs may write at the same time."""
     try:
         with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text)

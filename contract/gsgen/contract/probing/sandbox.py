@@ -33,7 +33,7 @@ FaultStage = Literal["load", "run", "time", "memory", "crash"]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """The reason why a sandboxed model did not run to the end."""
+    """The reason why a model in the sandbox did not run to the end."""
 
     stage: FaultStage
     message: str
@@ -59,7 +59,7 @@ class Extremes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
-    """One distinct set of outputs, shared by all runs that gave the same bytes.
+    """One distinct set of model outputs, shared by all runs that gave the same bytes.
 
     Attributes:
         index: Its number, counted in order of appearance.
@@ -80,7 +80,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """One inference: its probe, the number of its output sample, and its duration.
+    """One inference: its test inputs, the index of its stored outputs, and its duration.
 
     An extra probe may give none: then ``sample`` is −1, and ``error`` says why, or is empty where
     there was no time left. ``center`` is where the sandbox moved the probe's camera to.
@@ -131,7 +131,7 @@ def execute(
     count: str = "",
     **options: object,
 ) -> Iterator[Execution]:
-    """Run a model once for each probe, in order, in one sandboxed session.
+    """Run a model once for each set of test inputs, in order, in one sandboxed session.
 
     Args:
         model: The ONNX file.
@@ -185,11 +185,11 @@ def _write_job(
         "seconds": limits.seconds,
         **options,
     }
-    (folder / "job.json").write_text(json.dumps(job))
+    (folder / "job.json").write_text(json.dumps(job), "utf-8")
 
 
 def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
-    """Return the child's exit status, or None if the child was stopped at its time limit."""
+    """Run the sandbox's child process; return its exit status, or None at the time limit."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
         child = subprocess.Popen(
@@ -262,10 +262,10 @@ def _extremes(facts: dict[str, Any] | None) -> Extremes | None:
 
 
 def _events(path: Path) -> list[dict[str, Any]]:
-    """Read the events that a sandbox process wrote; a half-written last line ends the list."""
+    """Read the log events (JSON lines) of a sandbox process, up to an incomplete last line."""
     events: list[dict[str, Any]] = []
     if path.exists():
-        for line in path.read_text().splitlines():
+        for line in path.read_text("utf-8").splitlines():
             try:
                 events.append(json.loads(line))
             except ValueError:
@@ -299,7 +299,7 @@ def _fault(
         return Fault("time", f"still running after {limits.seconds:g} s", probe)
     if status < 0:
         return Fault("crash", f"ended by signal {_signal_name(-status)}", probe)
-    tail = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no message"]
+    tail = log.read_text("utf-8", errors="replace").strip().splitlines()[-1:] or ["no message"]
     return Fault("crash", f"exit status {status}: {tail[0][:300]}", probe)
 
 

@@ -1,4 +1,4 @@
-"""The sandbox's child process: runs one model for a list of probes, then exits.
+"""The sandbox's child process: runs one model for a list of test inputs, then exits.
 
 It writes one JSON line an event, and every distinct output once as an ``.npy`` file, so that
 an abort leaves everything that was done before. Other workers are made of the same parts.
@@ -55,8 +55,8 @@ def main(folder: Path) -> int:
 
 def serve(folder: Path, work: Callable[[Path, dict[str, Any], Emit], int]) -> int:
     """Read a sandbox job from its folder, do the job, and return the exit status."""
-    job = json.loads((folder / "job.json").read_text())
-    with (folder / "events.jsonl").open("w", buffering=1) as log:
+    job = json.loads((folder / "job.json").read_text("utf-8"))
+    with (folder / "events.jsonl").open("w", buffering=1, encoding="utf-8") as log:
 
         def emit(event: str, **facts: object) -> None:
             log.write(json.dumps({"event": event} | facts) + "\n")
@@ -132,7 +132,7 @@ def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
 
 
 def input_reader(folder: Path, job: dict[str, Any]) -> Callable[[int], dict[str, np.ndarray]]:
-    """Return a function that reads the inputs of a probe, by the names of the inputs."""
+    """Return a function that reads one set of test inputs by its number."""
     cached: dict[int, np.ndarray] = {}
 
     def array(number: int) -> np.ndarray:
@@ -158,7 +158,7 @@ def _drawn_center(rows: np.ndarray) -> np.ndarray | None:
 def _place_camera(
     inputs: dict[str, np.ndarray], placement: dict[str, str], center: np.ndarray
 ) -> None:
-    """Move the camera of a probe's inputs to a point; its rotation stays."""
+    """Move the camera of test inputs to a point; its rotation stays."""
     if view := placement["view"]:
         tensor = inputs[view].copy()
         matrix = tensor.T if placement["order"] == "column" else tensor
@@ -202,7 +202,7 @@ def keep_outputs(
     *,
     thin: bool = False,
 ) -> int:
-    """Store a run's outputs unless equal outputs are stored; return the number of the stored set.
+    """Store the outputs of a run unless equal ones are stored; return the stored set's index.
 
     Where ``thin``, a part of the rows is stored, and which outputs are not finite is noted.
     """
@@ -220,7 +220,7 @@ def keep_outputs(
 
 
 def digest_of(outputs: dict[str, np.ndarray]) -> str:
-    """Return the SHA-256 over a line "name dtype shape" and the bytes of each output, in order."""
+    """Return the SHA-256 of model outputs: name, dtype, shape and bytes of each, in order."""
     digest = hashlib.sha256()
     for name, value in outputs.items():
         if not isinstance(value, np.ndarray) or value.dtype.hasobject:
@@ -242,7 +242,7 @@ def _finite(value: np.ndarray) -> bool:
 
 
 def stage_of(error: Exception, probe: int | None) -> str:
-    """Return the exceeded limit that an error names, or else the stage of the failed run."""
+    """Return the limit that an error exceeded, or else the stage in which the run failed."""
     if isinstance(error, MemoryError) or any(word in str(error) for word in _OUT_OF_MEMORY):
         return "memory"
     return "load" if probe is None else "run"

@@ -29,8 +29,10 @@ from gsgen.contract.spec.roles import CAMERA_ROLES, ROTATION_ROLES
 SIDE_LABEL = "from side"
 # Distance of the farthest camera, in half diagonals: twenty diagonals.
 _FAR = 40.0
-# Distances of the cameras on the twenty sides, in half diagonals: two of three are outside.
-_DISTANCES = (ORBIT, 1.1, 0.5)
+# Distances of the cameras on the twenty sides, in half diagonals; None stands for inside, at this
+# share of the half extents.
+_DISTANCES = (ORBIT, 1.1, None)
+_WITHIN = 0.6
 # Combinations of range ends for models without a camera.
 _CORNERS = 8
 _GOLDEN = (1 + 5**0.5) / 2
@@ -80,8 +82,7 @@ def _viewed(
     """Yield a survey probe for each camera."""
     scene, base = Surroundings.of(manifest), first[1]
     forward = np.roll(scene.up, 1)
-    inside = look_at(np.zeros(3), forward, scene.up)
-    inside[:3, 3] = -inside[:3, :3] @ scene.center
+    inside = _camera_at(scene.center, forward, scene.up)
     middle = _survey("from the middle", base.inputs | _camera_inputs(manifest, base, inside))
     yield middle
     rows = manifest.outputs.gaussians
@@ -93,15 +94,25 @@ def _viewed(
             position=_name_of(manifest, "camera_position"),
         )
         yield replace(middle, label="from the centre of a Gaussian", placement=placement)
-    away = look_at(scene.center - _FAR * scene.radius * forward, scene.center, scene.up)
+    away = _camera_at(scene.center - _FAR * scene.radius * forward, forward, scene.up)
     yield _survey("from 20 diagonals", base.inputs | _camera_inputs(manifest, base, away))
     for number, side in enumerate(_SIDES):
         distance = _DISTANCES[number % len(_DISTANCES)]
-        view = look_at(scene.center + distance * scene.radius * side, scene.center, scene.up)
+        reach = _WITHIN * scene.half if distance is None else distance * scene.radius
+        view = _camera_at(scene.center + reach * side, -side, scene.up)
         other = first[1 + number % (len(first) - 1)]
         inputs = other.inputs | _camera_inputs(manifest, other, view)
-        words = SIDE_LABEL if distance > 1 else "from within, side"
+        words = SIDE_LABEL if distance is not None else "from within, side"
         yield _survey(f"{words} {number}", inputs | _corner(ranged, other, number))
+
+
+def _camera_at(
+    eye: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"], up: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, "4 4"]:
+    """Return the view matrix of a camera at a point that looks in a direction."""
+    view = look_at(np.zeros(3), direction, up)
+    view[:3, 3] = -view[:3, :3] @ eye
+    return view
 
 
 def _name_of(manifest: GeneratorManifest, role: str) -> str:

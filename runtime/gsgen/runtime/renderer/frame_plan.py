@@ -1,9 +1,8 @@
 """The frame plan: all GPU buffers and dispatches of a frame, recorded once and reused."""
 
-__all__ = ["Kernels", "Placed", "Plan"]
+__all__ = ["Placed", "Plan"]
 
 from collections.abc import Sequence
-from functools import cache
 from typing import final
 
 import numpy as np
@@ -15,18 +14,10 @@ from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.readback import Staging
 from gsgen.runtime.gpu.splat_residency import Page
-from gsgen.runtime.kernels.project.cull_slots import CullSlots
-from gsgen.runtime.kernels.project.normals import NormalsKernel
-from gsgen.runtime.kernels.project.project import (
-    FRAME,
-    PAGE,
-    ProjectKernel,
-    frame_uniform,
-    page_uniforms,
-)
+from gsgen.runtime.kernels.project.project import FRAME, PAGE, frame_uniform, page_uniforms
 from gsgen.runtime.kernels.project.slots import slot_table
-from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes, MeshesStep
-from gsgen.runtime.kernels.raster.draw_quads import DrawQuads, QuadsStep
+from gsgen.runtime.kernels.raster.draw_meshes import MeshesStep
+from gsgen.runtime.kernels.raster.draw_quads import QuadsStep
 from gsgen.runtime.kernels.raster.mesh_place import (
     MESH_UNIFORM,
     PlacedMesh,
@@ -37,13 +28,11 @@ from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
 from gsgen.runtime.kernels.shared.shader import ABSENT, TILE
-from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for
-from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS, BinTiles
-from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles, Layers
-from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK, TileRanges
-from gsgen.runtime.renderer.depth_sort import DepthOrder
-from gsgen.runtime.renderer.weighted_plan import WeightedKernels, WeightedPart
+from gsgen.runtime.kernels.sort.sort import Columns
+from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
+from gsgen.runtime.kernels.tiles.blend_tiles import Layers
+from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
@@ -53,44 +42,8 @@ Placed = tuple[SplatSet, Page]
 
 
 @final
-class Kernels:
-    """The rendering kernels of a device, each compiled when it is first needed."""
-
-    def __init__(self, device: Device) -> None:
-        self.cut = cut_for(device)
-        self.scan = Scan(device, self.cut.block, WALK_THREADS * self.cut.walk, RANGE_BLOCK)
-        self.sort = RadixSort(device, self.cut, self.scan)
-        self.bin = cache(lambda panorama: BinTiles(device, self.cut.walk, panorama=panorama))
-        self.ranges = TileRanges(device)
-        self.blend = cache(
-            lambda pick, panorama, layers: BlendTiles(
-                device, pick=pick, panorama=panorama, layers=layers
-            )
-        )
-        self.project = cache(
-            lambda half, words, panorama, packed, slot_rows: ProjectKernel(
-                device, words, half=half, panorama=panorama, packed=packed, slot_rows=slot_rows
-            )
-        )
-        self.cull_slots = cache(
-            lambda slot_rows, panorama: CullSlots(device, slot_rows, panorama=panorama)
-        )
-        self.normals = cache(
-            lambda packed, slot_rows: NormalsKernel(device, packed=packed, slot_rows=slot_rows)
-        )
-        self.order = DepthOrder(device, self.cut, self.sort)
-        self.weighted = cache(
-            lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.order, self.ranges)
-        )
-        self.quads = cache(
-            lambda tested, panorama: DrawQuads(device, tested=tested, panorama=panorama)
-        )
-        self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
-
-
-@final
 class Plan:
-    """GPU buffers and compute steps that draw given pages and meshes at one image size.
+    """GPU buffers and steps that draw some pages of Gaussians and meshes at one image size.
 
     Args:
         device: Device of the buffers.
@@ -108,7 +61,10 @@ class Plan:
     Attributes:
         stages: Steps of a frame, by stage.
         buffers: Buffers of the plan, by name.
+        clears: Buffers whose bytes are zero at the start of a frame, from an offset on; None for
+            all further bytes.
         images: The buffers that :meth:`collect` reads, by output.
+        inputs: The uniforms that :meth:`submit` writes, and the counts, by name.
 
     Raises:
         CapacityExceeded: A buffer would be larger than the device binds.
@@ -150,6 +106,13 @@ class Plan:
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
         self._splats = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
+        self.inputs = {
+            "frame": self._frame,
+            "bare frame": self._bare_frame,
+            "pages": self._slots,
+            "counts": self._counts,
+        }
+        self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
         # Weighted sets become a layer, which the hardware's blending does not support.
         quads = quads and not summed
@@ -189,10 +152,19 @@ class Plan:
         self.buffers[name] = self._device.storage(name, size, extra=extra)
         return self.buffers[name]
 
+    def _cleared(self, placed: Sequence[Placed]) -> list[tuple[Buffer, int, int | None]]:
+        """Return the buffers that are cleared before a frame, with offset and size in bytes."""
+        dispatches = [page.slots.dispatch for _, page in placed if page.slots is not None]
+        return [
+            (self._ranges, 0, None),
+            (self._counts, 4 * Counts.TIED, 8),  # and UNSORTED
+            *((dispatch, 0, 4) for dispatch in dispatches),
+        ]
+
     def _record(
         self, placed: Sequence[Placed], outputs: frozenset[Output], *, quads: bool
     ) -> dict[str, list[Step]]:
-        """Record the stages that draw the sorted sets, in execution order."""
+        """Record the stages that draw the depth-sorted splat sets, in execution order."""
         n = self._gaussians
         # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
         columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
@@ -236,7 +208,7 @@ class Plan:
         )
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
-        """Record the drawing of meshes, and return the steps that copy them to a layer."""
+        """Record the drawing of meshes, and return the steps that copy them to an image layer."""
         self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._size))
         self._meshes = self._kernels.meshes(self._panorama).step(
             self._size, meshes, self._mesh_slots, self._mesh_rays, self._layers
@@ -305,13 +277,13 @@ class Plan:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the steps that sort splat-tile pairs by tile, and the buffer of sorted splats."""
+        """Return the steps that sort splat-tile pairs by tile, and the buffer of sorted pairs."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self._counts,
             self._kernels.sort.histogram(self.pair_capacity),
             pairs,
-            bits=max(1, last.bit_length()),
+            bits=self._kernels.tile_bits(last),
             source=Counts.PAIRS,
             groups=Counts.SORT_PAIRS_GROUPS,
         )
@@ -378,11 +350,8 @@ class Plan:
         encoder = device.raw.create_command_encoder(label="frame")
         if clock is not None:
             clock.begin()
-        encoder.clear_buffer(self._ranges)
-        encoder.clear_buffer(self._counts, 4 * Counts.TIED, 8)  # and UNSORTED
-        for _, page in placed:
-            if page.slots is not None:
-                encoder.clear_buffer(page.slots.dispatch, 0, 4)
+        for buffer, offset, size in self.clears:
+            encoder.clear_buffer(buffer, offset, size)
         if self._weighted is not None:
             self._weighted.clear(encoder)
         if self._meshes is not None:
@@ -400,7 +369,7 @@ class Plan:
         device.submit(encoder)
 
     def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Wait for the frame, and return its counts and each image as [height, width, 4] words.
+        """Wait for the frame; return its counters and each image as [height, width, 4] words.
 
         Args:
             fetch: Whether images are read; must be the same as in :meth:`submit`.
@@ -438,7 +407,7 @@ class Plan:
 
 
 def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
-    """Return the index of each GPU row in the order of the sets; None if they are in order."""
+    """Return the index of each GPU row in scene order; None if the rows are in scene order."""
     if all(page.rows_of is None for _, page in placed):
         return None
     parts, base = [], 0
@@ -450,7 +419,7 @@ def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
 
 
 def _slot_rows(page: Page) -> int:
-    """Return the rows of a slot of a pool's page; 0 for other pages."""
+    """Return the rows of each slot in a GPU page of the splat pool; 0 for other pages."""
     return 0 if page.slots is None else page.slots.pool.slot_rows
 
 
@@ -463,7 +432,7 @@ def _sorted(placed: Sequence[Placed]) -> list[Placed]:
 
 
 def _together(counts: Sequence[UInt32[np.ndarray, " n"]]) -> UInt32[np.ndarray, " n"]:
-    """Add up the counts of the plan's parts, each of which has its own pair capacity."""
+    """Add up the frame counters of sorted and weighted splats; pair capacities stay separate."""
     total = np.asarray(np.sum(counts, axis=0), np.uint32)
     total[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + total[Counts.DRAWN]
     total[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)

@@ -1,6 +1,6 @@
 """The renderer: draws a scene from a camera and returns a frame."""
 
-__all__ = ["Drawn", "Renderer"]
+__all__ = ["FIRST_PAIRS", "PAIRS_ROOM", "Drawn", "Renderer"]
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,7 +21,8 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
-from gsgen.runtime.renderer.frame_plan import Kernels, Placed, Plan
+from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.rasteriser_choice import Rasteriser, RasteriserOption, choose
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, NOTHING, Frame, Output
@@ -29,8 +30,12 @@ from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet
 
-_FIRST_PAIRS: Final = 1 << 16
-_ROOM: Final = 1.25  # times the pairs that a frame needed, so that the next rarely needs to grow
+FIRST_PAIRS: Final = 1 << 16
+"""Pairs of a splat and a tile for which a new renderer has room."""
+
+PAIRS_ROOM: Final = 1.25
+"""Room for pairs, times those that a frame needed, so that the next rarely needs to grow."""
+
 _OUTPUTS: Final = ("color", "depth", "normal")
 
 
@@ -95,7 +100,7 @@ class Renderer:
             self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
         self._mesh_residency = MeshResidency(self.device)
-        self._pairs = _FIRST_PAIRS
+        self._pairs = FIRST_PAIRS
         if rasteriser == "quads" and not self.device.blends_floats:
             raise DeviceUnavailable(
                 f"{self.device.name} cannot blend 32-bit floats", hint="Use the rasteriser 'tiles'."
@@ -161,7 +166,7 @@ class Renderer:
         *,
         fetch: bool = True,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
-        """Draw a scene until all pairs fit and all ties are sorted; no images without ``fetch``."""
+        """Draw a scene until all pairs fit and ties are sorted; read images only if ``fetch``."""
         requested = _known(outputs)
         if self._published:
             _require_alone(scene)
@@ -178,7 +183,7 @@ class Renderer:
         except MemoryFull as error:
             # Free the plan's memory, and the rows that it keeps alive, for a smaller scene.
             self._plan, self._key, self._rows = None, None, None
-            self._pairs = _FIRST_PAIRS
+            self._pairs = FIRST_PAIRS
             raise _too_large(scene, camera, error, compact=self._compact) from error
 
     def _fitted(
@@ -205,7 +210,7 @@ class Renderer:
         return plan, counts, images
 
     def _must_redraw(self, counts: np.ndarray, plan: Plan) -> bool:
-        """Return whether a frame has to be drawn again, after growing what it lacked."""
+        """Return whether a frame must be drawn again; enlarge the buffers that were too small."""
         short = int(counts[Counts.WANTED_PAIRS]) > plan.pair_capacity
         if short:
             self._grow(int(counts[Counts.WANTED_PAIRS]))
@@ -244,7 +249,7 @@ class Renderer:
         outputs: frozenset[Output],
         meshes: Sequence[PlacedMesh] = (),
     ) -> Plan:
-        """Return the frame plan for given pages, camera and outputs, reusing the last if it fits."""
+        """Return the frame plan of pages, camera and outputs; reuse the last plan if it fits."""
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
         pages = tuple((page, splat_set.weighted is None) for splat_set, page in placed)
         contents = (pages, tuple(mesh.buffers for mesh in meshes))
@@ -275,7 +280,7 @@ class Renderer:
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
     def _grow(self, pairs: int) -> None:
-        """Raise the capacity for pairs, or raise an error if the device cannot hold them."""
+        """Raise the capacity for splat-tile pairs, or raise if the device cannot hold them."""
         most = min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK)
         if pairs > most:
             raise CapacityExceeded(
@@ -284,11 +289,11 @@ class Renderer:
                 where="scene",
                 hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
-        self._pairs = min(int(pairs * _ROOM), most)
+        self._pairs = min(int(pairs * PAIRS_ROOM), most)
 
 
 def _bare_set(pooled: PooledSet) -> SplatSet:
-    """Return a set with the settings of a pool, and no Gaussians of its own."""
+    """Return a splat set without Gaussians that has the drawing settings of a splat pool."""
     pool = pooled.pool
     rows = np.zeros((0, layout.ROW), np.float32)
     data = SplatData(rows, np.zeros((0, pool.channels), np.float32), "sh")
@@ -318,7 +323,7 @@ def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool
 
 
 def _require_alone(scene: Scene) -> None:
-    """Raise if a scene has meshes or sorted sets next to weighted sets."""
+    """Raise if a scene has meshes or depth-sorted sets besides weighted splat sets."""
     summed = [splat_set.weighted is not None for splat_set in scene.sets]
     if any(summed) and (scene.meshes or not all(summed)):
         raise SceneInvalid(
@@ -388,7 +393,7 @@ def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h 
 
 
 def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
-    """Convert the plan's ids, which count only sorted sets, to indices in the scene."""
+    """Convert ids that count only the depth-sorted splat sets to row indices in the scene."""
     ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
     weighted = [splat_set.weighted is not None for splat_set in scene.sets]
     summed = np.array([*weighted, *(False for _ in scene.pools)], bool)

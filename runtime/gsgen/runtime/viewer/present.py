@@ -1,6 +1,6 @@
 """Shows a drawn image, and panels over it, on the surface of a window."""
 
-__all__ = ["Panel", "Present", "View"]
+__all__ = ["SHOWING", "SHOWING_CONSTANTS", "Panel", "Present", "View"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,13 +24,15 @@ from gsgen.runtime.renderer.renderer import Drawn
 from gsgen.runtime.scene.camera import Camera
 
 _MODES: Final[dict[Mode, int]] = {mode: number for number, mode in enumerate(MODES)}
-_CONSTANTS: Final = {
+SHOWING_CONSTANTS: Final = {
     "MODE_DEPTH": _MODES["depth"],
     "MODE_MEDIAN": _MODES["median-depth"],
     "MODE_NORMAL": _MODES["normal"],
     "MODE_ALPHA": _MODES["alpha"],
 }
-_UNIFORMS: Final = np.dtype(
+"""The modes of present.wgsl; other numbers show colours."""
+
+SHOWING: Final = np.dtype(
     [
         ("turn", np.float32, (3, 4)),
         ("size", np.float32, 2),
@@ -60,7 +62,7 @@ class Panel:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class View:
-    """A drawn image in GPU memory, and how it is shown."""
+    """A drawn image in GPU memory, with the settings of showing it on a window's surface."""
 
     drawn: Drawn
     camera: Camera
@@ -80,9 +82,14 @@ class Present:
 
     def __init__(self, device: Device, format: str) -> None:
         self._device, raw = device, device.raw
-        self._uniform = device.uniform("showing", _UNIFORMS.itemsize)
+        self._uniform = device.uniform("showing", SHOWING.itemsize)
         self._layout, self._pipeline = _pipeline(
-            raw, "present", {"buffer": {"type": "read-only-storage"}}, format, None, **_CONSTANTS
+            raw,
+            "present",
+            {"buffer": {"type": "read-only-storage"}},
+            format,
+            None,
+            **SHOWING_CONSTANTS,
         )
         blend = {"color": _BLEND_OVER, "alpha": _BLEND_OVER}
         self._panel_layout, self._panels = _pipeline(
@@ -154,7 +161,7 @@ class Present:
 
 def _uniforms(view: View, surface: tuple[int, int]) -> np.ndarray:
     camera = view.camera
-    uniforms = np.zeros(1, _UNIFORMS)
+    uniforms = np.zeros(1, SHOWING)
     # The rows of world → camera are the columns of camera → world.
     uniforms["turn"][0, :, :3] = camera.view[:3, :3]
     uniforms["size"] = camera.width, camera.height
@@ -173,7 +180,7 @@ def _pipeline(
     blend: dict[str, dict[str, str]] | None,
     **constants: int,
 ) -> tuple[BindGroupLayout, RenderPipeline]:
-    """Create the bind group layout and the pipeline of a shader with two bindings."""
+    """Create the bind group layout and render pipeline of a WGSL shader with two bindings."""
     layout = raw.create_bind_group_layout(
         label=name,
         entries=[

@@ -97,7 +97,7 @@ def _above(plan: Plan, location: int, parts: list[Built]) -> Built:
     if len(tiles) == 1 and not plan.parameters.implicit:
         return tiles, mixture
     depth = depth_of(location)
-    level = merge_level(mixture, depth, plan.parameters.leaf, plan.cube.side)
+    level = merge_level(mixture, depth, plan.parameters.leaf)
     return [write_level(plan, level, location, tiles)], level.mixture
 
 
@@ -115,7 +115,7 @@ def build_top(plan: Plan, location: int) -> int:
 
 
 def _places(plan: Plan) -> dict[str, int]:
-    """Return the names of all octree partitions and the cells above, depth first, with parents."""
+    """Return the names of octree partitions and upper cells, depth first, with parent cells."""
     entries: list[tuple[int, int, bool, str]] = []
     for partition in plan.partitions:
         name = f"partition-{partition.index:06}"

@@ -96,7 +96,7 @@ def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> Non
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
         reason = error.message if isinstance(error, ProviderUnavailable) else error_text(error)
         raise AdapterMissing(f"there is no usable WebGPU adapter ({reason})", DRIVER) from error
-    log = (folder / "log").read_text(errors="replace")
+    log = (folder / "log").read_text("utf-8", errors="replace")
     opened = _OPENED.findall(log)
     name = opened[-1] if opened else ""
     try:

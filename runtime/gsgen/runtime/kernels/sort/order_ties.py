@@ -1,4 +1,4 @@
-"""Sorts splats of equal depth keys by their depth remainders, then by their sets."""
+"""Sorts splats of equal depth keys by their depth remainders, then by their splat sets."""
 
 __all__ = ["MOST_TIED", "OrderTies", "order_ties_reference"]
 
@@ -9,6 +9,7 @@ from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.sizes import at_least
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
@@ -64,7 +65,7 @@ class OrderTies:
             origins = (lows,)  # a buffer has to be bound, but is not read
         bind = self.kernel.bind(counts, keys, lows, order, *origins)
         # A direct dispatch: the kernel writes the counts, so they cannot be its indirect arguments.
-        groups = max(1, -(-capacity // self._block))
+        groups = at_least(-(-capacity // self._block), 1)
         lines = -(-groups // MOST_GROUPS)
         return Step(self.kernel, (bind,), (-(-groups // lines), lines, 1))
 
@@ -75,5 +76,5 @@ def order_ties_reference(
     origins: UInt32[np.ndarray, " m"],
     order: UInt32[np.ndarray, " n"],
 ) -> UInt32[np.ndarray, " n"]:
-    """Sort splats by key, remainder and set: the reference of ``order_ties.wgsl``."""
+    """Sort splats by key, remainder and splat set: the reference of ``order_ties.wgsl``."""
     return order[np.lexsort((origins[order], lows[order], keys))]

@@ -31,10 +31,20 @@ class Scan:
         sort_block: Keys of a workgroup of the sort.
         walk_block: Splats of a workgroup of the binning.
         range_block: Pairs of a workgroup of the tile ranges.
+        always_in_blocks: Whether few numbers are summed by blocks, too: the dispatches of a scan
+            are then the same for all sizes.
     """
 
-    def __init__(self, device: Device, sort_block: int, walk_block: int, range_block: int) -> None:
-        self._device = device
+    def __init__(
+        self,
+        device: Device,
+        sort_block: int,
+        walk_block: int,
+        range_block: int,
+        *,
+        always_in_blocks: bool = False,
+    ) -> None:
+        self._device, self._always_in_blocks = device, always_in_blocks
         constants = {
             "SORT_BLOCK": sort_block,
             "WALK_BLOCK": walk_block,
@@ -76,7 +86,7 @@ class Scan:
         words = np.array([source, block, rows, _EFFECTS[total]], np.uint32)
         self._device.write(uniform, words)
         blocks = -(-numbers.size // (4 * _BLOCK))
-        if self._device.software or blocks <= 2:
+        if not self._always_in_blocks and (self._device.software or blocks <= 2):
             kernel = self._whole()
             return [Step(kernel, (kernel.bind(uniform, counts, numbers),), (1, 1, 1))]
         sums = self._device.storage("sums of blocks", 4 * blocks)

@@ -10,6 +10,7 @@ from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.sizes import at_least
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Dispatch, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import ABSENT
@@ -29,7 +30,7 @@ class Columns(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True)
 class SortConfig:
-    """How a radix sort and the binning are divided among invocations.
+    """How a radix sort and the listing of tiles are divided among GPU invocations.
 
     Attributes:
         threads: Invocations of a workgroup of the sort.
@@ -50,7 +51,7 @@ class SortConfig:
 
 
 def cut_for(device: Device) -> SortConfig:
-    """Return the sort configuration of a device: long runs on a CPU, many invocations on a GPU."""
+    """Return the sort settings of a device: many keys per invocation on a CPU, few on a GPU."""
     return SortConfig(8, 512, 8, 64) if device.software else SortConfig(256, 16, 4, 4)
 
 
@@ -77,7 +78,7 @@ class RadixSort:
 
     def blocks(self, capacity: int) -> int:
         """Return the number of workgroups that sort ``capacity`` keys."""
-        return max(1, -(-capacity // self._cut.block))
+        return at_least(-(-capacity // self._cut.block), 1)
 
     def steps(
         self,
@@ -91,7 +92,7 @@ class RadixSort:
         compacting: int | None = None,
         first_keys: Buffer | None = None,
     ) -> tuple[list[Step], int]:
-        """Return the dispatches of a radix sort, and the index in ``columns`` of the result.
+        """Return the dispatches of a radix sort, and the index of the buffers with the result.
 
         Args:
             counts: The frame's counts.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from jaxtyping import Bool, Int64, UInt64
+from jaxtyping import Bool, Float64, Int64, UInt64
 
 from gsgen.formats.shared.splats import SH_COUNTS
 from gsgen.tiles.build.merging.mixture import Mixture
@@ -19,9 +19,8 @@ REDUCTION: Final = 4
 BAND_ENERGY: Final = 0.01
 """Harmonics of a degree that holds less than this share of the energy are not stored."""
 
-
-RETAINED_SIZE: Final = 0.5
-"""Splats whose standard deviation is more than this share of a cell may stay unmerged."""
+RETAINED_MASS: Final = 0.5
+"""Coarser cells are chosen where the unmerged splats beside them hold this share of the mass."""
 
 
 @final
@@ -57,42 +56,79 @@ def choose_cells(
     return cell_depth, np.concatenate([np.zeros(1, np.int64), starts])
 
 
-def merge_level(mixture: Mixture, depth: int, most: int, side: float) -> Level:
+def merge_level(mixture: Mixture, depth: int, most: int) -> Level:
     """Merge the splats of a tile's children into the splats of the tile.
 
     Args:
         mixture: All splats that the children show, sorted by code.
         depth: Of the tile.
         most: Splats to aim at, at most.
-        side: Of the root cube, in scene units.
     """
     target = max(1.0, min(len(mixture) / REDUCTION, most))
+    mass = mixture.mass
     # 1. Cells: as many as the level should have splats, within what powers of two allow.
     cell_depth, starts = choose_cells(mixture.code, depth, target)
-    # 2. Where there are fewer cells, the largest splats stay as they are: merging splats
-    #    as large as a cell saves little and blurs most.
-    room = int(target) - len(starts)
-    retained = _largest(mixture, side / (1 << cell_depth), room) if room > 0 else None
-    if retained is not None and retained.any():
-        cells = cell_codes(mixture.code, cell_depth)
+    retained = _largest(mass, starts, int(target))
+    # 2. Where these cells are too many, coarser ones leave room for the largest splats. They are
+    #    better where these splats are most of what is seen: merging large splats blurs most.
+    if len(starts) > target and cell_depth > depth:
+        coarse = _starts(cell_codes(mixture.code, cell_depth - 1))
+        unmerged = _largest(mass, coarse, int(target))
+        if float(mass[unmerged].sum()) > RETAINED_MASS * float(mass.sum()):
+            cell_depth, starts, retained = cell_depth - 1, coarse, unmerged
+    # 3. The largest splats stay as they are: each becomes a cluster of its own.
+    if retained.any():
+        cells = _cell_numbers(starts, len(mixture))
         number = np.where(retained, np.arange(1, len(mixture) + 1), 0)
         order = np.lexsort((number, cells))
         mixture, cells, number = mixture.rows(order), cells[order], number[order]
         new = (cells[1:] != cells[:-1]) | (number[1:] != number[:-1])
         starts = np.concatenate([np.zeros(1, np.int64), np.flatnonzero(new) + 1])
     merged = merge_clusters(mixture, starts)
-    # 3. A retained splat may have a code before that of the cluster beside it.
+    # 4. A retained splat may have a code before that of the cluster beside it.
     merged = merged.rows(np.argsort(merged.code, kind="stable"))
     return Level(mixture=merged, depth=cell_depth)
 
 
-def _largest(mixture: Mixture, cell: float, count: int) -> Bool[np.ndarray, " n"]:
-    """Return the mask of the largest splats, at most ``count``, that are large for their cell."""
-    x, y, z = mixture.scale.T
-    size = np.maximum(np.maximum(x, y), z)
-    order = np.argsort(-size, kind="stable")[:count]
-    retained = np.zeros(len(mixture), bool)
-    retained[order] = size[order] > RETAINED_SIZE * cell
+def _starts(cells: UInt64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
+    """Return the index of the first row of each grid cell, in rows sorted by cell."""
+    return np.concatenate([np.zeros(1, np.int64), np.flatnonzero(cells[1:] != cells[:-1]) + 1])
+
+
+def _cell_numbers(starts: Int64[np.ndarray, " m"], count: int) -> Int64[np.ndarray, " n"]:
+    """Return the number of the grid cell that each row is in, from 0."""
+    return np.repeat(np.arange(len(starts)), np.diff(starts, append=count))
+
+
+def _largest(
+    mass: Float64[np.ndarray, " n"], starts: Int64[np.ndarray, " m"], count: int
+) -> Bool[np.ndarray, " n"]:
+    """Return the mask of the largest splats to keep unmerged, so that a level has ``count``.
+
+    A splat that stays adds one to the level, except the last of its cell.
+
+    Args:
+        mass: Opacity times surface of each splat.
+        starts: First row of each cell.
+        count: Splats of the level, those of the cells included.
+    """
+    retained = np.zeros(len(mass), bool)
+    if count <= len(starts):
+        return retained
+    # 1. No more than ``count`` can stay: sort these alone.
+    least = np.partition(mass, len(mass) - count)[len(mass) - count]
+    rows = np.flatnonzero(mass >= least)
+    rows = rows[np.argsort(-mass[rows], kind="stable")[:count]]
+    # 2. How many of its cell have gone before each row.
+    cell = _cell_numbers(starts, len(mass))[rows]
+    by_cell = np.argsort(cell, kind="stable")
+    run = _starts(cell[by_cell])
+    rank = np.empty(len(rows), np.int64)
+    rank[by_cell] = np.arange(len(rows)) - np.repeat(run, np.diff(run, append=len(rows)))
+    adds = rank + 1 < np.diff(starts, append=len(mass))[cell]
+    # 3. As many as there is room for.
+    fitting = np.searchsorted(np.cumsum(adds), count - len(starts), side="right")
+    retained[rows[:fitting]] = True
     return retained
 
 

@@ -1,0 +1,12 @@
+"""Arithmetic of buffer sizes and dispatches, which stays a formula where sizes are recorded."""
+
+__all__ = ["at_least"]
+
+
+def at_least(value: int, least: int) -> int:
+    """Return the larger of two integers.
+
+    ``max`` compares, and a comparison of recorded sizes is a branch that holds for some of them
+    only. Sums and absolute values are recorded as a formula for all sizes (gsgen.runtime.web).
+    """
+    return least + (value - least + abs(value - least)) // 2

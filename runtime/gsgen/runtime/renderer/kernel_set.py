@@ -1,0 +1,74 @@
+"""The rendering kernels of a device, each compiled when a frame plan first needs it."""
+
+__all__ = ["Kernels"]
+
+from functools import cache
+from typing import final
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.project.cull_slots import CullSlots
+from gsgen.runtime.kernels.project.normals import NormalsKernel
+from gsgen.runtime.kernels.project.project import ProjectKernel
+from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes
+from gsgen.runtime.kernels.raster.draw_quads import DrawQuads
+from gsgen.runtime.kernels.sort.scan import Scan
+from gsgen.runtime.kernels.sort.sort import RadixSort, cut_for
+from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS, BinTiles
+from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles
+from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK, TileRanges
+from gsgen.runtime.renderer.depth_sort import DepthOrder
+from gsgen.runtime.renderer.weighted_plan import WeightedKernels
+
+
+@final
+class Kernels:
+    """The rendering kernels of a device, each compiled when it is first needed.
+
+    Args:
+        device: Device of the kernels.
+        one_shape: Whether a plan's steps are the same for all sizes of scenes and images, except
+            that larger images need more passes of the tile sort.
+    """
+
+    def __init__(self, device: Device, *, one_shape: bool = False) -> None:
+        self.cut, self._one_shape = cut_for(device), one_shape
+        self.scan = Scan(
+            device,
+            self.cut.block,
+            WALK_THREADS * self.cut.walk,
+            RANGE_BLOCK,
+            always_in_blocks=one_shape,
+        )
+        self.sort = RadixSort(device, self.cut, self.scan)
+        self.bin = cache(lambda panorama: BinTiles(device, self.cut.walk, panorama=panorama))
+        self.ranges = TileRanges(device)
+        self.blend = cache(
+            lambda pick, panorama, layers: BlendTiles(
+                device, pick=pick, panorama=panorama, layers=layers
+            )
+        )
+        self.project = cache(
+            lambda half, words, panorama, packed, slot_rows: ProjectKernel(
+                device, words, half=half, panorama=panorama, packed=packed, slot_rows=slot_rows
+            )
+        )
+        self.cull_slots = cache(
+            lambda slot_rows, panorama: CullSlots(device, slot_rows, panorama=panorama)
+        )
+        self.normals = cache(
+            lambda packed, slot_rows: NormalsKernel(device, packed=packed, slot_rows=slot_rows)
+        )
+        self.order = DepthOrder(device, self.cut, self.sort)
+        self.weighted = cache(
+            lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.order, self.ranges)
+        )
+        self.quads = cache(
+            lambda tested, panorama: DrawQuads(device, tested=tested, panorama=panorama)
+        )
+        self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
+
+    def tile_bits(self, last: int) -> int:
+        """Return the bits to sort tiles by, up to the number ``last``: whole digits if ``one_shape``."""
+        bits = max(1, last.bit_length())
+        digit = self.cut.digit_bits
+        return -(-bits // digit) * digit if self._one_shape else bits

@@ -1,0 +1,205 @@
+"""Writes recorded frame plans as JSON tables, in which equal parts of all plans stand once."""
+
+__all__ = ["PlanTables"]
+
+import base64
+from collections.abc import Mapping
+from typing import Any, Final, final
+
+import numpy as np
+
+from gsgen.runtime.kernels.project.project import PAGE
+from gsgen.runtime.kernels.shared.kernel import Step
+from gsgen.runtime.web.formulas import Formula, Tree, replaced, tree_of
+from gsgen.runtime.web.recording import RecordedPlan
+from gsgen.runtime.web.recording_device import (
+    RecordedBind,
+    RecordedBuffer,
+    RecordedModule,
+    RecordedPipeline,
+)
+
+_FOLLOWED: Final = ("gaussians", "pairs")
+"""Sizes that plans write into buffers."""
+
+
+@final
+class PlanTables:
+    """Tables of texts, modules, pipelines, buffers, bind groups and steps, and plans of them.
+
+    A plan is a list of stages, a stage a list of steps. A step is the number of its row in the
+    table, or a mapping from the kind of a page to such a number, for the steps that every page has.
+
+    Attributes:
+        tables: Rows by name of the table, as JSON values.
+        plans: The plans, as JSON values.
+    """
+
+    def __init__(self) -> None:
+        names = ("texts", "modules", "pipelines", "buffers", "binds", "steps")
+        self.tables: dict[str, list[Any]] = {name: [] for name in names}
+        self.plans: list[dict[str, Any]] = []
+        self._rows: dict[tuple[str, str], int] = {}
+
+    def add(self, recorded: RecordedPlan) -> None:
+        """Add a recorded plan to the tables."""
+        self.plans.append(_PlanWriter(self, recorded).plan())
+
+    def row(self, table: str, value: Any) -> int:
+        """Return the number of a row with this value in a table, adding it if it is new."""
+        key = (table, repr(value))
+        if key not in self._rows:
+            self._rows[key] = len(self.tables[table])
+            self.tables[table].append(value)
+        return self._rows[key]
+
+
+@final
+class _PlanWriter:
+    """Writes one recorded plan into tables."""
+
+    def __init__(self, tables: PlanTables, recorded: RecordedPlan) -> None:
+        self._tables, self._recorded = tables, recorded
+        self._labels: dict[str, int] = {}
+        self._buffers: dict[RecordedBuffer, int | str] = {}
+        self._kinds = {}
+        for slot, page in enumerate(recorded.pages):
+            self._kinds[page.rows] = slot
+            self._buffers |= {page.rows: "rows", page.appearance: "appearance"}
+
+    def plan(self) -> dict[str, Any]:
+        """Return the plan as a JSON object."""
+        recorded = self._recorded
+        plan, shape = recorded.plan, recorded.shape
+        stages = {name: self._steps(steps) for name, steps in plan.stages.items()}
+        return {
+            "outputs": list(shape.outputs),
+            "panorama": shape.panorama,
+            "deep": shape.deep,
+            "guards": [self._tree(guard) for guard in recorded.guards],
+            "clears": [
+                [self._buffer(buffer), offset, size] for buffer, offset, size in plan.clears
+            ],
+            "stages": stages,
+            "images": {name: self._buffer(image) for name, image in plan.images.items()},
+            "inputs": {name: self._buffer(buffer) for name, buffer in plan.inputs.items()},
+        }
+
+    def _steps(self, steps: list[Step]) -> list[int | dict[str, int]]:
+        """Return the rows of a stage's steps; runs of one step per page become one mapping."""
+        result: list[int | dict[str, int]] = []
+        pages = len(self._recorded.pages)
+        position = 0
+        while position < len(steps):
+            if self._slot(steps[position]) is None:
+                result.append(self._step(steps[position], None))
+                position += 1
+                continue
+            run = steps[position : position + pages]
+            slots = [self._slot(step) for step in run]
+            assert slots == list(range(pages)), f"the steps of pages are out of order: {slots}"
+            rows = [self._step(step, slot) for slot, step in enumerate(run)]
+            # The last page is like the first: what differs are sizes that formulas name.
+            assert rows[-1] == rows[0], "steps of two pages of one kind differ"
+            result.append({self._kind(slot): row for slot, row in enumerate(rows[:-1])})
+            position += pages
+        return result
+
+    def _kind(self, slot: int) -> str:
+        page = self._recorded.pages[slot]
+        return f"{'float16' if page.half else 'float32'} {page.stride}"
+
+    def _slot(self, step: Step) -> int | None:
+        """Return the page that a step reads, or None."""
+        entries = [entry for bind in step.binds for entry in bind.entries]
+        slots = {self._kinds[buffer] for buffer, _, _ in entries if buffer in self._kinds}
+        assert len(slots) < 2, "a step reads several pages"
+        return slots.pop() if slots else None
+
+    def _step(self, step: Step, slot: int | None) -> int:
+        row: dict[str, Any] = {
+            "pipeline": self._pipeline(step.kernel.pipeline),
+            "binds": [self._bind(bind, slot) for bind in step.binds],
+        }
+        if len(step.groups) == 2:
+            buffer, offset = step.groups
+            row["indirect"] = [self._buffer(buffer), offset]
+        else:
+            row["groups"] = [self._tree(tree_of(count), slot) for count in step.groups]
+        return self._tables.row("steps", row)
+
+    def _pipeline(self, pipeline: RecordedPipeline) -> int:
+        return self._tables.row(
+            "pipelines",
+            {
+                "label": pipeline.label,
+                "module": self._module(pipeline.module),
+                "entry": pipeline.entry,
+                "groups": list(pipeline.groups),
+            },
+        )
+
+    def _module(self, module: RecordedModule) -> int:
+        return self._tables.row("modules", module_row(self._tables, module))
+
+    def _bind(self, bind: RecordedBind, slot: int | None) -> int:
+        entries = []
+        for buffer, offset, size in bind.entries:
+            if slot is not None and buffer is self._recorded.plan.inputs["pages"]:
+                assert (offset, size) == (PAGE.itemsize * slot, PAGE.itemsize)
+                offset = Formula(offset, ["mul", PAGE.itemsize, "slot"], [])
+            row = self._buffer(buffer)
+            whole = isinstance(row, int) and tree_of(size) == tree_of(buffer.size)
+            formulas = [self._tree(tree_of(number), slot) for number in (offset, size)]
+            entries.append([row, formulas[0], None if whole else formulas[1]])
+        return self._tables.row("binds", {"kinds": bind.kinds, "entries": entries})
+
+    def _buffer(self, buffer: RecordedBuffer) -> int | str:
+        """Return the row of a buffer; buffers of one label and content are told apart by number."""
+        if buffer not in self._buffers:
+            number = self._labels.get(buffer.label, 0)
+            self._labels[buffer.label] = number + 1
+            row = {
+                "label": f"{buffer.label} {number}" if number else buffer.label,
+                "size": self._size(buffer),
+                "usage": buffer.usage,
+                **self._data(buffer),
+            }
+            self._buffers[buffer] = self._tables.row("buffers", row)
+        return self._buffers[buffer]
+
+    def _size(self, buffer: RecordedBuffer) -> Tree:
+        if buffer is self._recorded.plan.inputs["pages"]:
+            assert buffer.size == PAGE.itemsize * len(self._recorded.pages)
+            return ["mul", PAGE.itemsize, "pages"]
+        return self._tree(tree_of(buffer.size))
+
+    def _data(self, buffer: RecordedBuffer) -> Mapping[str, Any]:
+        """Return the first bytes of a buffer, and which of its words are sizes."""
+        if not buffer.data:
+            return {}
+        assert list(buffer.data) == [0], f"{buffer.label} is written in parts"
+        words = np.frombuffer(buffer.data[0], np.uint32).copy()
+        sizes: list[list[int | str]] = []
+        for name in _FOLLOWED:
+            for index in np.flatnonzero(words == self._recorded.sizes[name]).tolist():
+                sizes.append([4 * index, name])
+                words[index] = 0
+        data: dict[str, Any] = {"data": base64.b64encode(words.tobytes()).decode()}
+        return data | ({"sizes": sizes} if sizes else {})
+
+    def _tree(self, tree: Tree, slot: int | None = None) -> Tree:
+        """Return a formula in the names of a client: the capacities of pages have none but one."""
+        result = replaced(tree, self._recorded.gaussians, "gaussians")
+        return result if slot is None else replaced(result, f"capacity {slot}", "capacity")
+
+
+def module_row(tables: PlanTables, module: RecordedModule) -> dict[str, Any]:
+    """Return the table row of a module: its constants, and the number of the text behind them."""
+    lines = module.code.splitlines(keepends=True)
+    first = next(i for i, line in enumerate(lines) if not line.startswith("const "))
+    return {
+        "label": module.label,
+        "constants": "".join(lines[:first]),
+        "text": tables.row("texts", "".join(lines[first:])),
+    }

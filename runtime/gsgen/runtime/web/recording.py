@@ -1,0 +1,147 @@
+"""Records a frame plan of the renderer, unchanged, on a device that computes nothing."""
+
+__all__ = ["APPEARANCES", "Appearance", "RecordedPlan", "Shape", "record", "recorded_pages"]
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from gsgen.contract.spec.layout import ROW
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.splat_residency import Page, stride
+from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.scene.frame import Output
+from gsgen.runtime.scene.scene import SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.web.formulas import Formula, Tree
+from gsgen.runtime.web.recording_device import RecordedBuffer, RecordingDevice
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Appearance:
+    """How a GPU page stores SH coefficients or colours.
+
+    Attributes:
+        half: Whether they are float16.
+        stride: Length of a row, in vectors of 16 bytes; 0 if two rows share one.
+        channels: The most numbers of a Gaussian that such a row has.
+    """
+
+    half: bool
+    stride: int
+    channels: int
+
+
+APPEARANCES: Final = tuple(
+    Appearance(half, stride(channels, half=half), channels)
+    for half, sizes in ((False, (4, 12, 27, 48)), (True, (4, 12, 27, 48)))
+    for channels in sizes
+)
+"""RGB (three channels, or four), and SH of degree 1 to 3; degree 0 is stored like RGB."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """What decides which steps a frame plan has.
+
+    Attributes:
+        outputs: The images that it draws.
+        panorama: Whether it draws panoramas.
+        deep: Whether its depth sort is deep.
+        size: Width and height of an image that needs the plan's passes of the tile sort.
+    """
+
+    outputs: tuple[Output, ...]
+    panorama: bool = False
+    deep: bool = False
+    size: tuple[int, int] = (64, 64)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedPlan:
+    """A frame plan that was recorded, with what its formulas name.
+
+    Attributes:
+        shape: The shape.
+        plan: The plan, whose buffers and steps are recordings.
+        pages: Its pages: one for each appearance, and one more like the first.
+        guards: Conditions on the sizes under which the plan has these steps.
+        sizes: The recorded value of each size of the plan.
+        gaussians: The formula of the number of Gaussians, a sum over pages.
+    """
+
+    shape: Shape
+    plan: Plan
+    pages: tuple[Page, ...]
+    guards: list[Tree]
+    sizes: dict[str, int]
+    gaussians: Tree
+
+
+# No number that a plan writes equals these, or a sum of capacities, by chance.
+_PAIRS: Final = 1_610_612_741
+_CAPACITY: Final = 1_000_003
+
+
+def record(shape: Shape) -> RecordedPlan:
+    """Record the frame plan of a shape."""
+    guards: list[Tree] = []
+    names = {"width": shape.size[0], "height": shape.size[1], "pairs": _PAIRS}
+    width, height, pairs = (Formula(value, name, guards) for name, value in names.items())
+    kinds = (*APPEARANCES, APPEARANCES[0])
+    capacities = [
+        Formula(_CAPACITY + 7_919 * slot, f"capacity {slot}", guards) for slot in range(len(kinds))
+    ]
+    device = Device(RecordingDevice())
+    placed = recorded_pages(device, kinds, capacities)
+    plan = Plan(
+        device,
+        Kernels(device, one_shape=True),
+        placed,
+        (width, height),
+        frozenset(shape.outputs),
+        pairs,
+        panorama=shape.panorama,
+        deep=shape.deep,
+    )
+    gaussians = sum(capacities)
+    assert isinstance(gaussians, Formula)
+    return RecordedPlan(
+        shape=shape,
+        plan=plan,
+        pages=tuple(page for _, page in placed),
+        guards=guards,
+        sizes=names | {"gaussians": int(gaussians)},
+        gaussians=gaussians.tree,
+    )
+
+
+def recorded_pages(
+    device: Device, kinds: Sequence[Appearance], capacities: Sequence[int]
+) -> list[Placed]:
+    """Return a page per appearance and capacity, each of a set of its own."""
+    empty = SplatData(np.zeros((0, ROW), np.float32), np.zeros((0, 3), np.float32), "rgb")
+    return [
+        (
+            SplatSet(empty),
+            Page(
+                first=0,
+                capacity=capacity,
+                rows=_page_buffer("rows", 4 * ROW * capacity),
+                appearance=_page_buffer("appearance", (16 * kind.stride or 8) * capacity),
+                half=kind.half,
+                stride=kind.stride,
+            ),
+        )
+        for kind, capacity in zip(kinds, capacities, strict=True)
+    ]
+
+
+def _page_buffer(label: str, size: int) -> RecordedBuffer:
+    return RecordedBuffer(label, -(-size // 16) * 16, 0)

@@ -1,0 +1,121 @@
+"""A graphics device that records what the renderer creates on it, and computes nothing."""
+
+__all__ = [
+    "RecordedBind",
+    "RecordedBuffer",
+    "RecordedModule",
+    "RecordedPipeline",
+    "RecordingDevice",
+]
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any, final
+
+import numpy as np
+
+from gsgen.runtime.web.formulas import UNLIMITED
+
+_KINDS = {"uniform": "u", "read-only-storage": "r", "storage": "w"}
+
+
+@final
+@dataclass(slots=True, eq=False, weakref_slot=True)
+class RecordedBuffer:
+    """A buffer of a recorded plan: its size may be a formula, its first bytes are known."""
+
+    label: str
+    size: int
+    usage: int
+    data: dict[int, bytes] = field(default_factory=dict)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RecordedModule:
+    """The label and the WGSL text of a shader module."""
+
+    label: str
+    code: str
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RecordedPipeline:
+    """A compute pipeline, with one letter per binding of each bind group."""
+
+    label: str
+    module: RecordedModule
+    entry: str
+    groups: tuple[str, ...]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedBind:
+    """A bind group: its letters, and a buffer with offset and size per binding."""
+
+    kinds: str
+    entries: tuple[tuple[RecordedBuffer, int, int], ...]
+
+
+@final
+class RecordingDevice:
+    """Takes the calls of a ``wgpu.GPUDevice`` that frame plans make, and keeps what they create.
+
+    It has no limits, no optional features, and is no software driver: browsers get the kernels of
+    GPUs, which every driver runs.
+    """
+
+    def __init__(self) -> None:
+        self.features = frozenset[str]()
+        self.limits = dict.fromkeys(
+            ("max-buffer-size", "max-storage-buffer-binding-size", "max-texture-dimension-2d"),
+            UNLIMITED,
+        )
+        self.adapter = SimpleNamespace(info={"device": "a recording", "adapter_type": "Unknown"})
+        self.queue = self
+
+    def create_buffer(self, *, label: str, size: int, usage: str) -> RecordedBuffer:
+        """Return a recorded buffer; ``usage`` is a text of wgpu's names."""
+        import wgpu
+
+        flags = sum(getattr(wgpu.BufferUsage, name) for name in usage.split("|"))
+        return RecordedBuffer(label, size, flags)
+
+    def write_buffer(self, buffer: RecordedBuffer, offset: int, data: np.ndarray) -> None:
+        """Keep bytes that are written to a buffer."""
+        buffer.data[int(offset)] = data.tobytes()
+
+    def create_shader_module(self, *, label: str, code: str) -> RecordedModule:
+        """Return a recorded module."""
+        return RecordedModule(label, code)
+
+    def create_bind_group_layout(self, *, label: str, entries: Sequence[Mapping[str, Any]]) -> str:
+        """Return one letter per binding."""
+        return "".join(_KINDS[entry["buffer"]["type"]] for entry in entries)
+
+    def create_pipeline_layout(
+        self, *, label: str, bind_group_layouts: Sequence[str]
+    ) -> tuple[str, ...]:
+        """Return the letters of all bind groups."""
+        return tuple(bind_group_layouts)
+
+    def create_compute_pipeline(
+        self, *, label: str, layout: tuple[str, ...], compute: Mapping[str, Any]
+    ) -> RecordedPipeline:
+        """Return a recorded pipeline."""
+        return RecordedPipeline(label, compute["module"], compute["entry_point"], layout)
+
+    def create_bind_group(
+        self, *, label: str, layout: str, entries: Sequence[Mapping[str, Any]]
+    ) -> RecordedBind:
+        """Return a recorded bind group."""
+        resources = [entry["resource"] for entry in entries]
+        return RecordedBind(
+            layout,
+            tuple(
+                (resource["buffer"], resource["offset"], resource["size"]) for resource in resources
+            ),
+        )
