@@ -83,7 +83,7 @@ class SplatData:
     def from_packed(
         cls, packed: PackedRows, space: Literal["sh", "rgb"] | None = None
     ) -> "SplatData":
-        """Return the Gaussians of packed rows, without conversion.
+        """Create splat data from packed rows, without conversion.
 
         Args:
             packed: The rows.
@@ -203,7 +203,7 @@ def _checked(
 
 
 def _checked_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
-    """Return validated cells in C order."""
+    """Validate the rows of cells (groups of Gaussians), and return them in C order."""
     fits = cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _HALVES
     if per_cell < 1 or not fits or len(cells) * per_cell != rows:
         raise SceneInvalid(
