@@ -18,26 +18,17 @@ def _encoded(values: np.ndarray, octaves: int) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def control_nodes(folder: Path, time: float, options: dict[str, Any]) -> ExpectedGaussians:
-    """SC-GS (Huang et al. 2024, equations 3 to 6; `utils/time_utils.py`)."""
-    (deform,) = folder.rglob("deform.pth")
-    state = {n: v.double().numpy() for n, v in torch.load(deform, weights_only=True).items()}
-    (cloud,) = folder.rglob("point_cloud.ply")
-    columns = raw_columns(cloud)
-
-    def table(name: str) -> np.ndarray:
-        matches = [c for c in columns if re.fullmatch(rf"{name}_\d+", c)]
-        names = sorted(matches, key=lambda c: int(c.rsplit("_", 1)[1]))
-        empty = np.zeros((len(columns["x"]), 0))
-        return np.stack([columns[n] for n in names], axis=1) if names else empty
+def _moved_nodes(
+    state: dict[str, np.ndarray], time: float, options: dict[str, Any]
+) -> list[dict[str, np.ndarray]]:
+    """Return what the heads of the network give for each node."""
 
     def layer(name: str, x: np.ndarray) -> np.ndarray:
         y: np.ndarray = state[f"network.{name}.weight"] @ x + state[f"network.{name}.bias"]
         return y
 
-    nodes = state["nodes"]
     moved: list[dict[str, np.ndarray]] = []
-    for node in nodes:
+    for node in state["nodes"]:
         blender = options.get("is_blender", True)
         moment = _encoded(np.array([time]), 6 if blender else 10)
         if blender:
@@ -66,7 +57,23 @@ def control_nodes(folder: Path, time: float, options: dict[str, Any]) -> Expecte
                 value = np.maximum(value, 0) if index < 4 else value
             heads["color"] = value
         moved.append(heads)
+    return moved
 
+
+def control_nodes(folder: Path, time: float, options: dict[str, Any]) -> ExpectedGaussians:
+    """SC-GS (Huang et al. 2024, equations 3 to 6; `utils/time_utils.py`)."""
+    (deform,) = folder.rglob("deform.pth")
+    state = {n: v.double().numpy() for n, v in torch.load(deform, weights_only=True).items()}
+    (cloud,) = folder.rglob("point_cloud.ply")
+    columns = raw_columns(cloud)
+
+    def table(name: str) -> np.ndarray:
+        matches = [c for c in columns if re.fullmatch(rf"{name}_\d+", c)]
+        names = sorted(matches, key=lambda c: int(c.rsplit("_", 1)[1]))
+        empty = np.zeros((len(columns["x"]), 0))
+        return np.stack([columns[n] for n in names], axis=1) if names else empty
+
+    nodes, moved = state["nodes"], _moved_nodes(state, time, options)
     features, size = table("fea"), nodes.shape[1] - 3
     identity = np.array([1.0, 0, 0, 0])
     residual = options.get("d_rot_as_res", True) and not options.get("d_rot_as_rotmat", False)

@@ -87,7 +87,7 @@ class ControlNodes:
     color: tuple[Layer, Layer, Layer] | None  # change of the constant SH coefficient
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScGsCheckpoint:
     """The Gaussians, control nodes and options of an SC-GS checkpoint."""
 
@@ -135,7 +135,14 @@ def read_sc_gs(folder: Path, iteration: int | None = None) -> ScGsCheckpoint:
     size, is_masked = nodes.hyper.shape[1], run.cfg.flag("gs_with_motion_mask")
     features = _read_features(cloud, size + is_masked)
     mask = features[:, size:] if is_masked else None
-    return ScGsCheckpoint(run, canonical, features[:, :size], mask, nodes, options)
+    return ScGsCheckpoint(
+        run=run,
+        canonical=canonical,
+        hyper=features[:, :size],
+        logit_mask=mask,
+        nodes=nodes,
+        options=options,
+    )
 
 
 def _read_features(path: Path, count: int) -> Float[Tensor, "n f"]:
