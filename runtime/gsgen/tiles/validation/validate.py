@@ -1,4 +1,4 @@
-"""Validates a tileset, or one content file, by the rules GT, for `gsgen validate`.
+"""Validates a tileset, or one content file, by the tileset rules (GT), for `gsgen validate`.
 
 Registered under the entry point group ``gsgen.validators``.
 """
@@ -132,11 +132,11 @@ def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
 
 def _levels(requested: Level) -> Iterable[LevelOutcome]:
     """Yield the outcome of every requested validation level that applies to tilesets."""
-    yield LevelOutcome(Level.STATIC, ran=True)
+    yield LevelOutcome(level=Level.STATIC, ran=True)
     if requested >= Level.VALUES:
-        yield LevelOutcome(Level.VALUES, ran=True)
+        yield LevelOutcome(level=Level.VALUES, ran=True)
     if requested >= Level.RENDER:
-        yield LevelOutcome(Level.RENDER, ran=False, reason=_NOT_DRAWN)
+        yield LevelOutcome(level=Level.RENDER, ran=False, reason=_NOT_DRAWN)
 
 
 def _index_digest(store: Store, index: str) -> tuple[int, str]:
