@@ -36,7 +36,7 @@ class Decoding:
     rows: Int[Tensor, " n"] | None = None  # row numbers of the anchors; all in order if absent
 
     def of(self, table: Tensor) -> Tensor:
-        """Return the rows of a table that belong to the decoded anchors."""
+        """Return the rows of a per-anchor tensor that belong to the decoded anchors."""
         if self.rows is None:
             return table
         return torch.index_select(table, 0, self.rows)
@@ -93,7 +93,7 @@ class AnchorGenerator(GaussianGenerator):
         self.smaller = ("--cull frustum --max-anchors N",)
         self.max_anchors = selection.anchors
         if self.max_anchors is not None and self.cull is None and not self.hides_anchors:
-            message = f"at most {self.max_anchors} anchors, but no culling selects them"
+            message = f"max_anchors is {self.max_anchors}, but no culling selects the anchors"
             hint = "Add --cull frustum."
             raise GsgenError(message, where="--max-anchors", hint=hint)
         if self.max_anchors is not None and self.max_anchors >= len(cloud):
@@ -149,7 +149,7 @@ class AnchorGenerator(GaussianGenerator):
         )
 
     def placements(self) -> tuple[Tensor, ...]:
-        """Return the centres of Gaussians, and other results of placement, for all anchors."""
+        """Return the centres of all anchors' Gaussians, then method-specific values."""
         tensors: tuple[Tensor, ...] = self.placement(self.anchor, self.scale)
         return tensors
 
@@ -166,7 +166,7 @@ class AnchorGenerator(GaussianGenerator):
         return opacity
 
     def cells(self, frame: Decoding) -> Cells | None:
-        """Return the anchors as cells of a weighted sum; None if the method sorts Gaussians."""
+        """Return the anchors as cells for weighted blending; None if the method blends by depth."""
         return None
 
     def _combined_share(
@@ -180,7 +180,7 @@ class AnchorGenerator(GaussianGenerator):
 
     @abstractmethod
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"] | None:
-        """Return each anchor's visible share for a camera centre, 0 to 1; None if all are 1."""
+        """Return the visibility of each anchor from a camera centre, 0 to 1; None if all are 1."""
 
 
 def _views(

@@ -26,7 +26,7 @@ from gsgen.reference_plugins.tensors.hexplane import SPACE_PLANES, TIME_PLANES
 def _cell_below(
     along: Float[Tensor, " n"], cells: int
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n 1"]]:
-    """Return the index of the cell below a coordinate in [0, 1], and the weight of the next cell."""
+    """Return the grid cell below a coordinate in [0, 1], and the weight of the next grid cell."""
     coordinate = (along * float(cells - 1)).clamp(0.0, float(cells - 1))
     below = torch.floor(coordinate).clamp(max=float(cells - 2))
     return below, (coordinate - below)[:, None]
@@ -149,7 +149,7 @@ class HexPlaneField(nn.Module):
     def __init__(
         self, nets: HexPlaneNets, position: Float[Tensor, "n 3"], bake: Bake = "auto"
     ) -> None:
-        """Store the products of the planes of space at the points, or the planes themselves.
+        """Bake a hexplane at fixed points: store products of its space planes, or the planes.
 
         Points outside the box take the values of its border. ``bake``: ``always`` stores products
         of the planes of space, ``never`` the planes, ``auto`` the smaller ones.

@@ -22,7 +22,7 @@ class ModelConfig:
     path: Path
     values: Mapping[str, Any]  # option → JSON value
 
-    def option_error(self, name: str, problem: str) -> CheckpointInvalid:
+    def option_error(self, problem: str, name: str) -> CheckpointInvalid:
         """Return an error about the value of a network option, to be raised by the caller."""
         return CheckpointInvalid(f"{name} {problem}", where=str(self.path))
 
@@ -31,14 +31,14 @@ class ModelConfig:
         value = self.values.get(name, default)
         if isinstance(value, list | dict) or value not in values:
             words = ", ".join(json.dumps(allowed) for allowed in values)
-            raise self.option_error(name, f"is {json.dumps(value)}; supported: {words}")
+            raise self.option_error(f"is {json.dumps(value)}; supported: {words}", name)
         return value
 
     def integer(self, name: str, default: int, *, least: int = 1) -> int:
         """Return a network option that must be an integer above a lower limit."""
         value = self.values.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise self.option_error(name, f"is {value!r}, expected an integer of at least {least}")
+            raise self.option_error(f"is {value!r}, expected an integer of at least {least}", name)
         return value
 
     def number(self, name: str, default: float) -> float:
@@ -46,14 +46,14 @@ class ModelConfig:
         value = self.values.get(name, default)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not math.isfinite(value):
-            raise self.option_error(name, f"is {value!r}, expected a finite number")
+            raise self.option_error(f"is {value!r}, expected a finite number", name)
         return float(value)
 
     def flag(self, name: str, *, default: bool) -> bool:
         """Return a network option that must be true or false."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
-            raise self.option_error(name, f"is {value!r}, expected true or false")
+            raise self.option_error(f"is {value!r}, expected true or false", name)
         return value
 
     def integers(self, name: str) -> tuple[int, ...]:
@@ -61,7 +61,7 @@ class ModelConfig:
         value = self.values.get(name)
         fits = isinstance(value, list) and value and all(type(n) is int and n > 0 for n in value)
         if not fits:
-            raise self.option_error(name, f"is {value!r}, expected a list of positive integers")
+            raise self.option_error(f"is {value!r}, expected a list of positive integers", name)
         return tuple(value or ())
 
     def per_level(self, name: str, levels: int, default: int) -> tuple[int, ...]:
@@ -71,22 +71,22 @@ class ModelConfig:
         numbers = self.integers(name)
         if len(numbers) != levels:
             raise self.option_error(
-                name, f"has {len(numbers)} numbers, expected {levels}, one per level"
+                f"has {len(numbers)} numbers, expected {levels}, one per level", name
             )
         return numbers
 
     def kinds(self, name: str, known: Mapping[str, str], levels: int) -> tuple[str, ...]:
-        """Return the network option of each level that belongs to the level's block type."""
+        """Convert the block type of each network level to the name that gsgen uses."""
         names = self.values.get(name)
         if not isinstance(names, list) or len(names) != levels:
-            raise self.option_error(name, f"is {names!r}, expected a list of {levels} block types")
+            raise self.option_error(f"is {names!r}, expected a list of {levels} block types", name)
         unknown = [kind for kind in names if not isinstance(kind, str) or kind not in known]
         if unknown:
-            raise self.option_error(name, f"has {unknown[0]!r}; supported: {', '.join(known)}")
+            raise self.option_error(f"has {unknown[0]!r}; supported: {', '.join(known)}", name)
         return tuple(known[kind] for kind in names)
 
     def size(self, name: str) -> tuple[int, int] | None:
-        """Return a network option as height and width; a single number is both."""
+        """Return a network's size option as height and width; a single number means both."""
         value = self.values.get(name)
         if value is None:
             return None

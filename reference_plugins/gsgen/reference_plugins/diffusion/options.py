@@ -43,27 +43,27 @@ _REQUIRED = {
 
 @dataclass(frozen=True, slots=True)
 class VectorOptions:
-    """Shape of the vector that SDXL adds to the embedded time: prompt and image sizes."""
+    """Sizes of the vector of prompt and image sizes that SDXL adds to the timestep embedding."""
 
     length: int  # length of the vector: the pooled prompt, then features of each size
     features: int  # number of sines and cosines for one size
 
     @classmethod
     def of(cls, config: ModelConfig) -> "VectorOptions | None":
-        """Parse the options of SDXL's added vector; None for networks without it."""
+        """Parse the options of SDXL's conditioning vector; None if the network takes none."""
         if config.choice("addition_embed_type", (None, "text_time")) is None:
             return None
         length = config.integer("projection_class_embeddings_input_dim", 0)
         features = config.integer("addition_time_embed_dim", 0)
         if features % 2 or features >= length:
             problem = f"is {features}, expected an even number below {length}"
-            raise config.option_error("addition_time_embed_dim", problem)
+            raise config.option_error(problem, "addition_time_embed_dim")
         return cls(length, features)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UNetOptions:
-    """The shape of a U-Net."""
+    """The layer sizes and options of a U-Net."""
 
     inputs: int  # channels of the image
     outputs: int  # channels of the result
@@ -112,7 +112,7 @@ class UNetOptions:
         context = config.integer("cross_attention_dim", 1280) if conditional else None
         if context is None and "context" in (*down, *up, middle):
             problem = "has blocks with cross-attention, but the network is unconditional"
-            raise config.option_error("down_block_types", problem)
+            raise config.option_error(problem, "down_block_types")
         return cls(
             inputs=config.integer("in_channels", 4 if conditional else 3),
             outputs=config.integer("out_channels", 4 if conditional else 3),
@@ -141,7 +141,7 @@ class UNetOptions:
 
     @property
     def time(self) -> int:
-        """The length of the embedded time vector of a U-Net."""
+        """The length of a U-Net's timestep embedding."""
         return _TIME * self.channels[0]
 
 
@@ -166,13 +166,13 @@ def _heads_per_level(
     for count, head in zip(channels, heads, strict=True):
         if count % head:
             problem = f"{head} heads do not divide {count} channels"
-            raise config.option_error("attention_head_dim", problem)
+            raise config.option_error(problem, "attention_head_dim")
     return heads
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutoencoderOptions:
-    """The shape of an autoencoder (AutoencoderKL)."""
+    """The layer sizes and options of an image autoencoder (AutoencoderKL)."""
 
     inputs: int  # channels of the image
     outputs: int  # channels of the decoded image

@@ -64,10 +64,10 @@ def _header(data: bytes | bytearray, size: int) -> tuple[dict[str, Any], int]:
     """Parse the header from the first bytes of a safetensors file; return it and its end offset."""
     length = int.from_bytes(data[:_LENGTH], "little")
     if size < _LENGTH or length > min(_MAX_HEADER_BYTES, size - _LENGTH):
-        raise ValueError(f"the header claims {length:,} of {size:,} bytes")
+        raise ValueError(f"the header length is {length:,} bytes, but the file has {size:,}")
     header = json.loads(data[_LENGTH : _LENGTH + length].decode("utf-8"))
     if not isinstance(header, dict):
-        raise ValueError(f"the header is a {type(header).__name__}, expected an object")
+        raise ValueError(f"the header is a {type(header).__name__}, expected a JSON object")
     return header, _LENGTH + length
 
 
@@ -82,14 +82,16 @@ def _tensors(data: bytearray) -> dict[str, Tensor]:
 
 def _tensor(data: bytearray, start: int, name: str, entry: Any) -> Tensor:
     if entry["dtype"] not in _DTYPES:
-        message = f"{name} has the dtype {entry['dtype']}; expected one of {', '.join(_DTYPES)}"
+        message = (
+            f"tensor {name} has the dtype {entry['dtype']}; expected one of {', '.join(_DTYPES)}"
+        )
         raise ValueError(message)
     dtype, shape = _DTYPES[entry["dtype"]], [int(size) for size in entry["shape"]]
     begin, end = (int(offset) for offset in entry["data_offsets"])
     count = math.prod(shape)
     inside = 0 <= begin <= end <= len(data) - start
     if not inside or min(shape, default=0) < 0 or end - begin != count * dtype.itemsize:
-        raise ValueError(f"{name} {shape} does not fit bytes {begin:,} to {end:,}")
+        raise ValueError(f"tensor {name} {shape} does not fit bytes {begin:,} to {end:,}")
     if not count:
         return torch.empty(shape, dtype=dtype)
     # A copy, because numbers in the file may be unaligned.

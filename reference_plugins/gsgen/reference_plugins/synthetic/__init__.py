@@ -1,4 +1,4 @@
-"""Which synthetic scenes and checkpoints can be written, and what do their writers share?
+"""What do the writers of synthetic checkpoints share: a scene, random weights, run files?
 
 The writers of a family are in its folder; this package offers them all. They need torch, so they
 are imported on first use.

@@ -23,7 +23,7 @@ _SAMPLE: Final = 1024  # pairs of neighbours whose distances are measured
 @final
 @dataclass(slots=True, eq=False)
 class SpatialOrder:
-    """The Morton order of Gaussians at one moment; it stays useful while they move.
+    """The Morton order of Gaussians at one time, which stays useful for small movements.
 
     Pictures are the same in any order: a stale order only costs time.
 
@@ -41,7 +41,7 @@ class SpatialOrder:
 
     @classmethod
     def of(cls, data: SplatData) -> Self:
-        """Return the Morton order of the present rows of a set of Gaussians."""
+        """Compute the Morton order of the Gaussians that a splat set holds at present."""
         along = along_curve(data.rows[: data.count, layout.POSITION])
         rows = np.concatenate([along, np.arange(data.count, len(data))]).astype(np.uint32)
         samples = np.linspace(0, data.count - 2, _SAMPLE if data.count > 1 else 0)

@@ -37,7 +37,7 @@ from gsgen.tiles.json_values import JsonDict
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Content:
-    """A written content file of a tile, at one quality.
+    """A written content file of a tile, at one SPZ quality.
 
     Attributes:
         path: Relative to the tileset.
@@ -57,7 +57,7 @@ class Content:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tile:
-    """A written tile and all its descendants.
+    """A tile whose content files are written, with all its descendants.
 
     Attributes:
         location: Its octree cell, as 1 followed by the Morton code.
@@ -112,7 +112,7 @@ def mixture_of(splats: Splats, codes: UInt64[np.ndarray, " n"]) -> Mixture:
 
 
 def splats_of(mixture: Mixture, degree: int) -> Splats:
-    """Convert merged Gaussians to splats, with harmonics up to ``degree``."""
+    """Convert merged Gaussians to splats, with spherical harmonics up to ``degree``."""
     return Splats(
         position=mixture.mean.astype(np.float32),
         rotation=mixture.rotation,

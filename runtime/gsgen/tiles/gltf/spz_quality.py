@@ -111,7 +111,7 @@ def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
     reach = float(np.abs(local.position).max())
     if reach > streams.COORDINATE_LIMIT:
         raise ValueInvalid(
-            f"{reach:g} from the centre",
+            f"a splat is {reach:g} units from the tile's centre along an axis",
             where="position",
             expected=f"{streams.COORDINATE_LIMIT} or less",
         )

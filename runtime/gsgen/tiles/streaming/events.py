@@ -125,7 +125,8 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputUnreadable(
-                f"is not an event ({error!r:.60})", where=f"{path}, line {number}"
+                f"the line is not a frame of an event log ({error!r:.60})",
+                where=f"{path}, line {number}",
             ) from error
 
 
@@ -162,7 +163,7 @@ class ReplayLink:
         self._requested.add(tile)
 
     def progress(self, tile: int) -> float:
-        """Return 1, the fraction received, so that a replay cancels no request on its own."""
+        """Return 1, as if every tile were received, so that a replay cancels no request itself."""
         del tile
         return 1.0
 

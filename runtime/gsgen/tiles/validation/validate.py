@@ -1,4 +1,4 @@
-"""Validates a tileset, or one content file, by the rules GT, for `gsgen validate`.
+"""Validates a tileset, or one content file, by the tileset rules (GT), for `gsgen validate`.
 
 Registered under the entry point group ``gsgen.validators``.
 """

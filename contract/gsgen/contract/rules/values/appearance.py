@@ -1,4 +1,4 @@
-"""Rules of appearance (GV): colour range, and order and magnitude of SH coefficients."""
+"""Rules of appearance (GV): range of RGB, and order and magnitude of SH coefficients."""
 
 from collections.abc import Iterator
 
@@ -98,7 +98,7 @@ def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
 
 
 def _orders(size: int) -> dict[str, np.ndarray]:
-    """Return for each storage order the slot of SH coefficient k and channel c, as [K, 3]."""
+    """Return the column of SH coefficient k and channel c in each storage order, as [K, 3]."""
     k = size // 3
     flat = np.arange(size)
     twice = (flat % k) * 3 + flat // k  # interleaved a second time
@@ -125,7 +125,7 @@ def _mean_degree(energy: Float[np.ndarray, "k 3"]) -> float:
     needs=APPEARANCE,
 )
 def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
-    """SH coefficients above degree 0 are not far larger than colours can use.
+    """SH coefficients above degree 0 are not far larger than visible colours allow.
 
     Why:
         A coefficient of 3 alone moves a colour from black to white within a turn of the camera.

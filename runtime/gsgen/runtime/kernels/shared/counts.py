@@ -1,4 +1,4 @@
-"""The counters of a frame in GPU memory, including the arguments of indirect dispatches.
+"""The counters of a frame in a GPU buffer, including arguments of indirect dispatches.
 
 Kernels get their indices as constants of the same names.
 """
@@ -13,7 +13,7 @@ from jaxtyping import UInt32
 
 
 class Counts(IntEnum):
-    """Index of each counter of a frame, in words of four bytes.
+    """Index of each counter of a frame in the GPU buffer of counters, in words of four bytes.
 
     A name that ends in ``_GROUPS`` begins three words: the arguments of an indirect dispatch.
     """
@@ -49,7 +49,7 @@ COUNT_CONSTANTS: Final = {member.name: int(member) for member in Counts}
 def initial(
     gaussians: int, pair_capacity: int, *, panorama: bool = False
 ) -> UInt32[np.ndarray, " 28"]:
-    """Return the counters of a frame plan before its first frame."""
+    """Return the initial values of a frame's counters, as stored in the GPU buffer of counters."""
     counts = np.zeros(BYTES // 4, np.uint32)
     counts[Counts.GAUSSIANS] = gaussians
     counts[Counts.PAIR_CAPACITY] = pair_capacity
