@@ -9,6 +9,7 @@ __all__ = [
     "ITEMSIZE",
     "MOSTLY_INVISIBLE",
     "OPACITY",
+    "OPACITY_SLACK",
     "POSITION",
     "ROW",
     "UPPER_TRIANGLE",
@@ -36,6 +37,8 @@ FIELDS = ("x", "y", "z", "opacity", "xx", "xy", "xz", "yy", "yz", "zz")
 ROW = len(FIELDS)
 POSITION = slice(0, 3)
 OPACITY = 3
+# Opacities may leave [0, 1] by this much.
+OPACITY_SLACK = 1e-3
 COVARIANCE = slice(4, 10)
 # The columns of xx, yy and zz.
 VARIANCES = [4, 7, 9]

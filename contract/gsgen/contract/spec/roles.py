@@ -6,6 +6,7 @@ __all__ = [
     "IMAGE_CHANNELS",
     "JOINTS",
     "ROLES",
+    "ROTATION_ROLES",
     "STATE_SIZES",
     "Role",
     "Shape",
@@ -28,6 +29,9 @@ KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
 
 # Roles of the camera: they cull, fade and light, and from some places change nothing.
 CAMERA_ROLES = ("view", "projection", "camera_position", "viewport")
+
+# Roles whose numbers are rotations, as angles, quaternions or matrices.
+ROTATION_ROLES = ("pose", "root_rotation")
 
 STATE_SIZES = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
 """Numbers in a camera state by its representation: the centre, then the rotation."""

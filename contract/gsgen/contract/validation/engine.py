@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -85,10 +86,11 @@ class _Validation:
         self.results = ResultCollector(
             registry=self.registry, settings=settings, kind=self.subject.kind
         )
-        self.levels = [LevelOutcome(Level.STATIC, ran=True)]
+        self.levels = [LevelOutcome(level=Level.STATIC, ran=True)]
         self.probes: tuple[str, ...] = ()
         self.environment = {"onnx": _version("onnx")}
         self.runtime_seconds = 0.0
+        self.runs: dict[Level, list[float]] = {}  # the durations of model runs
 
     def report(self) -> Report:
         """Run the stages up to the requested level and return the validation report."""
@@ -111,7 +113,7 @@ class _Validation:
             fail_on=self.settings.fail_on,
             findings=self._findings(),
             outcomes=tuple(self.results.outcomes[id] for id in self.registry.rules),
-            levels=tuple(self.levels),
+            levels=tuple(self._with_cost(level) for level in self.levels),
             probes=self.probes,
             environment=self.environment,
             settings=self.settings.source,
@@ -127,6 +129,13 @@ class _Validation:
 
     def _findings(self) -> tuple[Finding, ...]:
         return apply_waivers(self.results.findings(), self.settings.waivers, self.settings.today)
+
+    def _with_cost(self, level: LevelOutcome) -> LevelOutcome:
+        """Return the outcome of a level with its number of model runs, and their and its time."""
+        outcomes = self.results.outcomes.values()
+        rules = sum(o.milliseconds for o in outcomes if o.rule.level is level.level) / 1000
+        runs = self.runs.get(level.level, [])
+        return replace(level, runs=len(runs), seconds=sum(runs) + rules)
 
     def _of_scope(self, *scopes: Scope, upto: Level) -> list[Rule]:
         rules = self.registry.rules.values()
@@ -149,9 +158,14 @@ class _Validation:
         self.probes = tuple(probe.label for probe in plan.probes[: plan.values])
         self.progress(f"running {len(plan.probes)} probes in ONNX Runtime")
         path, names = self.subject.file.path, fetched_outputs(self.subject)
-        with execute(path, names, plan.probes, self.subject.granted) as execution:
+        rows, count = self.subject.declared_gaussians, self.subject.declared_count
+        surveyed = {"rows": rows.name if rows else "", "count": count.name if count else ""}
+        with execute(path, names, plan.probes, self.subject.granted, **surveyed) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
+            seconds = [run.seconds for run in execution.runs]
+            first = plan.values + len(plan.trials.get("away", ()))
+            self.runs = {Level.VALUES: seconds[:first], Level.BEHAVIOUR: seconds[first:]}
             probe_runs = ProbeRuns(self.subject, execution, plan)
             for rule in gates:
                 if self.results.is_ready(rule):
@@ -176,7 +190,7 @@ class _Validation:
         for level in (Level.VALUES, Level.BEHAVIOUR):
             if level <= self.settings.level:
                 message = f"the model was not run {reason}" if reason else ""
-                self.levels.append(LevelOutcome(level, ran=not reason, reason=message))
+                self.levels.append(LevelOutcome(level=level, ran=not reason, reason=message))
         return not reason
 
     def _check_values(self, execution: Execution, plan: Plan) -> None:
@@ -259,14 +273,18 @@ class _Validation:
             try:
                 context = stack.enter_context(backend.prepare(probe_runs))
             except LevelUnavailable as error:
-                self.levels.append(LevelOutcome(backend.level, ran=False, reason=error.reason))
+                self.levels.append(
+                    LevelOutcome(level=backend.level, ran=False, reason=error.reason)
+                )
                 self.results.skip(rules, error.reason)
                 return
             except Exception:  # a faulty backend must not prevent the report
-                self.levels.append(LevelOutcome(backend.level, ran=False, reason="it crashed"))
+                self.levels.append(
+                    LevelOutcome(level=backend.level, ran=False, reason="it crashed")
+                )
                 self.results.crash(rules)
                 return
-            self.levels.append(LevelOutcome(backend.level, ran=True))
+            self.levels.append(LevelOutcome(level=backend.level, ran=True))
             self.environment.update(context.environment)
             self.runtime_seconds += context.seconds
             for rule in rules:
@@ -284,7 +302,7 @@ class _Validation:
             if level <= requested_level and level not in settled:
                 known = level in self.registry.backends
                 message = "the model did not run to the end on the CPU" if known else reason
-                self.levels.append(LevelOutcome(level, ran=False, reason=message))
+                self.levels.append(LevelOutcome(level=level, ran=False, reason=message))
         for rule in _needs_first(self.registry.rules.values()):
             if rule.id in self.results.outcomes or rule.scope == "report":
                 continue

@@ -175,13 +175,13 @@ def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
 
 def _levels(requested: Level, inspected: InspectedTileset) -> Iterable[LevelOutcome]:
     """Yield the outcome of every requested validation level that applies to tilesets."""
-    yield LevelOutcome(Level.STATIC, ran=True)
+    yield LevelOutcome(level=Level.STATIC, ran=True)
     if requested >= Level.VALUES:
-        yield LevelOutcome(Level.VALUES, ran=True)
+        yield LevelOutcome(level=Level.VALUES, ran=True)
     if requested >= Level.RENDER:
         ran = inspected.drawn is not None
         reason = "" if ran else inspected.undrawn or _NOTHING_DRAWN
-        yield LevelOutcome(Level.RENDER, ran=ran, reason=reason)
+        yield LevelOutcome(level=Level.RENDER, ran=ran, reason=reason)
 
 
 def _index_digest(store: Store, index: str) -> tuple[int, str]:

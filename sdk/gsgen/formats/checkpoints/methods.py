@@ -17,6 +17,9 @@ _METHODS: Final = (
     (("pose_decoder.", "lweight_offset_decoder."), "GauHuman", "gauhuman"),
 )
 
+# ``capture()`` of rotor 4DGS, and the value in it that says whether rotations are 4-D.
+_ROTOR_LENGTH, _ROTOR_FLAG = 19, 16
+
 
 def refuse_other_content(content: Any, *, is_script: bool) -> NotSupported:
     """Return the error for a file of ``torch.save`` or ``torch.jit.save`` without plain splats."""
@@ -41,6 +44,8 @@ def refuse_other_content(content: Any, *, is_script: bool) -> NotSupported:
 
 def _of_tuple(values: tuple[Any, ...]) -> NotSupported:
     """Return the error for another ``capture()`` than that of 3DGS."""
+    if len(values) == _ROTOR_LENGTH and isinstance(values[_ROTOR_FLAG], bool):
+        return _of_method("rotor 4DGS", "rotor-4dgs", "a capture of rotor 4DGS")
     tensors = [value for value in values[:4] if isinstance(value, TensorReference)]
     if any(isinstance(value, dict) for value in values[2:3]):
         return _of_method("4DGaussians", "hexplane-4dgs", "a capture of 4DGaussians")
