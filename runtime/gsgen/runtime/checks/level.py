@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from gsgen.contract.probing.probes import Probe, as_tensor
+from gsgen.contract.probing.probes import ORBIT, Probe, as_tensor
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.tools.recording import evenly_spaced
@@ -47,7 +47,6 @@ _FRAMES: Final = 5
 _AGREEMENT: Final = "GB020"
 _REFERENCES: Final = "GB021"
 _FOV_Y: Final = 50.0
-_DISTANCE: Final = 2.2  # half diagonals of the bounds; the cameras of probes have the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -266,7 +265,7 @@ def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Ca
     if eye is None or np.allclose(eye, center):
         return Camera.orbit(
             center.tolist(),
-            _DISTANCE * reach,
+            ORBIT * reach,
             azimuth=30,
             elevation=20,
             up=up,
