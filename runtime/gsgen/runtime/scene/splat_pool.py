@@ -184,7 +184,7 @@ class SplatPool:
         for tile, slots in self._slots_of.items():
             if slot in slots and offset < self.live[slot]:
                 return tile, slots.index(slot) * self.slot_rows + offset
-        raise IndexError(f"no tile holds row {row} of the pool")
+        raise IndexError(f"no tile holds row {row} of the splat pool")
 
 
 @final
