@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench exactness web adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery docs wheel release owner mutants clean
+.PHONY: setup demo test check types style drivers bench exactness web adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants clean
 
 setup: $(READY)
 
@@ -92,6 +92,10 @@ pictures: setup drivers
 # The pictures of the gallery, by running all that stands on its page: two minutes or more.
 gallery: setup drivers
 	$(BIN)/python scripts/write_gallery.py
+
+# The picture that README.md and the home page open with.
+hero: setup drivers
+	$(BIN)/python scripts/write_hero.py
 
 # The frame plans that the browser executes, written from the renderer.
 web: setup

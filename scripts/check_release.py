@@ -20,7 +20,6 @@ PLACEHOLDER_FILES = (
     "README.md",
     "RELEASING.md",
     "action.yml",
-    "docs/deprecation.md",
     "docs/guides/validate-in-ci.md",
     "docs/index.md",
     "pyproject.toml",

@@ -1,4 +1,4 @@
-"""`python -m gsgen` is `gsgen`."""
+"""Runs the `gsgen` program by `python -m gsgen`."""
 
 from gsgen.cli import main
 

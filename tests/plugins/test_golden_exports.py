@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import onnx
@@ -18,6 +19,7 @@ from gsgen.contract.validator import validate
 from gsgen.reference_plugins.anchors import octree_gs_plugin, scaffold_gs_plugin
 from gsgen.reference_plugins.deformation import deformable_3dgs_plugin, hexplane_4dgs_plugin
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
+from gsgen.reference_plugins.spacetime import spacetime_gaussians_plugin
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,
@@ -37,6 +39,8 @@ BUILD: dict[str, Callable[..., GaussianGenerator]] = {
     "octree_a": octree_gs_plugin.build,
     "hexplane_dnerf": hexplane_4dgs_plugin.build,
     "deform_blender": deformable_3dgs_plugin.build,
+    "stg_lite": spacetime_gaussians_plugin.build,
+    "stg_full": partial(spacetime_gaussians_plugin.build, decode="per-splat"),
 }
 EXPECTED = {  # what a float32 model of each method may be off by, as the acceptance tool has it
     "xyz": 2e-5, "op": 2e-5, "cov": 5e-5, "col": 2e-5, "leak": 1 / 512,

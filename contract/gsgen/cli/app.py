@@ -115,10 +115,10 @@ def build(commands: list[Command]) -> typer.Typer:
 
 
 class _Ordered(TyperCommand):
-    """A command that keeps the order of its options, in ``ctx.meta[OPTION_ORDER]``."""
+    """A click command that records in which order the user typed its options."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments, and note the name of each parameter in the order typed."""
+        """Parse command-line arguments, and record parameter names in the order typed."""
         *_, order = self.make_parser(ctx).parse_args(args=list(args))
         ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
         return super().parse_args(ctx, args)

@@ -1,4 +1,4 @@
-"""The outcome of one rule on one model, as a test case.
+"""Test cases of the conformance suite: the outcome of one contract rule on one model.
 
 Every front end (pytest, the command line) shows these cases, so that all report the same.
 """
@@ -22,7 +22,7 @@ CaseStatus = Literal["passed", "warned", "expected", "skipped", "failed", "crash
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """The outcome of one rule on one model.
+    """A test case: the outcome of one contract rule on one model.
 
     Attributes:
         rule: The rule.
@@ -86,6 +86,6 @@ def _judged(
 
 
 def _words(findings: tuple[Finding, ...]) -> str:
-    """Return a rule's findings as `gsgen validate` prints findings."""
+    """Return a rule's findings as text, in the format of `gsgen validate`."""
     reported = [finding for finding in findings if finding.counts] or findings
     return "\n".join(line.text for line in finding_lines(reported))

@@ -26,7 +26,7 @@ Runs = list[tuple[Probe, Arrays]]
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """The command, probe and files that reproduce one failure.
+    """Evidence of one failure: the command and the test inputs that reproduce it, saved files.
 
     Attributes:
         command: The command line; it exits 1 as long as the rule is broken.
@@ -50,7 +50,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Dumps:
-    """The folder for the inputs and outputs of failing probes.
+    """The folder in which model inputs and outputs of failed test runs are saved.
 
     Attributes:
         folder: The folder; it is created for the first file.
@@ -61,7 +61,7 @@ class Dumps:
     most: int | None = None
 
     def __post_init__(self) -> None:
-        """Raise if the folder for dumps is unusable, before any work is done."""
+        """Raise if the folder for saved model inputs and outputs is a file."""
         if self.folder.exists() and not self.folder.is_dir():
             raise ConfigInvalid("is a file, expected a folder", where=str(self.folder))
 
@@ -69,7 +69,7 @@ class Dumps:
 def gather(
     path: Path, settings: Settings, cases: Iterable[Case], dumps: Dumps | None
 ) -> dict[str, Evidence]:
-    """Return the evidence for each broken rule, and write dumps if a folder is set.
+    """Return the evidence for each broken rule; save model inputs and outputs if a folder is set.
 
     The failing probes are run once more, so that a command names a probe only if that probe
     alone breaks the rule.
@@ -120,7 +120,7 @@ def _keep(
 
 
 def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
-    """Return the probes that a rule's findings name, or one default probe."""
+    """Return the probes (sets of test inputs) that a rule's findings name, or a default probe."""
     text = " ".join(finding.message for finding in findings)
     labels = {example.probe for finding in findings for example in finding.examples[:1]}
     matches = [probe for probe in plan.probes if probe.label in labels or repr(probe.label) in text]
@@ -132,7 +132,7 @@ def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
 
 
 def _enough(rerun: Replay, case: Case, numbers: list[int]) -> Probe | None:
-    """Return the first probe that alone breaks the rule, or None."""
+    """Return the first probe (set of test inputs) with which alone the model breaks a rule."""
     if case.rule.scope not in ONE_PROBE:
         return None
     breaking = (number for number in numbers if rerun.findings(case.rule, number))

@@ -52,7 +52,7 @@ class ExpectedFailure:
 
 
 def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]:
-    """Read a file of expected failures.
+    """Read a TOML file of expected failures: rules that models are known to break.
 
     Raises:
         ConfigInvalid: The file is not TOML, or an entry lacks a rule or a reason.
@@ -68,7 +68,7 @@ def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]
     _refuse_strange_keys(data, (_TABLE,), where)
     tables = data.get(_TABLE, [])
     if not (isinstance(tables, list) and all(isinstance(entry, dict) for entry in tables)):
-        raise ConfigInvalid(f"holds {tables!r}, expected tables [[{_TABLE}]]", where=where)
+        raise ConfigInvalid(f"{_TABLE} is {tables!r}, expected tables [[{_TABLE}]]", where=where)
     return tuple(
         _entry(table, f"{where}, {_TABLE} {number}", where, registry)
         for number, table in enumerate(tables, start=1)
@@ -79,10 +79,12 @@ def _entry(table: dict[str, Any], where: str, source: str, registry: Registry) -
     _refuse_strange_keys(table, _KEYS, where)
     for key, value in table.items():
         if not (isinstance(value, str) and value.strip()):
-            raise ConfigInvalid(f"{key} is {value!r}, expected a text", where=where)
+            raise ConfigInvalid(
+                f"key {key!r} is {value!r}, expected a non-empty string", where=where
+            )
     for key in ("rule", "reason"):
         if key not in table:
-            raise ConfigInvalid(f"has no {key}", where=where)
+            raise ConfigInvalid(f"the entry lacks the key {key!r}", where=where)
     rule = registry.find(table["rule"], where).id
     return ExpectedFailure(rule, table["reason"], table.get("model", ""), source)
 
@@ -96,6 +98,6 @@ def _refuse_strange_keys(table: Mapping[str, Any], known: tuple[str, ...], where
 def unmatched_entries(
     entries: Iterable[ExpectedFailure], tested: Mapping[Path, Iterable[str]]
 ) -> list[ExpectedFailure]:
-    """Return the expected failures that match no tested rule of any model."""
+    """Return the expected failures that match no rule tested on any model."""
     pairs = [(rule, path) for path, rules in tested.items() for rule in rules]
     return [entry for entry in entries if not any(entry.matches(*pair) for pair in pairs)]

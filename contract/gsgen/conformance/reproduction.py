@@ -1,4 +1,4 @@
-"""Reproduces one failure: checks one rule, with one probe if possible, and returns bad rows."""
+"""Reproduces a broken rule: checks it on one set of test inputs, and returns offending rows."""
 
 __all__ = ["NotJudged", "Reproduction", "Row", "reproduce"]
 
@@ -21,12 +21,12 @@ from gsgen.contract.validator import validate
 
 
 class NotJudged(GsgenError):
-    """Raised if a rule cannot be checked, so that neither success nor failure is known."""
+    """Raised if a rule cannot be checked, so that it is unknown whether the model breaks it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A packed row that breaks a rule: its number, probe, ten values and colour."""
+    """A packed row that breaks a rule: its index, test inputs, ten values and colour."""
 
     number: int
     probe: str
@@ -36,7 +36,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """The result of checking one rule again.
+    """The result of checking one rule on one model again.
 
     Attributes:
         rule: The rule.
@@ -59,7 +59,7 @@ def reproduce(
     probe: str | None = None,
     dump: Path | None = None,
 ) -> Reproduction:
-    """Check one rule on a model again, with a single probe if one is named.
+    """Check one rule on a model again, with a single probe (set of test inputs) if requested.
 
     Args:
         path: The ONNX file.
@@ -101,7 +101,7 @@ _SUBJECTS = {"model": "the file", "runs": "several runs compared", "report": "th
 
 
 def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
-    """Check one rule and the rules that it depends on, up to the rule's level."""
+    """Check one rule, and the rules that it depends on, up to the rule's validation level."""
     registry = installed_rules()
     part = registry if rule.scope == "report" else needed_by(rule, registry)
     report = validate(path, settings, registry=part)
@@ -123,7 +123,7 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
 def _look(
     path: Path, rule: Rule, settings: Settings, findings: tuple[Finding, ...], dump: Path | None
 ) -> tuple[Row, ...]:
-    """Run the probes of the findings once more, and return (and save) the offending rows."""
+    """Run the test inputs that findings name once more; return, and save, the offending rows."""
     if not findings or rule.scope in ("model", "report") or not (dump or rule.scope == "rows"):
         return ()
     subject, plan = plan_for(path, settings)
@@ -141,7 +141,7 @@ def _save(rerun: Replay, dump: Path | None) -> None:
 
 
 def _rows(rerun: Replay, number: int, findings: Sequence[Finding]) -> tuple[Row, ...]:
-    """Return the packed rows that the findings name, from the outputs of a probe."""
+    """Return the packed rows that findings name, from the model outputs for one set of inputs."""
     emission, label = rerun.emission(number), rerun.probes[number].label
     if emission.gaussians is None:
         return ()

@@ -1,4 +1,4 @@
-"""Runs a few probes of a model again, checks one rule, and saves inputs and outputs."""
+"""Runs a model again with a few test inputs, checks one rule, and saves inputs and outputs."""
 
 __all__ = ["ONE_PROBE", "Replay", "find_probes", "plan_for", "replay", "save"]
 
@@ -33,7 +33,7 @@ Arrays = dict[str, np.ndarray]
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """The results of probes that were run again in their own sandbox session.
+    """The results of running some test inputs (probes) again in a sandbox session of their own.
 
     Attributes:
         subject: The model.
@@ -48,21 +48,21 @@ class Replay:
     settings: Settings
 
     def outputs(self, probe: int) -> Arrays:
-        """Return the model outputs at a probe; empty if the run ended before the probe."""
+        """Return the model outputs for a set of test inputs; empty if the run ended before it."""
         for run in self.execution.runs:
             if run.probe == probe:
                 return self.execution.samples[run.sample].outputs
         return {}
 
     def emission(self, probe: int) -> ModelOutputs:
-        """Return the model outputs at a probe in the form that value rules receive."""
+        """Return the model outputs for a set of test inputs, as the value rules receive them."""
         run_probe = self.probes[probe]
         return read_outputs(
             self.subject, run_probe.label, self.outputs(probe), zeros=run_probe.zeros
         )
 
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
-        """Return the findings of one rule for one probe alone."""
+        """Return the findings of one rule for one set of test inputs alone."""
         alone = Registry.of([replace(rule, needs=())])
         board = ResultCollector(registry=alone, settings=self.settings, kind=self.subject.kind)
         for subject, start in self._seen(rule, probe):
@@ -85,7 +85,7 @@ class Replay:
 
 
 def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
-    """Return the inspected model and its planned runs; the manifest must be readable."""
+    """Return a model's file facts and its planned test runs; its manifest must be readable."""
     subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
     return subject, make_plan(subject, level, settings.seed)
@@ -95,14 +95,14 @@ def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
 def replay(
     subject: InspectedModel, probes: Sequence[Probe], settings: Settings
 ) -> Iterator[Replay]:
-    """Run some probes of a model again in the sandbox; results last for the ``with`` block."""
+    """Run some test inputs of a model again in the sandbox; results last for the ``with`` block."""
     path, names = subject.file.path, fetched_outputs(subject)
     with execute(path, names, probes, subject.granted) as execution:
         yield Replay(subject, tuple(probes), execution, settings)
 
 
 def find_probes(probes: Sequence[Probe], key: str) -> tuple[Probe, ...]:
-    """Return the probes with a given label or number; several probes may share a label.
+    """Return the sets of test inputs (probes) with a given label or number; labels may repeat.
 
     Raises:
         UnknownName: No probe has this label or number; the hint names the nearest.

@@ -1,4 +1,4 @@
-"""Runs the conformance suites of a model: validates it once, and returns a case per rule."""
+"""Runs conformance suites: validates a model once, and returns a test case for each rule."""
 
 __all__ = ["ModelRun", "run_model", "suites_of"]
 
@@ -38,20 +38,20 @@ class ModelRun:
     evidence: Mapping[str, Evidence]
 
     def case(self, rule: str) -> Case:
-        """Return the test case of a rule; raise KeyError if no suite of this run has it."""
+        """Return the test case of a rule; raise KeyError if no suite of this run tests the rule."""
         for case in self.cases:
             if case.rule.id == rule:
                 return case
         raise KeyError(rule)
 
     def text(self, case: Case) -> str:
-        """Return a test case as text: its findings, and the command that reproduces them."""
+        """Return a test case as text: the rule's findings, and the command to reproduce them."""
         evidence = self.evidence.get(case.rule.id)
         return f"{case.text}\n{evidence}" if evidence and case.status in FAILING else case.text
 
     @property
     def suites(self) -> dict[str, list[Case]]:
-        """The test cases of the model, by the name of their suite."""
+        """The test cases of the model, grouped by the name of the conformance suite."""
         by_suite: dict[str, list[Case]] = {}
         for case in self.cases:
             by_suite.setdefault(case.suite, []).append(case)

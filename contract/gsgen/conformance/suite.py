@@ -1,4 +1,4 @@
-"""Conformance suites: groups of rules, and the models that each group tests.
+"""Conformance suites: named groups of rules, and the kinds of models that each group tests.
 
 A rule belongs to the first suite that claims it among those that apply to the model, else to
 ``basic``. So every rule that can fail for a model is in exactly one suite, and ``gsgen validate`` accepts a
@@ -45,7 +45,7 @@ class Declared:
 
 @dataclass(frozen=True, slots=True)
 class Suite:
-    """A named group of rules that are tested together.
+    """A conformance suite: a named group of rules that are tested together.
 
     Attributes:
         name: The value of ``--suite``.

@@ -24,7 +24,7 @@ _REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command that an installed package registers; packages that it needs may be missing.
+    """A gsgen command that an installed package registers; its dependencies may be missing.
 
     Attributes:
         name: The word that users type after ``gsgen``.
@@ -36,12 +36,12 @@ class Command:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """The packages that a command requires and that are not installed."""
+        """The distributions that a command requires but that are not installed."""
         return _missing(self.point)
 
     @property
     def requirement(self) -> str:
-        """The distribution and extra that the command needs, such as ``gsgen[sdk]``."""
+        """The distribution with the extra that the command needs, such as ``gsgen[sdk]``."""
         owner = self.point.dist.name if self.point.dist else "gsgen"
         return f"{owner}[{','.join(self.point.extras)}]"
 
@@ -52,7 +52,7 @@ class Command:
 
     @property
     def context(self) -> dict[str, Any]:
-        """Click context settings of the command; without dependencies it accepts any options."""
+        """Click context settings; a command with missing dependencies accepts any options."""
         return {"ignore_unknown_options": True} if self.missing else {}
 
     def load(self) -> Callable[..., Any] | typer.Typer:
@@ -74,7 +74,7 @@ class Command:
 
 
 def _refusing(summary: str, reason: str, code: ExitCode) -> Callable[..., Any]:
-    """Return a command that takes any arguments and fails with the message ``reason``."""
+    """Return a command that accepts any arguments, and fails with the message ``reason``."""
 
     def refuse(words: Annotated[list[str] | None, typer.Argument(hidden=True)] = None) -> None:
         typer.echo(f"gsgen: {reason}", err=True)
@@ -85,17 +85,17 @@ def _refusing(summary: str, reason: str, code: ExitCode) -> Callable[..., Any]:
 
 
 def escape_markup(text: str) -> str:
-    """Escape square brackets for help pages, where rich reads them as markup."""
+    """Escape square brackets in help texts, which rich would read as markup."""
     return text.replace("[", r"\[")
 
 
 def find_commands(group: str = _GROUP) -> dict[str, Command]:
-    """Return the commands of an entry point group as a mapping from name to command."""
+    """Return the gsgen commands that an entry point group registers, by name."""
     return {point.name: Command(point.name, point) for point in registered_entry_points(group)}
 
 
 def _missing(point: EntryPoint) -> tuple[str, ...]:
-    """Return the distributions that an entry point's extras require and that are not installed."""
+    """Return the distributions that an entry point's extras require but that are not installed."""
     absent = []
     for line in _requirements(point.dist.name) if point.dist and point.extras else ():
         match = _REQUIREMENT.match(line)

@@ -31,7 +31,7 @@ def lazy_getattr(package: str) -> Callable[[str], object]:
 
 @cache
 def _home(package: str) -> dict[str, str]:
-    """Return the module of each name that a package imports for type checkers."""
+    """Return for each public name of a package the module that defines the name."""
     import ast
     import inspect
 

@@ -63,7 +63,7 @@ class ExitCode(IntEnum):
 
 
 class GsgenError(Exception):
-    """Base class of all errors that invalid input causes.
+    """Base class of all exceptions that gsgen raises for invalid input.
 
     Attributes:
         message: The fault, with the offending value and the expected one.
@@ -104,7 +104,7 @@ class ConfigInvalid(GsgenError):
 
 
 class LayoutMismatch(GsgenError):
-    """Raised if arrays do not have the shapes or dtypes of the packed layout."""
+    """Raised if arrays do not have the shapes or dtypes of the contract's packed layout."""
 
 
 class UnknownName(ConfigInvalid):
@@ -112,7 +112,7 @@ class UnknownName(ConfigInvalid):
 
     @classmethod
     def among(cls, noun: str, name: str, known: Iterable[str], where: str = "") -> "UnknownName":
-        """Return the error for an unknown name, with the nearest known name as a hint."""
+        """Return the error for an unknown name, with the most similar known name as a hint."""
         from difflib import get_close_matches  # imported on failure only: start-up time counts
 
         names = sorted(known)

@@ -35,12 +35,12 @@ class FileValidator(Protocol):
         registry: "Registry",
         progress: Callable[[str], None],
     ) -> "Report":
-        """Validate the file at ``path`` and return a report; raise InputUnreadable if damaged."""
+        """Validate the file at ``path``, and return a report; raise InputUnreadable if damaged."""
         ...
 
 
 def find_validator(path: Path) -> FileValidator | None:
-    """Return the plug-in that validates the file at ``path``; None if it may be an ONNX model."""
+    """Return the plug-in that validates the file at ``path``; None if the file may be ONNX."""
     if path.suffix.lower() == MODEL_SUFFIX:
         return None
     for point in registered_entry_points(_GROUP):

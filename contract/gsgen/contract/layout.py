@@ -1,4 +1,4 @@
-"""Public names of the packed layout: rows, cells, covariances, SH bases and matrices."""
+"""Public names of the packed layout: Gaussians, cells, covariances, SH bases, matrices."""
 
 __all__ = [
     "APPEARANCE_CHANNELS",

@@ -54,5 +54,5 @@ def read_download(source: str | os.PathLike[str]) -> Splats | PointCloud | Packe
 
 
 def _address(source: str | os.PathLike[str]) -> str:
-    """Return a web address with two slashes after its scheme, of which a Path keeps one."""
+    """Restore the second slash after the scheme of a web address, which ``Path`` removed."""
     return re.sub(r"^(https?):/+", r"\1://", os.fspath(source), flags=re.IGNORECASE)

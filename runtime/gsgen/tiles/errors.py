@@ -22,7 +22,7 @@ class Fault(StrEnum):
 
 
 class TilesetInvalid(InputUnreadable):
-    """Raised if a tileset, or one of its files, violates 3D Tiles or the profile of splats.
+    """Raised if a tileset, or one of its files, violates 3D Tiles or gsgen's splat profile.
 
     Attributes:
         actual: What the file holds.

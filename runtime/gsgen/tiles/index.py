@@ -107,7 +107,7 @@ class _Written:
 
 
 def morton(coordinates: tuple[int, int, int]) -> int:
-    """Return an octree cell's Morton code; x is the lowest of each three bits."""
+    """Return an octree cell's Morton code, where x gives the lowest of each three bits."""
     index = 0
     for axis, value in enumerate(coordinates):
         for bit in range(value.bit_length()):

@@ -22,7 +22,7 @@ from gsgen.tiles.uris import resolve_uri
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelInfo:
-    """The totals of all tiles of one level of a tileset.
+    """The numbers of tiles, splats and bytes of one level of a tileset.
 
     Attributes:
         level: 0 for the root.
@@ -42,7 +42,7 @@ class LevelInfo:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TilesetInfo:
-    """The totals of a tileset.
+    """The numbers of tiles, splats and bytes of a tileset, in all and by level.
 
     Attributes:
         tiles: How many tiles there are, with and without content.
@@ -137,7 +137,7 @@ def _level(level: int, pairs: list[tuple[Tile, _Measured]]) -> LevelInfo:
 
 
 def _from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _Measured | None:
-    """Return the totals of a tile from gsgen metadata, or None if a number is missing."""
+    """Return a tile's splats, bytes and SH degree from gsgen metadata; None if one is missing."""
     degree, quality = profile.get("sh_degree"), profile.get("quality", 0)
     splats, sizes = tile.metadata.get("splats"), tile.metadata.get("bytes")
     whole = isinstance(splats, int | np.integer) and isinstance(degree, int)

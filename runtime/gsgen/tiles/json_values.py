@@ -1,4 +1,4 @@
-"""Reads typed values from parsed JSON; each member is checked when it is read."""
+"""Reads typed values from parsed JSON; each value is checked when it is read."""
 
 __all__ = ["JsonDict", "JsonObject", "parse_object", "shorten"]
 
@@ -74,7 +74,7 @@ class JsonObject:
         return key in self.values
 
     def refuse(self, key: str, expected: str) -> Never:
-        """Raise TilesetInvalid for the JSON member ``key``, with its value as the actual value."""
+        """Raise TilesetInvalid for the JSON member ``key``, with its value and the expected one."""
         actual = shorten(self.values[key]) if key in self.values else "the member is missing"
         raise TilesetInvalid(actual, location=self.at(key), expected=expected, fault=self.fault)
 

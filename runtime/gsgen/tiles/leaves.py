@@ -110,7 +110,7 @@ def read_leaves(source: str | os.PathLike[str]) -> Splats | PointCloud | PackedR
         ]
     if not parts:
         raise TilesetInvalid(
-            "no leaf has splats",
+            "no leaf tile has splats",
             location=posixpath.basename(index),
             expected="contents with KHR_gaussian_splatting",
             fault=Fault.CONTENT,

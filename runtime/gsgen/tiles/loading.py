@@ -142,7 +142,7 @@ class _Loader:
         """Read a tile and all its descendants."""
         if parent.level >= self._limits.depth:
             raise TilesetInvalid(
-                f"more than {self._limits.depth} levels of tiles",
+                f"the tileset has more than {self._limits.depth} levels of tiles",
                 location=entry.location,
                 expected="fewer",
             )
@@ -186,7 +186,9 @@ class _Loader:
         self._tiles += tiles
         if self._tiles > self._limits.tiles:
             raise TilesetInvalid(
-                f"more than {self._limits.tiles:,} tiles", location=location, expected="fewer"
+                f"the tileset has more than {self._limits.tiles:,} tiles",
+                location=location,
+                expected="fewer",
             )
 
     def _refine(self, entry: JsonObject, parent: _Parent) -> Refine:
@@ -217,7 +219,7 @@ class _Loader:
         matrix = entry.numbers("transform", 16).reshape(4, 4).T
         if not np.array_equal(matrix[3], [0, 0, 0, 1]):
             raise TilesetInvalid(
-                f"last row {shorten(matrix[3].tolist())}",
+                f"the last row of the matrix is {shorten(matrix[3].tolist())}",
                 location=entry.at("transform"),
                 expected="0 0 0 1: 16 numbers, column by column",
                 fault=Fault.TRANSFORM,
@@ -225,7 +227,7 @@ class _Loader:
         sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
         if not (np.linalg.det(matrix[:3, :3]) > 0 and np.isfinite(sizes).all()):
             raise TilesetInvalid(
-                "a transform that mirrors or flattens",
+                "the transform mirrors or flattens",
                 location=entry.at("transform"),
                 expected="a rotation, a positive scale and a translation",
                 fault=Fault.TRANSFORM,
@@ -282,14 +284,14 @@ class _Loader:
     def _external(self, uri: str, location: str, document: Document, below: _Parent) -> Tile:
         if uri in document.above:
             raise TilesetInvalid(
-                f"{uri} within itself",
+                f"the external tileset {uri} is nested within itself",
                 location=location,
                 expected="external tilesets that do not come back to this one",
                 fault=Fault.URI,
             )
         if len(document.above) > self._limits.nesting:
             raise TilesetInvalid(
-                f"more than {self._limits.nesting} external tilesets within each other",
+                f"more than {self._limits.nesting} external tilesets are nested",
                 location=location,
                 expected="fewer",
                 fault=Fault.URI,

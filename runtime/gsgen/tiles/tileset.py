@@ -22,7 +22,7 @@ _ON_GLOBE = 1e6
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Content:
-    """A content file of a tile.
+    """A content file of a tile, with its URI and bounding volume.
 
     Attributes:
         uri: Relative to the tileset's folder.

@@ -21,7 +21,7 @@ _MOST_LEVEL = 40
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Box:
-    """A bounding box with any orientation.
+    """An oriented bounding box: a centre and three half axes.
 
     Attributes:
         center: The middle.
@@ -69,7 +69,7 @@ class Box:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Sphere:
-    """A bounding sphere.
+    """A bounding sphere: a centre and a radius.
 
     Attributes:
         center: The middle.

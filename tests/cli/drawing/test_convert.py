@@ -69,12 +69,12 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
         (
             ("a.ply", "--spz-version", "4"),
             2,
-            "--spz-version: applies to spz, but the output is ply\n",
+            "--spz-version: applies to spz files, but the output format is ply\n",
         ),
         (
             ("a.spz", "--encoding", "ascii"),
             2,
-            "--encoding: applies to ply, but the output is spz\n",
+            "--encoding: applies to ply files, but the output format is spz\n",
         ),
         (("/dev/null/no/a.ply",), 1, "/dev/null/no/a.ply: cannot be written: Not a directory\n"),
     ],

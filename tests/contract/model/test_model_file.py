@@ -82,7 +82,10 @@ def test_where_a_key_repeats_the_last_one_holds(tmp_path):
             "is not an ONNX model but a git LFS pointer: fetch the file with `git lfs pull`",
         ),
         (b"Hello, world!\n", "is not an ONNX model but text"),
-        (bytes(100), "is damaged or cut off at byte 0: field number 0" + AGAIN),
+        (
+            bytes(100),
+            "is damaged or cut off at byte 0: protobuf field number 0, expected 1 or more" + AGAIN,
+        ),
         (b"\x3a\x03\x0a\x7f\x0a", "does not parse as ONNX ("),
         (b"\x08\x0a", "holds no ONNX graph" + AGAIN),
         (b"\x3a\x00", "holds no ONNX graph" + AGAIN),

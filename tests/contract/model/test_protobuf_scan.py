@@ -181,9 +181,9 @@ def test_a_varint_is_little_endian_in_groups_of_seven_bits(number, data):
 @pytest.mark.parametrize(
     ("data", "text"),
     [
-        (b"\x80", "byte 1: the file ends inside a number"),
-        (b"", "byte 0: the file ends inside a number"),
-        (b"\x80" * 20, "byte 10: a number of more than ten bytes"),
+        (b"\x80", "byte 1: the file ends inside a protobuf number"),
+        (b"", "byte 0: the file ends inside a protobuf number"),
+        (b"\x80" * 20, "byte 10: a protobuf number of more than ten bytes"),
     ],
 )
 def test_a_varint_without_end_is_a_fault(data, text):
@@ -209,9 +209,9 @@ def test_fields_of_every_wire_type_are_found_where_they_are():
         (b"\x12\x05hi", "byte 0: field 2 needs 3 more bytes than the message has"),
         (b"\x08\x01\x1d\0", "byte 2: field 3 needs 3 more bytes than the message has"),
         (b"\x21\0", "byte 0: field 4 needs 7 more bytes than the message has"),
-        (b"\x0b", "byte 0: wire type 3 is not used by ONNX"),
-        (b"\x0f", "byte 0: wire type 7 is not used by ONNX"),
-        (b"\x00\x01", "byte 0: field number 0"),
+        (b"\x0b", "byte 0: protobuf wire type 3, which ONNX does not use"),
+        (b"\x0f", "byte 0: protobuf wire type 7, which ONNX does not use"),
+        (b"\x00\x01", "byte 0: protobuf field number 0, expected 1 or more"),
         (
             b"\x12" + b"\xff" * 9 + b"\x01",
             "byte 0: field 2 needs 18446744073709551615 more bytes than the message has",
@@ -242,7 +242,7 @@ def test_graphs_may_be_nested_but_not_without_end():
 def test_the_number_of_fields_is_limited(monkeypatch):
     monkeypatch.setattr(protobuf_scan, "_MAX_FIELDS", 100)
     assert skeleton(b"\x08\x01" * 100)
-    with pytest.raises(WireFault, match="more than 100 fields"):
+    with pytest.raises(WireFault, match="more than 100 protobuf fields"):
         skeleton(b"\x08\x01" * 101)
 
 

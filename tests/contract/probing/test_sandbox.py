@@ -333,7 +333,7 @@ def test_a_limit_above_what_the_system_knows_is_no_limit(folder):
 def test_limits_are_above_zero(seconds, memory, actual):
     with pytest.raises(ConfigInvalid) as caught:
         Limits(seconds, memory)
-    assert str(caught.value) == f"limits: {actual}, expected limits above 0"
+    assert str(caught.value) == f"limits: time and memory are {actual}, expected limits above 0"
 
 
 def test_weights_are_allowed_on_top_of_the_limit():

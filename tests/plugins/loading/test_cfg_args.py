@@ -179,10 +179,10 @@ def test_what_is_no_literal_is_refused_by_who_needs_it(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("__import__('os').system('touch ran')", "is not a Namespace"),
-        ("Namespace(1, 2)", "is not a Namespace"),
-        ("Namespace(**{'a': 1})", "is not a Namespace"),
-        ("Namespace(**x)", "is not a Namespace"),
+        ("__import__('os').system('touch ran')", "is not a printed Namespace"),
+        ("Namespace(1, 2)", "is not a printed Namespace"),
+        ("Namespace(**{'a': 1})", "is not a printed Namespace"),
+        ("Namespace(**x)", "is not a printed Namespace"),
         ("Namespace(a=1", "cannot be parsed"),
         ("Namespace(a=<x>, b=)", "cannot be parsed"),
         ("Namespace(a=<x <y> z>)", "cannot be parsed"),

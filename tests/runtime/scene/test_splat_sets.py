@@ -92,7 +92,7 @@ def test_values_may_change_and_buffers_stay(renderer: Renderer) -> None:
     assert np.array_equal(after.rgba, renderer.render(Scene([second]), camera()).rgba)
     data.update(second.rows, second.appearance, count=0)
     assert renderer.render(Scene([data]), camera()).visible == 0
-    with pytest.raises(SceneInvalid, match=r"\[99, 10\], expected float32 \[100, 10\] as before"):
+    with pytest.raises(SceneInvalid, match=r"\[99, 10\], expected float32 \[100, 10\], as before"):
         data.update(second.rows[:99], second.appearance[:99])
 
 
@@ -132,9 +132,9 @@ def test_sets_that_cannot_be_drawn_say_so() -> None:
 
 def test_rows_that_cannot_be_drawn_say_so() -> None:
     rows, color = single().rows, single().appearance
-    with pytest.raises(SceneInvalid, match=r"rows: float64 \[1, 10\]"):
+    with pytest.raises(SceneInvalid, match=r"rows: is float64 \[1, 10\]"):
         SplatData(rows.astype(np.float64), color, "rgb")
-    with pytest.raises(SceneInvalid, match=r"appearance: float32 \[1, 2\], expected .* 3, 12"):
+    with pytest.raises(SceneInvalid, match=r"appearance: is float32 \[1, 2\], expected .* 3, 12"):
         SplatData(rows, color[:, :2], "sh")
     with pytest.raises(SceneInvalid, match="count: is 2, expected 0 to 1"):
         SplatData(rows, color, "rgb", count=2)

@@ -268,7 +268,7 @@ def test_the_command_prints_the_choice(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"kind": "knapsack"}, "expected cut or deadlines"),
-        ({"budget_bytes": 2, "loaded": []}, "enough for the cheapest cut"),
+        ({"budget_bytes": 2, "loaded": []}, "enough for the cheapest choice of tiles"),
         ({"budget_bytes": -1}, "budget_bytes"),
         ({"loaded": [[1, 3]]}, "a node and one of its qualities"),
         ({"loaded": [[1]]}, "[node, quality]"),

@@ -1,4 +1,4 @@
-"""The command `gsgen conformance`: tests models suite by suite, without pytest."""
+"""The command `gsgen conformance`: runs conformance suites on models, without pytest."""
 
 __all__ = ["conformance"]
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Format(StrEnum):
-    """Output formats of a conformance run."""
+    """Output formats of the command `gsgen conformance`."""
 
     TEXT = "text"
     JSON = "json"
@@ -46,7 +46,7 @@ def conformance(
     format: Annotated[Format, typer.Option(help="How to print the result.")] = Format.TEXT,
     as_json: AsJson = False,
 ) -> None:
-    """Test each MODEL suite by suite, and print a command that reproduces each failure.
+    """Run conformance suites on each MODEL, and print a command that reproduces each failure.
 
     Exits 0 if all pass, 1 if not, 2 for wrong options, 3 if a rule crashed, 4 if no model.
     """

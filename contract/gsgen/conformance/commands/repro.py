@@ -1,4 +1,4 @@
-"""The command `gsgen repro`, which reproduces one failure of a rule."""
+"""The command `gsgen repro`, which reproduces one model's violation of one rule."""
 
 __all__ = ["repro"]
 
@@ -32,7 +32,7 @@ def repro(
     timeout: Timeout = None,
     memory: Memory = None,
 ) -> None:
-    """Check one rule of MODEL again, with one probe if that is enough.
+    """Check one rule of MODEL again, with one probe (set of test inputs) if that is enough.
 
     Exits 1 if the rule is broken, 0 if it holds, 2 if it cannot be checked, 4 if MODEL is unreadable.
     """

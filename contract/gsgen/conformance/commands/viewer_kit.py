@@ -1,4 +1,4 @@
-"""The command group `gsgen viewer-kit`: writes the viewer kit, and checks a viewer against it."""
+"""Command group `gsgen viewer-kit`: writes test models with pictures, and checks a viewer."""
 
 __all__ = ["app"]
 
@@ -11,7 +11,7 @@ import typer
 from gsgen.contract.errors import ExitCode, InputUnreadable
 
 app = typer.Typer(
-    help="Test a viewer: small generators, their right pictures, and a verdict by case.",
+    help="Test a viewer: small models, expected pictures, and a verdict for each test.",
     no_args_is_help=True,
 )
 
@@ -27,7 +27,7 @@ def write(
         Path, typer.Argument(help="The folder to write; must be empty.", show_default=False)
     ],
 ) -> None:
-    """Write the kit to OUTPUT: models, cameras and inputs, expected pictures, and a script that compares.
+    """Write a viewer test kit to OUTPUT: models, cameras, inputs, expected pictures, test script.
 
     Exits 0 if it was written, 2 if it cannot be.
     """
@@ -41,17 +41,20 @@ def write(
 
 @app.command("check")
 def check(
-    kit: Annotated[Path, typer.Argument(help="The folder of the kit.", show_default=False)],
+    kit: Annotated[
+        Path, typer.Argument(help="The folder of the viewer test kit.", show_default=False)
+    ],
     pictures: Annotated[
         Path,
         typer.Argument(help="Folder of the viewer's pictures, .npy or .png.", show_default=False),
     ],
     html: Annotated[
-        Path | None, typer.Option(help="Write a page with all pictures and differences here.")
+        Path | None,
+        typer.Option(help="Write an HTML page with all pictures and differences to this file."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Compare the PICTURES of a viewer with those of KIT, and name the faults that explain them.
+    """Compare a viewer's PICTURES with those of the test kit KIT, and name the likely faults.
 
     Exits 0 if every case passes, 1 if one fails, 4 if the kit cannot be read.
     """

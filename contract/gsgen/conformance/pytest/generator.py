@@ -1,4 +1,4 @@
-"""A pytest base class for tests of one model: every rule is a test."""
+"""A pytest base class for tests of one ONNX model: every contract rule is a test."""
 
 __all__ = ["GeneratorConformance"]
 
@@ -61,7 +61,7 @@ class GeneratorConformance:
 
     @pytest.fixture
     def expected_failures(self, pytestconfig: pytest.Config) -> Iterable[ExpectedFailure]:
-        """Pytest fixture: rules that the model is known to break; a kept rule is a failure."""
+        """Pytest fixture: rules that the model is known to break; an unexpected pass fails."""
         return ConformanceSession.of(pytestconfig).expected
 
     @pytest.fixture
@@ -84,7 +84,7 @@ class GeneratorConformance:
 
     @pytest.fixture
     def _ready(self, rule: Rule, conformance: ModelRun, request: pytest.FixtureRequest) -> None:
-        """Prepare the test of a rule; a crashed rule is a test error, not a failure."""
+        """Pytest fixture: reports a crashed rule as a test error instead of a test failure."""
         for case in conformance.cases:
             if case.rule.id == rule.id:
                 request.node.user_properties += properties(conformance, case)
@@ -99,14 +99,14 @@ class GeneratorConformance:
 
 
 def _home(rule: Rule) -> str:
-    """Return the suite of a rule for a generator that declares all optional features."""
+    """Return the name of the conformance suite that tests a rule on a full-featured generator."""
     is_generator = GENERATOR in rule.kinds
     suites = [suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
     return next(suite.name for suite in suites if suite.claims(rule))
 
 
 def _test_of(suite: Suite, rules: list[Rule]) -> Callable[..., None]:
-    """Return the test function of a conformance suite, which takes one of its rules."""
+    """Return a pytest function that tests one rule of a conformance suite on a model."""
 
     @pytest.mark.usefixtures("_ready")
     def test(self: GeneratorConformance, rule: Rule, conformance: ModelRun) -> None:
@@ -130,7 +130,7 @@ def _name(suite: Suite) -> str:
 
 
 def _add_tests() -> None:
-    """Add a test for each conformance suite to a class, so that an author can override it."""
+    """Add a test method for each conformance suite to a class; subclasses can override it."""
     for suite in SUITES:
         rules = [r for r in installed_rules().rules.values() if _home(r) == suite.name]
         if rules:

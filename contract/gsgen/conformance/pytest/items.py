@@ -1,4 +1,4 @@
-"""Collects models as pytest nodes: a file holds suites, a suite holds a test for each rule."""
+"""Collects ONNX files as pytest nodes: a file holds suites, a suite holds a test for each rule."""
 
 __all__ = ["ModelFile", "RuleItem", "StaleEntry", "SuiteNode", "stale_entries"]
 
@@ -30,7 +30,7 @@ class ModelFile(pytest.File):
                 yield SuiteNode.from_parent(self, name=name, rules=rules)
 
     def run_model(self) -> ModelRun:
-        """Validate the ONNX file once per session, and return the result."""
+        """Validate the ONNX file once per pytest session, and return the result."""
         bench = ConformanceSession.of(self.config)
         return bench.run(self.path, bench.settings, bench.expected)
 

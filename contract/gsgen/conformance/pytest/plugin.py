@@ -84,7 +84,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "pytest.Co
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Parametrize a test that requests rules by a ``check`` argument for each rule."""
+    """Parametrize a test that has a ``check`` argument by the requested models and rules."""
     marker = metafunc.definition.get_closest_marker(_MARK)
     if marker is not None:
         from gsgen.conformance.pytest.session import ConformanceSession
@@ -97,7 +97,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(session: pytest.Session, items: "list[pytest.Item]") -> None:
-    """Add a test error for each expected failure that matches no tested rule."""
+    """Add a failing test for each expected failure that matches no tested rule."""
     if session.config.getoption("--gsgen-xfails"):
         from gsgen.conformance.pytest.items import stale_entries
 

@@ -28,7 +28,7 @@ _MOST_UNASKED = 64 << 20
 
 
 class RuleWarning(UserWarning):
-    """Warning for a rule that is broken below the severity that fails (``--gsgen-fail-on``)."""
+    """Warning for a broken rule whose severity is below ``--gsgen-fail-on``."""
 
 
 class ConformanceSession:
@@ -45,7 +45,7 @@ class ConformanceSession:
 
     @classmethod
     def of(cls, config: pytest.Config) -> "ConformanceSession":
-        """Return the conformance session that belongs to a pytest session."""
+        """Return gsgen's state of a pytest session: options and validated models."""
         if _BENCH not in config.stash:
             bench = config.stash[_BENCH] = cls(config)
             try:
@@ -78,7 +78,7 @@ class ConformanceSession:
 
     @cached_property
     def suites(self) -> tuple[str, ...]:
-        """The names of the chosen conformance suites; empty for all."""
+        """The names of the conformance suites that the user selected; empty for all."""
         return tuple(find_suite(name, "--gsgen-suite").name for name in self.option("suite"))
 
     @cached_property
@@ -89,7 +89,7 @@ class ConformanceSession:
 
     @cached_property
     def dumps(self) -> Dumps:
-        """The folder for inputs and outputs of failing probes; pytest's takes small ones only."""
+        """The folder for saved inputs and outputs of failed model runs."""
         folder = self.option("dump")
         if folder:
             return Dumps(Path(folder))
@@ -97,14 +97,14 @@ class ConformanceSession:
         return Dumps(factory.mktemp("gsgen-dumps"), _MOST_UNASKED)
 
     def plan(self, path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
-        """Return a model's conformance suites with their rules, and record the rules as tested."""
+        """Return a model's conformance suites with their rules, and mark the rules as tested."""
         planned = suites_of(path, settings)
         rules = self.tested.setdefault(path, set())
         rules |= {rule.id for suite_rules in planned.values() for rule in suite_rules}
         return planned
 
     def run(self, path: Path, settings: Settings, expected: Iterable[ExpectedFailure]) -> ModelRun:
-        """Validate a model once per session, and return the result."""
+        """Validate a model once per pytest session, and return the result."""
         entries = tuple(expected)
         stat = path.stat() if path.is_file() else None
         version = (stat.st_mtime_ns, stat.st_size) if stat else ()
@@ -119,7 +119,7 @@ class ConformanceSession:
     def _judge(
         self, path: Path, settings: Settings, expected: tuple[ExpectedFailure, ...]
     ) -> ModelRun | Exception:
-        """Validate a model; return an error as a value, so that every rule can raise it."""
+        """Validate a model; return an exception as a value, so that every test can raise it."""
         try:
             return run_model(path, settings, expected=expected, dumps=self.dumps)
         except Exception as error:
@@ -130,7 +130,7 @@ _BENCH = pytest.StashKey[ConformanceSession]()
 
 
 def prepare(run: ModelRun, case: Case) -> None:
-    """Raise during a test's set-up if the rule crashed: a test error, not a failure."""
+    """Raise before a test if its rule crashed, so that pytest reports an error, not a failure."""
     if case.status == "crashed":
         pytest.fail(run.text(case), pytrace=False)
 
@@ -149,7 +149,7 @@ def act(run: ModelRun, case: Case) -> None:
 
 
 def properties(run: ModelRun, case: Case) -> list[tuple[str, object]]:
-    """Return the properties of a rule's test report: rule, status, and findings as JSON."""
+    """Return the properties of a test report: rule id, status, and findings as JSON."""
     entries: list[tuple[str, object]] = [("gsgen.rule", case.rule.id)]
     entries.append(("gsgen.status", case.status))
     if case.findings:

@@ -1,4 +1,4 @@
-"""Skips the tests of a class whose model cannot be built or read, after one error.
+"""Skips the tests of a class after its model could not be built or read once.
 
 Every test of such a class would raise the same error. One report shows the fault; a hundred and
 forty hide it.
@@ -40,7 +40,7 @@ def skip_if_noted(item: pytest.Item) -> None:
 
 
 def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> None:
-    """Record that a model cannot be validated, and reduce the test report to its author's lines."""
+    """Record that a model cannot be validated, and shorten the report to the author's own code."""
     assert call.excinfo is not None
     if "conformance" in getattr(item, "funcargs", {}):
         return  # the model was validated, and the rule crashed
@@ -53,7 +53,7 @@ def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestRepo
 
 
 def _subject(item: pytest.Item) -> object:
-    """Return the identity of a test's model: the class and the parameters of its fixtures."""
+    """Return a key of the model that a test uses: its class and the parameters of its fixtures."""
     indices = getattr(getattr(item, "callspec", None), "indices", {})
     remaining = sorted((name, index) for name, index in indices.items() if name != "rule")
     return getattr(item, "cls", None), tuple(remaining)
@@ -66,7 +66,7 @@ def _quiet(head: str, text: str) -> str:
 
 
 def _lines(item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]) -> Iterator[str]:
-    """Yield the author's own lines in an error's traceback, the outermost first."""
+    """Yield the traceback lines of an error that lie in the test author's code, outermost first."""
     root = item.config.rootpath
     for entry in excinfo.traceback:
         name = str(entry.frame.f_globals.get("__name__", ""))

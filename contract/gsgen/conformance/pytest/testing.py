@@ -28,7 +28,7 @@ Models = Iterable[PathLike] | Callable[[], Iterable[PathLike]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """The arguments of :func:`parametrize_with_rules`, attached to a test."""
+    """The models and rules that :func:`parametrize_with_rules` requests for a test."""
 
     models: Models
     target: str | None
@@ -47,7 +47,7 @@ def parametrize_with_rules(
     suites: Iterable[str] = (),
     expected_failures: PathLike | Iterable[ExpectedFailure] | None = None,
 ) -> pytest.MarkDecorator:
-    """Run the decorated test for each rule of each model, with a ``check`` to call.
+    """Run the decorated test for each rule of each model, passing a ``check`` to call.
 
     Such as::
 
@@ -79,7 +79,7 @@ def parametrize_with_rules(
 
 
 class Check:
-    """The check of one rule on one model, which a test calls once."""
+    """A callable that checks one rule on one model, which a pytest test calls once."""
 
     def __init__(self, model: Path, suite: str, rule: Rule, judge: Callable[[], ModelRun]) -> None:
         self.model = model
@@ -90,12 +90,12 @@ class Check:
 
     @property
     def name(self) -> str:
-        """The model, suite and rule in one word, such as ``drift-basic-GV003-opacity-range``."""
+        """The test's name: model, suite and rule, such as ``drift-basic-GV003-opacity-range``."""
         return f"{self.model.stem}-{self.suite}-{self.rule.id}-{self.rule.slug}"
 
     @property
     def run(self) -> ModelRun:
-        """The results of validating the model, once per pytest session."""
+        """The results of validating the model, which is validated once per pytest session."""
         return self._judge()
 
     @property
@@ -108,14 +108,14 @@ class Check:
         prepare(self.run, self.case)
 
     def __call__(self) -> None:
-        """Pass, fail, skip, warn or xfail the running test, by the case of the rule."""
+        """Pass, fail, skip, warn or xfail the running test, by the outcome of the rule."""
         __tracebackhide__ = True
         self.called = True
         act(self.run, self.case)
 
 
 def checks_for(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
-    """Return a check for each rule of each model that a test requests."""
+    """Return a check (callable) for each rule of each model that a test requests."""
     try:
         return _checks(request, bench, folder)
     except GsgenError as error:

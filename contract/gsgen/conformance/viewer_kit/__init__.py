@@ -1,1 +1,1 @@
-"""The viewer kit: small generators with their right pictures, which those of a viewer are compared with."""
+"""The viewer kit: small test models with expected pictures, to check the pictures of a viewer."""

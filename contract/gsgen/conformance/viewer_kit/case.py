@@ -1,4 +1,4 @@
-"""The cases of the viewer kit: a model, the frames to draw, and the faults that they show."""
+"""Test cases for viewers: a model, the frames to draw, and the viewer faults that they reveal."""
 
 __all__ = ["HEIGHT", "WIDTH", "KitCamera", "KitCase", "KitFrame", "kit_camera", "orbit_frame"]
 
@@ -24,7 +24,7 @@ _FOCAL: Final = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KitCamera:
-    """A pinhole camera with OpenCV axes.
+    """A pinhole camera with OpenCV axes, from which a test picture is drawn.
 
     Attributes:
         view: World → camera, which acts on column vectors.
@@ -49,7 +49,7 @@ class KitCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KitFrame:
-    """One frame of a case.
+    """One frame of a viewer test: the camera and the values of the model's inputs.
 
     Attributes:
         camera: The camera to draw from, which also feeds the model's camera inputs.
@@ -62,7 +62,7 @@ class KitFrame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KitCase:
-    """A model, the frames to draw with it one after the other, and the faults that they show.
+    """A viewer test: a model, the frames to draw in order, and the viewer faults that they reveal.
 
     Attributes:
         name: The name, such as ``sh-degree-3``.
@@ -86,12 +86,12 @@ def kit_camera(
     target: tuple[float, float, float] = (0.0, 0.0, 0.0),
     **lens: float,
 ) -> KitCamera:
-    """Return a camera at ``eye`` that looks at ``target``, with other intrinsics if named."""
+    """Return a camera at ``eye`` that looks at ``target``; ``lens`` overrides intrinsics."""
     view = look_at(np.array(eye), np.array(target), np.array([0.0, -1.0, 0.0]))
     return KitCamera(view=view, **lens)  # type: ignore[arg-type]
 
 
 def orbit_frame(**values: object) -> KitFrame:
-    """Return a frame from the usual camera, with ``values`` by input name."""
+    """Return a test frame from the default camera, with ``values`` by model input name."""
     arrays = {name: np.asarray(value) for name, value in values.items()}
     return KitFrame(camera=kit_camera(), values=arrays)

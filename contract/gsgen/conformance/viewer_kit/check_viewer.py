@@ -1,4 +1,4 @@
-"""Compare the pictures of a viewer with those of a viewer kit, with NumPy and nothing of gsgen.
+"""Compare the pictures of a viewer with those of a viewer test kit; needs only NumPy.
 
     python check_viewer.py PICTURES [--kit KIT] [--html page.html] [--json result.json]
 
@@ -29,7 +29,7 @@ _SHOWN_GAIN = 4.0  # of differences on the page
 
 
 class KitUnreadable(ValueError):
-    """Raised if the index or an expected picture of a kit cannot be read."""
+    """Raised if index.json or an expected picture of a viewer test kit cannot be read."""
 
 
 class PictureUnreadable(ValueError):
@@ -37,7 +37,7 @@ class PictureUnreadable(ValueError):
 
 
 def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
-    """Compare the pictures of a viewer with those of a kit.
+    """Compare a viewer's pictures with the expected pictures of a viewer test kit.
 
     Returns:
         The result as docs describe it: verdict, cases with their frames, and suspected faults.
@@ -56,29 +56,31 @@ def check_viewer(kit: Path, pictures: Path) -> dict[str, Any]:
 
 
 def read_index(kit: Path) -> dict[str, Any]:
-    """Return the index of a kit."""
+    """Read the index.json of a viewer test kit, which lists test cases, faults and tolerance."""
     path = kit / "index.json"
     try:
         index = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
-        raise KitUnreadable(f"{path}: cannot be read as an index: {error}") from error
+        raise KitUnreadable(
+            f"{path}: cannot be read as the index of a viewer kit: {error}"
+        ) from error
     schema = index.get("schema") if isinstance(index, dict) else None
     if schema != INDEX_SCHEMA:
-        raise KitUnreadable(f"{path}: schema is {schema!r}, expected {INDEX_SCHEMA!r}")
+        raise KitUnreadable(f"{path}: the schema is {schema!r}, expected {INDEX_SCHEMA!r}")
     return dict(index)
 
 
 def read_expected(kit: Path, name: str) -> np.ndarray:
-    """Return an expected picture of a kit as floats [h, w, 3]."""
+    """Read an expected picture of a viewer test kit as floats [h, w, 3]."""
     path = kit / "expected" / f"{name}.npy"
     try:
         return np.asarray(np.load(path, allow_pickle=False), np.float64)
     except (OSError, ValueError, EOFError) as error:
-        raise KitUnreadable(f"{path}: cannot be read: {error}") from error
+        raise KitUnreadable(f"{path}: the expected picture cannot be read: {error}") from error
 
 
 def suspected_faults(index: dict[str, Any], failed: set[str]) -> list[dict[str, Any]]:
-    """Return the faults that explain the failures: all their cases fail, and no fault covers more."""
+    """Return the most specific viewer faults for which every test case has failed."""
     whole = {
         fault["id"]: set(fault["cases"])
         for fault in index["faults"]
@@ -123,7 +125,7 @@ def _check_frame(
 def compare(
     expected: np.ndarray, actual: np.ndarray, tolerance: dict[str, float]
 ) -> dict[str, Any]:
-    """Return the differences of two pictures [h, w, 3] and the verdict by the tolerance.
+    """Compare two pictures [h, w, 3]; return their differences, and a verdict by the tolerance.
 
     The picture fails if more than ``share`` of its pixels differ by more than ``pixel`` in some
     channel, or if its mean difference is above ``mean``. NaN differs from everything.
@@ -142,14 +144,16 @@ def compare(
 
 
 def read_picture(folder: Path, name: str) -> np.ndarray:
-    """Return a viewer's picture over black as floats [h, w, 3], from its .npy or .png."""
+    """Read a viewer's picture from .npy or .png as floats [h, w, 3], composited over black."""
     array_path, image_path = folder / f"{name}.npy", folder / f"{name}.png"
     path = array_path if array_path.is_file() else image_path
     if not path.is_file():
-        raise PictureUnreadable(f"{name}: there is neither {array_path.name} nor {image_path.name}")
+        raise PictureUnreadable(
+            f"{name}: the picture is missing: expected {array_path.name} or {image_path.name}"
+        )
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise PictureUnreadable(f"has more than {_MAX_BYTES:,} bytes, the limit")
+            raise PictureUnreadable(f"the file is larger than the limit of {_MAX_BYTES:,} bytes")
         if path is image_path:
             return _over_black(decode_png(path.read_bytes()))
         array = np.load(path, allow_pickle=False)
@@ -164,7 +168,7 @@ def read_picture(folder: Path, name: str) -> np.ndarray:
 
 
 def _over_black(picture: np.ndarray) -> np.ndarray:
-    """Return an image of bytes, grey or colour, with straight alpha or without, over black."""
+    """Composite an 8-bit image, grey or RGB, with or without straight alpha, over black."""
     values = picture.astype(np.float64) / 255
     if values.shape[2] in (2, 4):
         values = values[..., :-1] * values[..., -1:]
@@ -172,9 +176,9 @@ def _over_black(picture: np.ndarray) -> np.ndarray:
 
 
 def decode_png(raw: bytes) -> np.ndarray:
-    """Return a PNG of 8 bits a channel, without a palette and not interlaced, as uint8 [h, w, c]."""
+    """Decode an 8-bit PNG, without palette or interlacing, to uint8 [h, w, c]."""
     if raw[:8] != _PNG_MAGIC:
-        raise PictureUnreadable("is not a PNG")
+        raise PictureUnreadable(f"starts with bytes {raw[:8]!r}, expected a PNG")
     chunks: dict[bytes, bytes] = {}
     offset = 8
     while offset + 8 <= len(raw):
@@ -183,18 +187,20 @@ def decode_png(raw: bytes) -> np.ndarray:
         offset += length + 12
     width, height, depth, color, _, _, interlace = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
     if depth != 8 or color not in _CHANNELS or interlace:
-        message = f"has depth {depth}, colour type {color}, interlace {interlace}"
+        message = f"the PNG has depth {depth}, colour type {color}, interlace {interlace}"
         raise PictureUnreadable(f"{message}; expected 8 bits of grey or RGB, not interlaced")
     size = width * _CHANNELS[color]
     if (size + 1) * height > _MAX_BYTES:
-        raise PictureUnreadable(f"is {width}×{height} pixels, more than the limit")
+        raise PictureUnreadable(
+            f"the picture is {width}×{height} pixels, expected at most {_MAX_BYTES:,} bytes"
+        )
     inflated = zlib.decompressobj().decompress(chunks[b"IDAT"], (size + 1) * height)
     lines = np.frombuffer(inflated, np.uint8).reshape(height, size + 1)
     return _unfiltered(lines, _CHANNELS[color]).reshape(height, width, _CHANNELS[color])
 
 
 def _unfiltered(lines: np.ndarray, step: int) -> np.ndarray:
-    """Undo the filters of PNG lines, each of which starts with its filter's number."""
+    """Undo the filters of PNG lines; the first byte of each line is its filter type."""
     result = np.zeros((len(lines) + 1, lines.shape[1] - 1 + step), np.int32)  # a margin of zeros
     for y in range(1, len(result)):
         method, line, above = lines[y - 1, 0], lines[y - 1, 1:], result[y - 1]
@@ -210,13 +216,13 @@ def _predicted(method: int, left: int, up: int, corner: int) -> int:
     if method < 4:
         return (0, left, up, (left + up) // 2)[method]
     if method > 4:
-        raise PictureUnreadable(f"has a line of filter {method}, expected 0 to 4")
+        raise PictureUnreadable(f"a PNG line has filter type {method}, expected 0 to 4")
     estimate = left + up - corner
     return min((left, up, corner), key=lambda value: abs(estimate - value))
 
 
 def encode_png(picture: np.ndarray) -> bytes:
-    """Return floats [h, w, 3] in [0, 1] as a PNG."""
+    """Encode floats [h, w, 3] in [0, 1] as an 8-bit RGB PNG."""
     values = np.rint(np.clip(np.nan_to_num(picture), 0, 1) * 255).astype(np.uint8)
     height, width = values.shape[:2]
     lines = np.concatenate([np.zeros((height, 1), np.uint8), values.reshape(height, -1)], axis=1)
@@ -241,7 +247,7 @@ p { margin: .2rem 0 } .fault { border-left: 3px solid #b3261e; padding-left: .7r
 
 
 def page_of(kit: Path, pictures: Path, result: dict[str, Any]) -> str:
-    """Return one HTML page with the expected and actual pictures, and their differences."""
+    """Return an HTML page with the expected and the actual pictures, and their differences."""
     counts = result["counts"]
     parts = [
         "<!doctype html><html lang=en><meta charset=utf-8><title>Viewer kit</title>",
@@ -285,7 +291,7 @@ def _frame_html(kit: Path, pictures: Path, frame: dict[str, Any]) -> str:
 
 
 def summary_of(result: dict[str, Any]) -> str:
-    """Return the result as lines of text: failed cases, suspected faults, verdict."""
+    """Return a viewer's test result as lines of text: failed cases, suspected faults, verdict."""
     lines = []
     for case in result["cases"]:
         for frame in case["frames"]:
@@ -302,12 +308,16 @@ def summary_of(result: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Compare the pictures that the command line names, and return the exit code."""
+    """Check the viewer pictures that the command line names, and return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("pictures", type=Path, help="folder of the viewer's pictures")
-    parser.add_argument("--kit", type=Path, default=Path(__file__).parent, help="folder of the kit")
-    parser.add_argument("--html", type=Path, help="write the page here")
-    parser.add_argument("--json", type=Path, help="write the result here")
+    parser.add_argument(
+        "--kit", type=Path, default=Path(__file__).parent, help="folder of the viewer kit"
+    )
+    parser.add_argument(
+        "--html", type=Path, help="write an HTML page with all pictures to this file"
+    )
+    parser.add_argument("--json", type=Path, help="write the result as JSON to this file")
     options = parser.parse_args(arguments)
     try:
         result = check_viewer(options.kit, options.pictures)

@@ -1,4 +1,4 @@
-"""The faults of viewers that the kit tells apart, each with its hint."""
+"""The faults of viewers that the viewer test kit can tell apart, each with a hint."""
 
 __all__ = ["FAULTS"]
 

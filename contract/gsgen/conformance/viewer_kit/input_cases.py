@@ -1,4 +1,4 @@
-"""Cases of inputs: every role, memory orders, cameras, and frames that are replayed."""
+"""Viewer tests of model inputs: every role, memory orders, cameras, and replayed frames."""
 
 __all__ = ["INPUT_CASES"]
 
@@ -17,7 +17,7 @@ _MOVED = ("rows", "sh-stride", "stale-outputs")
 
 
 def _projected() -> ModelSpec:
-    """Centres move with the products of view and projection."""
+    """Return a model whose Gaussians move with the product of view and projection matrices."""
     entries = (
         Input(name="lens", role="projection", default="identity"),
         Input(name="eye", role="view", default="identity"),

@@ -1,4 +1,4 @@
-"""Cases of outputs: layouts, dtypes, colours, counts and weighted sums."""
+"""Viewer tests of model outputs: layouts, dtypes, colours, row counts and weighted sums."""
 
 __all__ = ["ROW_CASES"]
 
@@ -47,12 +47,12 @@ def _mip() -> ModelSpec:
 
 
 def _stale_rows() -> ModelSpec:
-    """Twelve rows of which five count; the others look like those of an earlier frame."""
+    """Return a model of twelve rows with a row count of five; the rest are stale Gaussians."""
     return still(12).weighing(live=np.array([5], np.int32))
 
 
 def _growing() -> ModelSpec:
-    """The count is a share of the capacity; rows behind it hold Gaussians."""
+    """Return a model whose row count varies, and whose rows after the count hold Gaussians."""
     grown = drifting(8).reworded(
         "num_points = Identity (live)",
         "part = Mul (time, capacity) whole = Floor (part) num_points = Cast <to = 6> (whole)",
@@ -62,7 +62,7 @@ def _growing() -> ModelSpec:
 
 
 def _decoy() -> ModelSpec:
-    """The graph's first output has the shape of rows, but the manifest names the second."""
+    """Return a model with a first output shaped like rows; the manifest names the second output."""
     model = still(8)
     rows = model.weights["rows"]
     moved = np.array(rows)

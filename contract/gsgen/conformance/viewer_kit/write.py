@@ -1,4 +1,4 @@
-"""Writes the viewer kit to a folder: models, expected pictures, index and the comparing script."""
+"""Writes the viewer test kit: models, expected pictures, index.json and a comparing script."""
 
 __all__ = ["PICTURES_GROUP", "DrawFrames", "kit_cases", "picture_name", "write_kit"]
 
@@ -31,17 +31,17 @@ DrawFrames = Callable[[Path, Sequence[KitFrame]], Sequence[Float[np.ndarray, "h 
 
 
 def kit_cases() -> tuple[KitCase, ...]:
-    """Return the cases of the kit."""
+    """Return all viewer tests of the kit, each with a model and the frames to draw."""
     return (*ROW_CASES, *INPUT_CASES)
 
 
 def picture_name(case: str, number: int) -> str:
-    """Return the name of the picture of a case's frame, without a suffix."""
+    """Return the file name, without suffix, of the picture of one frame of a viewer test."""
     return f"{case}-{number}"
 
 
 def write_kit(folder: Path, draw: DrawFrames | None = None) -> Path:
-    """Write the kit into ``folder``, and return the path of its index.
+    """Write the viewer test kit into ``folder``, and return the path of its index.json.
 
     Args:
         folder: A folder that does not exist, or is empty.
@@ -69,7 +69,11 @@ def _registered_renderer() -> DrawFrames:
     points = registered_entry_points(PICTURES_GROUP)
     if not points:
         hint = "pip install 'gsgen[runtime]'"
-        raise ConfigInvalid("no renderer is installed", where="viewer-kit write", hint=hint)
+        raise ConfigInvalid(
+            "no renderer is installed to draw the expected pictures",
+            where="viewer-kit write",
+            hint=hint,
+        )
     draw: DrawFrames = points[0].load()
     return draw
 

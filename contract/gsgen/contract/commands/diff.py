@@ -24,7 +24,7 @@ def diff(
     ] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Compare the declarations, the graphs and the outputs of two models.
+    """Compare the declarations, the graphs and the outputs of two ONNX models.
 
     Exits 0 if they are equal, 1 if they differ, 4 if a file is not an ONNX model.
     """
@@ -62,5 +62,5 @@ def diff(
 
 
 def _finite(number: float) -> float | None:
-    """Return a number, or None in place of infinity, which JSON cannot represent."""
+    """Return a number, or None for infinity and NaN, which JSON cannot represent."""
     return number if math.isfinite(number) else None

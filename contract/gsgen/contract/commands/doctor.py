@@ -48,7 +48,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON."
 
 
 def _rooms() -> list[EntryPoint]:
-    """Return the installation checks that packages register, those of gsgen first."""
+    """Return the installation checks that packages register; gsgen's own come first."""
 
     def rank(point: EntryPoint) -> tuple[int, str]:
         is_known = point.name in _ORDER

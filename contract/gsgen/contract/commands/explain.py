@@ -17,7 +17,7 @@ def explain(
         ),
     ],
 ) -> None:
-    """Explain what RULE requires, why, and how to repair a model that breaks it."""
+    """Explain what the rule RULE requires, why, and how to repair a model that breaks it."""
     from gsgen.contract.reporters.rule_pages import page
     from gsgen.contract.rules.catalogue import installed_rules
 

@@ -1,4 +1,4 @@
-"""The command `gsgen inspect`: shows a model's declarations, or infers a missing manifest."""
+"""The command `gsgen inspect`: shows an ONNX model's declarations, or infers its manifest."""
 
 __all__ = ["inspect"]
 
@@ -33,7 +33,7 @@ def inspect(
         typer.echo(json.dumps(_schema(schema), indent=2, ensure_ascii=False))
         return
     if model is None:
-        raise ConfigInvalid("no model and no --schema: expected one of them")
+        raise ConfigInvalid("MODEL is missing, expected an ONNX file or --schema KIND")
     subject = _read(model)
     if emit_manifest:
         _emit(subject)

@@ -1,4 +1,4 @@
-"""Command-line options that several commands share, with one name, default and help text each."""
+"""Command-line options that several gsgen commands share: name, default and help text."""
 
 __all__ = [
     "OPTION_ORDER",

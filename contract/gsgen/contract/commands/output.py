@@ -1,4 +1,4 @@
-"""Prints reports, styled on a terminal, and writes report files atomically."""
+"""Prints validation reports, styled on a terminal, and writes report files atomically."""
 
 __all__ = ["append_text", "show", "write_text"]
 
@@ -31,7 +31,7 @@ def show(lines: Iterable[Line]) -> None:
 
 
 def append_text(path: Path, text: str) -> None:
-    """Append text to a file to which other programs may write as well."""
+    """Append text to a file to which other programs may write at the same time."""
     try:
         with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text)

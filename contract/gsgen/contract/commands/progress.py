@@ -1,4 +1,4 @@
-"""Shows the progress of a long command in one line on stderr, on terminals only."""
+"""Shows the progress of a long command on one line of stderr, on terminals only."""
 
 __all__ = ["clear", "progress"]
 

@@ -1,4 +1,4 @@
-"""The command `gsgen rules`, which lists the installed rules."""
+"""The command `gsgen rules`, which lists the installed validation rules."""
 
 __all__ = ["rules"]
 
@@ -29,7 +29,7 @@ def rules(
         typer.Option("--pages", help="Write one Markdown page per rule into this folder."),
     ] = None,
 ) -> None:
-    """List every rule: id, severity, level, name and statement.
+    """List every validation rule: id, severity, level, name and statement.
 
     Exits 2 if no rule matches a WORD.
     """

@@ -187,7 +187,7 @@ def _print(
 
 
 def _rendered(entries: "list[Entry]", format: Format) -> str:
-    """Return a validation report in a machine-readable format; only that reporter is imported."""
+    """Return a validation report in a machine-readable format, such as JSON or SARIF."""
     module, name = _REPORTERS[format]
     reporter = getattr(import_module(f"gsgen.contract.reporters.{module}"), name)
     text: str = reporter(entries)

@@ -1,4 +1,4 @@
-"""Options of `gsgen validate` alone."""
+"""Command-line options that only `gsgen validate` has."""
 
 __all__ = [
     "BaselineFile",

@@ -1,1 +1,1 @@
-"""What does an ONNX file hold before it runs: structure, manifest, graph, predicted placement?"""
+"""What does an ONNX file contain before it runs: manifest, graph, predicted GPU placement?"""

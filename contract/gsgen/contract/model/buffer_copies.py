@@ -11,7 +11,7 @@ _VARIADIC = frozenset({"Max", "Min"})  # with one input they return it; Sum and 
 
 
 def is_copy(operator: str, inputs: int, *, keeps_all_axes: bool) -> bool:
-    """Return whether an operator of the ONNX domain returns its first input bit for bit.
+    """Return whether an ONNX operator returns its first input bit for bit.
 
     Args:
         operator: Its type.

@@ -1,4 +1,4 @@
-"""A model's graph for static rules: tensors with shapes, producers and consumers."""
+"""The graph of an ONNX model for static rules: tensors with shapes, producers, consumers."""
 
 __all__ = ["Conflict", "Graph", "Tensor", "read_graph", "static_dims", "tensor_bytes"]
 
@@ -30,7 +30,7 @@ _DTYPES = {code: _SPELLED.get(name, name.lower()) for name, code in TensorProto.
 
 @dataclass(frozen=True, slots=True)
 class Tensor:
-    """Name, dtype and dimensions of a tensor, as far as they are known statically.
+    """Name, dtype and dimensions of an ONNX tensor, as far as they are known statically.
 
     Attributes:
         name: Its name in the graph.
@@ -51,7 +51,7 @@ class Tensor:
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
-    """A tensor whose declared type contradicts its inferred type."""
+    """A tensor whose declared type contradicts the type that ONNX shape inference found."""
 
     name: str
     declared: Tensor
@@ -114,7 +114,7 @@ class Graph:
 
     @cached_property
     def _reads(self) -> dict[int, list[str]]:
-        """Map the identity (``id``) of each node to the tensor names that the node reads."""
+        """Map the ``id`` of each node to the names of the tensors that the node reads."""
         return {id(node): reads(node) for node in self.nodes}
 
     def output(self, name: str) -> Tensor | None:
@@ -126,7 +126,7 @@ class Graph:
         return next((tensor for tensor in self.inputs if tensor.name == name), None)
 
     def ancestors(self, name: str) -> tuple[set[str], list[NodeProto]]:
-        """Return all tensors and nodes that a tensor is computed from, the tensor included.
+        """Return the names of all tensors that a tensor is computed from, and the nodes involved.
 
         The result is cached: do not modify it.
         """
@@ -155,12 +155,12 @@ class Graph:
         return names, nodes
 
     def varies(self, name: str) -> bool:
-        """Return whether the tensor ``name`` depends on an input that is fed every frame."""
+        """Return whether the tensor ``name`` depends on a model input that is fed every frame."""
         names, _ = self.ancestors(name)
         return any(tensor.name in names for tensor in self.inputs)
 
     def all_nodes(self) -> Iterator[NodeProto]:
-        """Yield every node of the model, including the bodies of If, Loop and Scan."""
+        """Yield every node of the model, including the bodies of If, Loop and Scan nodes."""
         return iter(self._all_nodes)
 
     @cached_property
@@ -239,7 +239,7 @@ def _values(proto: ModelProto) -> dict[str, Tensor]:
 
 
 def _is_open(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
-    """Return whether the shape of any node output in the model is still unknown."""
+    """Return whether shape inference left the shape of some node output unknown."""
     sizes = (tensor.dims for tensor in tensors.values())
     if any(dims is None or any(type(d) is not int for d in dims) for dims in sizes):
         return True
@@ -248,7 +248,7 @@ def _is_open(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
 
 
 def _without_stubs(file: ModelFile) -> ModelProto:
-    """Return a copy of the model that ONNX's checker accepts although the weights were not read.
+    """Return a copy of a model without unread weights, which ONNX's checker accepts.
 
     Weights of the main graph become inputs of the same type. Weights of subgraphs become
     sparse constants without entries, which have a type and a shape but no payload.
@@ -275,7 +275,7 @@ def _is_stub(tensor: TensorProto) -> bool:
 
 
 def _take_stubs(graph: GraphProto) -> list[TensorProto]:
-    """Remove and return the graph's weights whose data were not read.
+    """Remove and return a graph's weights whose data were not read from the file.
 
     Sparse weights too: a runtime makes them dense, but shape inference ignores that.
     """
@@ -308,7 +308,7 @@ def _constant(tensor: TensorProto) -> NodeProto:
 
 
 def _fill_nodes(body: GraphProto | FunctionProto) -> None:
-    """Replace weights that were not read, in node attributes, by valid empty tensors."""
+    """Replace tensors in node attributes whose data were not read by valid empty tensors."""
     for index in reversed(range(len(body.node))):
         node = body.node[index]
         for attribute in node.attribute:
@@ -324,7 +324,7 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
 
 
 def _squeeze(node: NodeProto) -> NodeProto:
-    """Make an ONNX node output a vector, and return a Squeeze node that makes a scalar of it."""
+    """Turn the scalar output of a node into a vector, and return a Squeeze node to a scalar."""
     name = node.output[0]
     node.output[0] = f"{name}/stub"
     return NodeProto(op_type="Squeeze", input=node.output, output=[name])
@@ -375,7 +375,7 @@ def _of_value(value: ValueInfoProto) -> Tensor:
 
 
 def _best(declared: Tensor | None, inferred: Tensor | None) -> Tensor:
-    """Merge a tensor's declared type with its inferred type; a number wins over a symbol."""
+    """Merge a tensor's declared type with its inferred type; fixed sizes win over symbols."""
     if declared is None or inferred is None:
         known = declared or inferred
         assert known is not None
@@ -414,7 +414,7 @@ def tensor_bytes(tensor: Tensor) -> int:
 
 
 def static_dims(tensor: Tensor) -> tuple[int, ...] | None:
-    """Return the dimensions of ``tensor`` if all are positive numbers, else None."""
+    """Return the dimensions of ``tensor`` if all of them are positive numbers, else None."""
     if tensor.dims is None:
         return None
     sizes = [dim for dim in tensor.dims if isinstance(dim, int) and dim > 0]

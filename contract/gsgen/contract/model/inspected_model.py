@@ -1,4 +1,4 @@
-"""The input of static rules: a model's graph together with its manifest."""
+"""The input of static rules: an ONNX model's graph together with its manifest."""
 
 __all__ = ["InspectedModel", "inspect_model"]
 
@@ -57,18 +57,18 @@ class InspectedModel:
 
     @cached_property
     def granted(self) -> Limits:
-        """The limits for running the model, plus the memory that its weights need."""
+        """The time and memory limits for running the model, with memory added for its weights."""
         return self.limits.for_model(self.file.weight_bytes)
 
     @property
     def declared_version(self) -> str:
-        """The contract version that the manifest declares, before upgrades; empty if missing."""
+        """The contract version that the model's manifest declares; empty if missing."""
         version = self.parsed.version if self.parsed else None
         return f"{version[0]}.{version[1]}" if version else ""
 
     @property
     def kind(self) -> str:
-        """The model's kind, such as gaussian-generator; inferred if the manifest is missing."""
+        """The model's kind, such as gaussian-generator; inferred if there is no manifest."""
         manifest = self.manifest
         return manifest.kind if manifest else ""
 
@@ -79,12 +79,12 @@ class InspectedModel:
 
     @cached_property
     def declared_gaussians(self) -> GaussiansOutput | None:
-        """The manifest's declaration of the packed Gaussians."""
+        """The manifest's declaration of the output that holds packed Gaussians."""
         return self.generator.outputs.gaussians if self.generator else None
 
     @cached_property
     def declared_appearance(self) -> AppearanceOutput | None:
-        """The manifest's declaration of the appearance output."""
+        """The manifest's declaration of the appearance (colour) output."""
         return self.generator.outputs.appearance if self.generator else None
 
     @cached_property
@@ -94,7 +94,7 @@ class InspectedModel:
 
     @cached_property
     def declared_cells(self) -> CellsOutput | None:
-        """The manifest's declaration of the cells output of a weighted sum."""
+        """The manifest's declaration of the output with cells for weighted blending."""
         return self.generator.outputs.cells if self.generator else None
 
     @property
@@ -104,7 +104,7 @@ class InspectedModel:
 
     @property
     def appearance(self) -> Tensor | None:
-        """The graph output that holds the appearance."""
+        """The graph output that holds the appearance (colours) of the Gaussians."""
         return self._output(self.declared_appearance)
 
     @property
@@ -114,12 +114,12 @@ class InspectedModel:
 
     @property
     def cells(self) -> Tensor | None:
-        """The graph output that holds the cells of a weighted sum."""
+        """The graph output that holds the cells (groups of Gaussians) for weighted blending."""
         return self._output(self.declared_cells)
 
     @cached_property
     def output_names(self) -> tuple[str, ...]:
-        """The names of all outputs that the manifest declares, in its order."""
+        """The names of all outputs that the manifest declares, in the order of the manifest."""
         manifest = self.manifest
         parts = (
             (getattr(manifest.outputs, name) for name in _output_fields(manifest))
@@ -130,12 +130,12 @@ class InspectedModel:
 
     @cached_property
     def placements(self) -> list[Placement]:
-        """The predicted placement of each frame node on the target's WebGPU provider."""
+        """The predicted placement (GPU, CPU fallback) of each frame node in the WebGPU provider."""
         tables = [operator_table(name) for name in self.target.operators]
         return placements(self.graph, self.file.proto, tables)
 
     def inputs_of(self, role: str) -> list[tuple[Input, Tensor]]:
-        """Return the inputs that the manifest declares with ``role`` and the graph has."""
+        """Return the model inputs that the manifest declares with the input role ``role``."""
         manifest = self.manifest
         pairs = [(i, self.graph.input(i.name)) for i in (manifest.inputs if manifest else ())]
         return [(i, tensor) for i, tensor in pairs if tensor is not None and i.role == role]

@@ -1,4 +1,4 @@
-"""Infers a manifest for a model without one, and lists every inferred fact.
+"""Infers a manifest for a model that has none, and lists every inferred fact.
 
 Only whole names are recognised, never parts of them. The author confirms or corrects each
 guess before the manifest is embedded.
@@ -55,7 +55,7 @@ _PLACEHOLDER_CAPACITY = 1
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """An inferred manifest, with the guesses that its author should confirm."""
+    """An inferred manifest, with the guesses that the model's author should confirm."""
 
     manifest: GeneratorManifest
     guesses: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Opens an ONNX file without its weights: structure, manifest, location of the weights."""
+"""Opens an ONNX file without reading its weights: graph structure, manifest, weight location."""
 
 __all__ = [
     "MANIFEST_KEY",
@@ -135,7 +135,7 @@ class ModelFile:
 
 
 def _covered(folder: Path, location: str, ranges: list[tuple[int, int]]) -> int:
-    """Return the number of bytes of a file within some byte ranges; 0 if the file is missing."""
+    """Return the size in bytes of the union of byte ranges of a file; 0 if the file is missing."""
     try:
         entry = (folder / location).stat()
         size = entry.st_size if stat.S_ISREG(entry.st_mode) else 0
@@ -231,7 +231,7 @@ def _not_onnx(path: Path, message: str, head: bytes) -> ModelUnreadable:
 
 
 def _is_text(head: bytes) -> bool:
-    """Return whether a file begins like text; an ONNX model begins with a one-byte tag."""
+    """Return whether a file starts like text; an ONNX model starts with a protobuf tag."""
     written = head.decode("utf-8", errors="ignore")
     return len(written) >= len(head) - 3 and all(
         sign.isprintable() or sign in "\t\r\n" for sign in written
@@ -239,7 +239,7 @@ def _is_text(head: bytes) -> bool:
 
 
 def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:
-    """Replace the data of each external tensor by a stub, and yield the data's location."""
+    """Replace the data of external tensors by a stub, and yield the location of the data."""
     for tensor in _tensors(parts):
         if tensor.data_location != TensorProto.EXTERNAL:
             continue
@@ -263,7 +263,7 @@ def _whole(text: str | None) -> int | None:
 
 
 def bodies(proto: ModelProto) -> Iterator[Body]:
-    """Yield every graph of a model: the main graph, functions, and subgraphs of nodes."""
+    """Yield every graph of a model: the main graph, function bodies, and subgraphs of nodes."""
     queue: list[Body] = [proto.graph, *proto.functions]
     for training in proto.training_info:
         queue += [training.initialization, training.algorithm]
@@ -287,7 +287,7 @@ def _attributes(body: Body) -> Iterator[AttributeProto]:
 
 
 def _tensors(parts: list[Body]) -> Iterator[TensorProto]:
-    """Yield every tensor of a model, including those in subgraphs and functions."""
+    """Yield every weight tensor of a model, including those in subgraphs and functions."""
     for body in parts:
         if isinstance(body, GraphProto):
             yield from body.initializer
@@ -308,7 +308,7 @@ def _attribute_tensors(attribute: AttributeProto) -> Iterator[TensorProto]:
 
 
 def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
-    """Yield every name and every text of a model that rules read."""
+    """Yield every name and string of an ONNX model that rules read."""
     for entry in proto.metadata_props:
         yield from (entry.key, entry.value)
     for opset in proto.opset_import:
@@ -331,7 +331,7 @@ def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
 def write_manifest(
     source: str | os.PathLike[str], manifest: Manifest, target: str | os.PathLike[str]
 ) -> None:
-    """Copy the model ``source`` to ``target`` and embed ``manifest``, replacing any other.
+    """Copy the model ``source`` to ``target`` with ``manifest`` as its only embedded manifest.
 
     The weights are copied in chunks and never parsed; ``target`` may be ``source``. The copy
     has a temporary name until it is complete, so a failure changes nothing.
@@ -345,7 +345,7 @@ def write_manifest(
 
 
 def write_manifest_text(source: Path, text: str, target: Path) -> None:
-    """Copy a model and embed a manifest that is JSON text already; see :func:`write_manifest`."""
+    """Copy a model file, and embed a manifest given as JSON text."""
     entry = StringStringEntryProto(key=MANIFEST_KEY, value=text)
     appended = ModelProto(metadata_props=[entry]).SerializeToString()
     open_model(source)  # raises if the source is not a model
@@ -366,7 +366,7 @@ def write_manifest_text(source: Path, text: str, target: Path) -> None:
 
 
 def _without_manifest(descriptor: int) -> list[tuple[int, int]]:
-    """Return the byte ranges of a model file that do not hold the embedded manifest, in order."""
+    """Return the byte ranges of a model file without those of its embedded manifest."""
     ranges: list[tuple[int, int]] = []
     with mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ) as view, memoryview(view) as data:
         for field in scan(data, 0, len(data)):

@@ -61,14 +61,14 @@ class Field:
 
 @dataclass(slots=True)
 class StrippedModel:
-    """A serialised model without the payload of its large tensors."""
+    """A serialised ONNX model without the payload of its large tensors."""
 
     data: bytes = b""
     stripped: int = 0
 
 
 def varint(data: Buffer, offset: int, end: int) -> tuple[int, int]:
-    """Return the base-128 number at ``offset`` and the offset behind the number."""
+    """Decode a protobuf varint at ``offset``; return the number and the offset after it."""
     value = shift = 0
     while offset < end:
         byte = data[offset]
@@ -78,8 +78,8 @@ def varint(data: Buffer, offset: int, end: int) -> tuple[int, int]:
             return value, offset
         shift += 7
         if shift > 63:
-            raise WireFault(offset, "a number of more than ten bytes")
-    raise WireFault(offset, "the file ends inside a number")
+            raise WireFault(offset, "a protobuf number of more than ten bytes")
+    raise WireFault(offset, "the file ends inside a protobuf number")
 
 
 def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
@@ -101,9 +101,9 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
         elif wire in (FIXED32, FIXED64):
             stop = offset + (4 if wire == FIXED32 else 8)
         else:
-            raise WireFault(tag_at, f"wire type {wire} is not used by ONNX")
+            raise WireFault(tag_at, f"protobuf wire type {wire}, which ONNX does not use")
         if number == 0:
-            raise WireFault(tag_at, "field number 0")
+            raise WireFault(tag_at, "protobuf field number 0, expected 1 or more")
         if stop > end:
             raise WireFault(
                 tag_at, f"field {number} needs {stop - end} more bytes than the message has"
@@ -113,7 +113,7 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
 
 
 def skeleton(data: Buffer) -> StrippedModel:
-    """Return the serialised model in ``data`` without the payload of its large tensors."""
+    """Return the serialised ONNX model in ``data`` without the payload of its large tensors."""
     builder = _Builder(data)
     stripped = builder.result
     stripped.data = b"".join(builder.message("Model", 0, len(data), 0))
@@ -171,13 +171,15 @@ class _Builder:
     def _copy(self, start: int, end: int) -> bytes:
         self.kept += end - start
         if self.kept > _MAX_KEPT:
-            raise WireFault(start, f"more than {_MAX_KEPT >> 20} MiB besides tensor payload")
+            raise WireFault(
+                start, f"the model holds more than {_MAX_KEPT >> 20} MiB besides tensor payload"
+            )
         return bytes(self.data[start:end])
 
     def _count(self, offset: int) -> None:
         self.fields += 1
         if self.fields > _MAX_FIELDS:
-            raise WireFault(offset, f"more than {_MAX_FIELDS} fields")
+            raise WireFault(offset, f"the model holds more than {_MAX_FIELDS} protobuf fields")
 
 
 def _header(number: int, size: int) -> bytes:

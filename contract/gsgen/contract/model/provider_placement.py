@@ -56,7 +56,7 @@ _KERNEL_ARGUMENT = {"OneHot": 2, "Where": 1}
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """The predicted placement of one node: captured by the WebGPU provider, or the reason why not.
+    """The prediction whether WebGPU captures one node, with the reason if not.
 
     Attributes:
         node: The node.
@@ -72,7 +72,7 @@ class Placement:
 
 
 def frame_nodes(graph: Graph) -> list[NodeProto]:
-    """Return the nodes that run every frame; other nodes are folded or dropped at loading."""
+    """Return the graph nodes that run every frame; others are folded or dropped at loading."""
     varying = {tensor.name for tensor in graph.inputs}
     resized: set[str] = set()  # tensors whose shape follows values
     running: list[NodeProto] = []
@@ -95,13 +95,13 @@ def frame_nodes(graph: Graph) -> list[NodeProto]:
 
 
 def shape_arguments(node: NodeProto) -> list[str]:
-    """Return the names of the node's arguments that determine its output shape."""
+    """Return the names of a node's inputs that determine the shape of its output."""
     positions = _SHAPE_ARGUMENTS.get(node.op_type, ())
     return [node.input[k] for k in positions if k < len(node.input) and node.input[k]]
 
 
 def placements(graph: Graph, proto: ModelProto, tables: Sequence[OperatorTable]) -> list[Placement]:
-    """Predict for every frame node whether WebGPU providers capture it, from operator tables."""
+    """Predict for each frame node, from operator tables, whether WebGPU captures the node."""
     nodes = frame_nodes(graph)
     varying = {tensor.name for tensor in graph.inputs}
     varying.update(name for node in nodes for name in node.output)
@@ -169,7 +169,7 @@ def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
 
 
 def _variant(graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]) -> str:
-    """Return the variant of the operator (as in operator tables) that ``node`` uses, or ""."""
+    """Return the operator variant of a node as operator tables name it; empty for the usual one."""
     ranks = [_rank(graph, name) for name in node.input]
     attributes = {attribute.name: attribute for attribute in node.attribute}
     match node.op_type:
@@ -200,7 +200,7 @@ def _rank(graph: Graph, name: str) -> int | None:
 
 
 def _negative_weights(proto: ModelProto) -> frozenset[str]:
-    """Return the names of small integer weights with a negative entry, such as a step of −1."""
+    """Return the names of small integer weights that contain a negative number."""
     whole = (TensorProto.INT32, TensorProto.INT64)
     small = {w.name: small_array(w) for w in proto.graph.initializer if w.data_type in whole}
     return frozenset(name for name, a in small.items() if a is not None and (a < 0).any())

@@ -1,4 +1,4 @@
-"""ONNX's shape inference, with bounds on its time and memory for hostile models.
+"""ONNX's shape inference with limits on time and memory, for untrusted models.
 
 Two things in a small file take ONNX's library hours and all memory. Functions that call functions
 are expanded at every call, 2ⁿ times where each calls the next one twice. And *data propagation*,
@@ -34,7 +34,7 @@ _SECONDS, _MEMORY = 5.0, 1 << 30
 
 
 def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
-    """Return an ONNX model with inferred types, and ONNX's error message, empty on success.
+    """Run ONNX shape inference; return the model with types, and ONNX's error message or "".
 
     No data is propagated: where sizes are unknown, :func:`propagate` may find them.
     """
@@ -44,7 +44,7 @@ def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
 
 
 def propagate(proto: ModelProto, inferred: ModelProto) -> tuple[ModelProto, str]:
-    """Run ONNX shape inference again, with data propagation."""
+    """Run ONNX shape inference again, now with data propagation (values of shape tensors)."""
     if _may_be_long(inferred):
         return _propagated_elsewhere(proto) or inferred, ""
     try:
@@ -92,7 +92,7 @@ def _expanded(proto: ModelProto) -> int:
 
 
 def _may_be_long(proto: ModelProto) -> bool:
-    """Return whether ONNX's data propagation may meet a vector of many elements."""
+    """Return whether ONNX's data propagation may take long, because a vector is large."""
     graph = proto.graph
     if proto.functions or any(subgraphs(a) for node in graph.node for a in node.attribute):
         return True  # its elements are unknown
@@ -115,7 +115,7 @@ def _is_long(value: ValueInfoProto) -> bool:
 
 
 def _propagated_elsewhere(proto: ModelProto) -> ModelProto | None:
-    """Run data propagation in a child process; return None if it fails or exceeds its limits."""
+    """Run ONNX data propagation in a child process; return None on failure or at its limits."""
     try:
         completed = subprocess.run(
             [sys.executable, "-P", "-m", "gsgen.contract.model.shape_inference"],
@@ -143,7 +143,7 @@ def _be_the_child() -> int:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of an error message of ONNX's library."""
+    """Return the first line of an error message of the ONNX library."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return " ".join(lines)[:300] or type(error).__name__
 

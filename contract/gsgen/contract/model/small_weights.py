@@ -1,4 +1,4 @@
-"""Reads weights that are small enough to have been read with the model's structure."""
+"""Reads small weights of an ONNX model, whose data were read with the graph structure."""
 
 __all__ = ["small_array"]
 

@@ -58,7 +58,7 @@ def _quotients(a: Interval, b: Interval) -> Interval:
 
 
 def _remainders(_: Interval, b: Interval) -> Interval:
-    """Return the interval of the remainders of an integer division, by either sign rule."""
+    """Return the range of the remainders of an integer division, whichever sign they take."""
     most = max(abs(b[0]), abs(b[1]))
     return -most, most
 
@@ -90,7 +90,7 @@ def _whole(value: float, rounded: Callable[[float], int]) -> float:
 def intervals(
     graph: Graph, weights: Iterable[TensorProto], manifest: Manifest | None
 ) -> dict[str, Interval]:
-    """Return the value interval of each tensor by name; tensors without known bounds are absent.
+    """Return the range of values of each graph tensor by name, where bounds are known.
 
     Args:
         graph: The main graph.
@@ -118,7 +118,7 @@ def intervals(
 
 
 def _added(span: Interval, operand: Tensor | None, output: Tensor | None) -> Interval | None:
-    """Return the interval of a sum of values; None if the number of addends is unknown."""
+    """Return the range of a sum over an axis; None if the number of addends is unknown."""
     if operand is None or output is None or operand.dims is None or output.dims is None:
         return None
     sizes = [d for d in (*operand.dims, *output.dims) if isinstance(d, int) and d > 0]

@@ -1,1 +1,1 @@
-"""What does a model compute? Probe inputs, the sandbox that runs the model, and its outputs."""
+"""What does a model compute? Test inputs (probes), the sandbox that runs it, and outputs."""

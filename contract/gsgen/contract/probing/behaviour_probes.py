@@ -1,4 +1,4 @@
-"""Probes of behaviour rules: range ends, flipped axes, loops, frames, and the order of runs."""
+"""Test inputs of behaviour rules: range ends, flipped axes, loops, frames, order of runs."""
 
 __all__ = ["AWAY", "PATH_OFFSET", "REPEATED", "TILTED", "trial_probes", "turned_away"]
 
@@ -43,7 +43,7 @@ _REFRESH = 60.0
 def trial_probes(
     manifest: Manifest, base: Probe, first: tuple[Probe, ...]
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield (group name, probes) for every behaviour rule that needs probes of its own.
+    """Yield (group name, probes) for every behaviour rule that needs test inputs of its own.
 
     Args:
         manifest: Declares the role of each input.
@@ -73,7 +73,7 @@ def trial_probes(
 
 
 def turned_away(manifest: Manifest, base: Probe) -> Iterator[Probe]:
-    """Yield a probe with the camera turned by 180° about the camera's y axis, for camera inputs."""
+    """Yield test inputs with the camera turned by 180° about its y axis, for camera inputs."""
     if isinstance(manifest, GeneratorManifest):
         order = manifest.space.matrix_order if manifest.space else "column"
         for entry in _of_role(manifest, "view")[:1]:
@@ -86,7 +86,7 @@ def _changed(base: Probe, words: str, **inputs: Array) -> Probe:
 
 
 def _paths(manifest: TrajectoryManifest, base: Probe) -> Iterator[Probe]:
-    """Yield probes of a camera history: unchanged, moved, at rest, and with negated quaternions."""
+    """Yield test inputs of camera paths: unchanged, moved, at rest, with negated quaternions."""
     quaternions = manifest.outputs.future.representation == "position+quaternion-wxyz"
     for entry in _of_role(manifest, "camera_history")[:1]:
         history = base.inputs[entry.name]
@@ -107,7 +107,7 @@ def _of_role(manifest: Manifest, role: str) -> list[Input]:
 
 
 def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """Yield probes of the camera: unchanged, moved, and moved in the other matrix memory order."""
+    """Yield test inputs of the camera: unchanged, moved, and moved in the other matrix order."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "view")[:1]:
         view = base.inputs[entry.name]
@@ -121,7 +121,7 @@ def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _turned(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """Yield probes of the camera turned about its own centre: tilted, looking away, and far."""
+    """Yield test inputs with the camera turned about its centre: tilted, looking away, and far."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "view")[:1]:
         view = as_tensor(base.inputs[entry.name], order).astype(np.float64)
@@ -132,7 +132,7 @@ def _turned(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _swept(manifest: GeneratorManifest, entry: Input, base: Probe) -> Iterator[Probe]:
-    """Yield probes at instants within the time range, and at close pairs of instants."""
+    """Yield test inputs at instants over the time range, and at close pairs of instants."""
     assert entry.range is not None
     low, high = entry.range
     is_short = entry.frames is None and 0 < high - low <= _UNIT_RANGE
@@ -144,7 +144,7 @@ def _swept(manifest: GeneratorManifest, entry: Input, base: Probe) -> Iterator[P
 
 
 def _flipped(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """Yield probes with the projection unchanged, and with its second row negated."""
+    """Yield test inputs with the projection matrix unchanged, and with its second row negated."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "projection")[:1]:
         lens = base.inputs[entry.name]
@@ -154,7 +154,7 @@ def _flipped(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _edges(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """Yield probes with one input role zero at a time, then all inputs at their ranges' ends."""
+    """Yield test inputs with one input role zero at a time, then all inputs at range ends."""
     for role in dict.fromkeys(entry.role for entry in manifest.inputs):
         names = [entry.name for entry in _of_role(manifest, role)]
         zeros = {name: np.zeros_like(base.inputs[name]) for name in names}
@@ -178,7 +178,7 @@ def _span(entry: Input, value: Array) -> tuple[float, float] | None:
 
 
 def _outside(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """Yield probes with all ranged inputs just below their range, then just above it."""
+    """Yield test inputs with all ranged inputs just below their range, then just above it."""
     ranged = [
         (entry, entry.range)
         for entry in manifest.inputs
@@ -211,7 +211,7 @@ def _at(entry: Input, base: Probe, along: float) -> Probe:
 
 
 def _loop(entry: Input, base: Probe) -> Iterator[Probe]:
-    """Yield probes at the first two and the last two instants of a looping time range."""
+    """Yield test inputs at the first two and the last two instants of a looping time range."""
     if entry.loop:
         step = 1 / (entry.frames or _STEPS)
         for along in (0.0, step, 1 - step, 1.0):
@@ -219,7 +219,7 @@ def _loop(entry: Input, base: Probe) -> Iterator[Probe]:
 
 
 def _paces(entry: Input, base: Probe) -> Iterator[Probe]:
-    """Yield probes at pairs of instants that are one screen refresh apart."""
+    """Yield test inputs at pairs of instants that are one 60 Hz screen refresh apart."""
     if entry.frames and entry.fps:
         step = min(1.0, entry.fps / entry.frames / _REFRESH)
         for start in (0.0, (1 - step) / 2, 0.5, 1 - step):
@@ -229,7 +229,7 @@ def _paces(entry: Input, base: Probe) -> Iterator[Probe]:
 
 
 def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
-    """Yield probes at one instant in each frame, or in groups of frames if there are many.
+    """Yield test inputs at one instant of each animation frame, or of some frames if many.
 
     A model that rounds time down to one frame too few shows one frame twice, near the middle
     of the range.
@@ -246,7 +246,7 @@ def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
 
 
 def _frame_numbers(entry: Input, base: Probe) -> Iterator[Probe]:
-    """Yield probes at the first frame numbers, and at some from the middle of the range on."""
+    """Yield test inputs at the first frame numbers, and at some from mid-range on."""
     assert entry.range is not None
     if not entry.frames or entry.frames < 2:
         return

@@ -1,4 +1,4 @@
-"""The input of statistical rules: a sample of visible Gaussians, with nearest neighbours.
+"""The input of statistical rules: a sample of visible Gaussians and their neighbours.
 
 A statistic of neighbours needs every row around a row, so a large scene is sampled in patches:
 a few rows spread over the scene, each with the rows nearest to it. The inner rows of a patch find
@@ -37,7 +37,7 @@ _SMALLEST = 1e-30
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnSample:
-    """A sample of the visible Gaussians of one model run, in float64.
+    """A sample of the visible Gaussians of one model run, in float64, with nearest neighbours.
 
     Attributes:
         emission: The outputs that the rows come from.
@@ -111,7 +111,7 @@ class DrawnSample:
         return bool(self.scatter_eigenvalues[:, 2].mean() > LINEAR)
 
     def share_along(self, axis: int) -> Float[np.ndarray, " m"]:
-        """Return the mean of (d · a)² for an axis a, over unit vectors d to the neighbours."""
+        """Return the mean of (d · a)² of axes a over unit vectors d to a Gaussian's neighbours."""
         along = self.axes[:, :, axis]
         return np.asarray(np.einsum("mi,mij,mj->m", along, self.scatter, along))
 
@@ -163,7 +163,7 @@ def _colors(emission: ModelOutputs, rows: Int[np.ndarray, " n"]) -> Float[np.nda
 
 
 def _patches(position: Float[np.ndarray, "n 3"]) -> list[tuple[Int[np.ndarray, " p"], int]]:
-    """Return the Gaussians of each sampled patch, nearest first, and the number to measure."""
+    """Split Gaussians into spatial patches; return row indices and the number to measure."""
     total = len(position)
     if total <= _WHOLE:
         return [(np.arange(total), total)]

@@ -1,4 +1,4 @@
-"""Infers from the values of packed Gaussians which column holds which field."""
+"""Infers from the values of packed Gaussians which column holds which quantity."""
 
 __all__ = ["FieldOrder", "suspect_order"]
 
@@ -81,7 +81,7 @@ def suspect_order(
     planes: Float[np.ndarray, "n 10"] | None = None,
     smallest: float = 0.0,
 ) -> FieldOrder | None:
-    """Return the layout that nearly all packed rows fit, if many do not fit the declared layout.
+    """Return the column layout that nearly all packed rows fit, if many miss the declared one.
 
     Args:
         rows: Packed rows as stored, [n, 10], float64.
@@ -105,7 +105,7 @@ def suspect_order(
 def _layouts(
     rows: Float[np.ndarray, "n 10"], bounds: Box | None, planes: Float[np.ndarray, "n 10"] | None
 ) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
-    """Yield every other column layout with the mask of rows that do not fit, likeliest first."""
+    """Yield other column layouts, likeliest first, each with the mask of rows that do not fit."""
     for name, columns in _PERMUTATIONS.items():
         yield name, _unfit(rows[:, columns], bounds)
     yield from _with_quaternions(rows).items()
@@ -119,7 +119,7 @@ def _layouts(
 
 
 def _filled(rows: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, "m 10"]:
-    """Return the finite packed rows that are not padding."""
+    """Return the finite packed rows that are not padding (all zeros)."""
     rows = rows[np.isfinite(rows).all(axis=1)]
     return np.asarray(rows[np.abs(rows[:, 3:]).sum(axis=1) > 0])
 
@@ -131,7 +131,7 @@ def _share(is_invalid: Bool[np.ndarray, " n"]) -> float:
 def _unfit(
     rows: Float[np.ndarray, "n 10"], bounds: Box | None, smallest: float = 0.0
 ) -> Bool[np.ndarray, " n"]:
-    """Return the mask of rows whose opacity, covariance or centre is impossible for a Gaussian.
+    """Return the mask of packed rows that cannot be Gaussians, by opacity, covariance or centre.
 
     Beside a large entry, an eigenvalue says little of the small ones: so each covariance is compared
     with the standard deviations of its own two axes, too.

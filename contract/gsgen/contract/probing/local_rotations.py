@@ -1,4 +1,4 @@
-"""Rotations of neighbourhoods between two runs: a rigid motion fitted to each row's neighbours."""
+"""Fits the local rotation of Gaussians between two model runs, from their neighbours."""
 
 __all__ = ["LocalRotations", "fit_local_rotations"]
 

@@ -1,4 +1,4 @@
-"""The input of value rules: a model's outputs at one probe, whole or in chunks of rows."""
+"""The input of value rules: a model's outputs for one set of test inputs, or row chunks."""
 
 __all__ = ["CHUNK", "ModelOutputs", "Rows", "chunks", "read_outputs"]
 
@@ -28,7 +28,7 @@ _WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOutputs:
-    """The model outputs at one probe: packed rows, appearance, count and cells.
+    """The model outputs for one set of test inputs: Gaussians, appearance, count and cells.
 
     Attributes:
         probe: The probe's label.
@@ -54,18 +54,18 @@ class ModelOutputs:
 
     @property
     def rows_place(self) -> str:
-        """The location of the packed rows in reports, such as ``gaussian``."""
+        """The name of the packed Gaussians' output in reports, such as ``gaussian``."""
         declared = self.subject.declared_gaussians
         return f"output {declared.name if declared else '?'}"
 
     @property
     def color_place(self) -> str:
-        """The location of the appearance in reports, such as ``color``."""
+        """The name of the appearance output in reports, such as ``color``."""
         return f"output {self.declared.name if self.declared else '?'}"
 
     @property
     def cells_place(self) -> str:
-        """The location of the cells in reports, such as ``cells``."""
+        """The name of the cells output in reports, such as ``cells``."""
         declared = self.subject.declared_cells
         return f"output {declared.name if declared else '?'}"
 
@@ -76,7 +76,7 @@ class ModelOutputs:
 
     @cached_property
     def shown_colors(self) -> Float[np.ndarray, "m c"]:
-        """A sample of the finite colours of drawn rows, in float32; enough for a mean."""
+        """A sample of the finite colours of visible Gaussians, in float32."""
         rows, color = self.gaussians, self.appearance
         if rows is None or color is None:
             return np.zeros((0, 0))
@@ -88,7 +88,7 @@ class ModelOutputs:
 
     @cached_property
     def field_order(self) -> FieldOrder | None:
-        """The inferred order of the columns, if it clearly differs from the packed layout."""
+        """The likely order of the packed columns, if it clearly differs from the contract's."""
         if self.gaussians is None or self.zeros:
             return None
         step = max(1, self.count // _ORDER_SAMPLE)
@@ -153,7 +153,7 @@ def _float_rows(array: np.ndarray | None, columns: int | None) -> np.ndarray | N
 
 @dataclass(frozen=True)
 class Rows:
-    """A chunk of packed rows at one probe, unpacked to float32 on first access.
+    """A chunk of a model's packed Gaussians, unpacked to float32 on first access.
 
     Attributes:
         emission: The outputs that contain the chunk.
@@ -172,7 +172,7 @@ class Rows:
 
     @cached_property
     def wide(self) -> Float[np.ndarray, "10 n"]:
-        """The packed rows in float32, one contiguous array per field."""
+        """The packed Gaussians in float32, one contiguous array per column."""
         return np.ascontiguousarray(self.packed.T, np.float32)
 
     @property
@@ -182,27 +182,27 @@ class Rows:
 
     @property
     def opacity(self) -> Float[np.ndarray, " n"]:
-        """The opacity of each packed row."""
+        """The opacity of each packed Gaussian in the chunk."""
         return np.asarray(self.wide[OPACITY])
 
     @property
     def covariance(self) -> Float[np.ndarray, "6 n"]:
-        """The upper triangles of the covariances, one array per entry."""
+        """The covariances of the chunk's Gaussians, one array per entry of the upper triangle."""
         return np.asarray(self.wide[COVARIANCE])
 
     @cached_property
     def live_rows(self) -> int:
-        """The number of live rows of the chunk, before the row count."""
+        """The number of live Gaussians in the chunk, i.e. rows before the row count."""
         return int(np.clip(self.emission.count - self.start, 0, len(self)))
 
     @cached_property
     def counted(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the live rows of the chunk, before the row count."""
+        """The mask of the live Gaussians in the chunk, i.e. rows before the row count."""
         return np.arange(len(self)) < self.live_rows
 
     @cached_property
     def finite(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the rows whose packed values and colours are all finite."""
+        """The mask of the Gaussians whose packed values and colours are all finite."""
         is_finite: Bool[np.ndarray, " n"] = np.isfinite(self.wide).all(axis=0)
         if self.color is not None:
             is_finite &= self.color_peak < _EXPONENT[self.color.itemsize]
@@ -210,7 +210,7 @@ class Rows:
 
     @cached_property
     def color_peak(self) -> UInt[np.ndarray, " n"]:
-        """The largest magnitude in each row's colour, as its bit pattern.
+        """The largest magnitude in each Gaussian's colour, as float bits.
 
         Zero if no value of the chunk is near the largest value of its dtype.
         """
@@ -222,12 +222,12 @@ class Rows:
 
     @cached_property
     def drawn(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the finite live rows that are opaque enough to change a pixel."""
+        """The mask of the finite live Gaussians that are opaque enough to change a pixel."""
         return np.asarray(self.counted & self.finite & (self.opacity >= CULL_OPACITY))
 
     @cached_property
     def drawn_count(self) -> int:
-        """The number of drawn rows: finite, live and opaque enough to change a pixel."""
+        """The number of finite live Gaussians that are opaque enough to change a pixel."""
         return int(np.count_nonzero(self.drawn))
 
     @cached_property
@@ -238,24 +238,24 @@ class Rows:
 
     @cached_property
     def corners(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """The box around all centres of the chunk, padding included; NaN if a centre is NaN."""
+        """The bounding box of all centres in the chunk; NaN if a centre is NaN."""
         return self.position.min(axis=1), self.position.max(axis=1)
 
     @cached_property
     def widest(self) -> Float[np.ndarray, " n"]:
-        """The largest variance of each Gaussian along an axis."""
+        """The largest variance of each Gaussian along x, y or z."""
         xx, _, _, yy, _, zz = self.covariance
         return np.asarray(np.maximum(np.maximum(xx, yy), zz))
 
 
 def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:
-    """Return float bits without the sign, which sort like magnitudes, NaN and infinity on top."""
+    """Return float bits without the sign, which sort by magnitude; NaN and infinity sort last."""
     word = _WORD[array.itemsize]
     return np.asarray(np.ascontiguousarray(array).view(word) & word(_MAGNITUDE[array.itemsize]))
 
 
 def chunks(emission: ModelOutputs) -> Iterator[Rows]:
-    """Yield the packed rows of the outputs in chunks of :data:`CHUNK`."""
+    """Yield the packed Gaussians of a model run in chunks of :data:`CHUNK` rows."""
     packed = emission.gaussians
     for start in range(0, 0 if packed is None else len(packed), CHUNK):
         assert packed is not None

@@ -1,4 +1,4 @@
-"""Plans which probes are run in which order, so that one session serves every rule."""
+"""Plans the order of all test inputs, so that one inference session serves every rule."""
 
 __all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes", "probed_shapes"]
 
@@ -30,7 +30,7 @@ _FETCHABLE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The ordered probes of one session, with the rules that use each run.
+    """The ordered test inputs of one inference session, and the rules that use each run.
 
     Attributes:
         probes: One set of inputs per run.
@@ -93,7 +93,7 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
 
 
 def fetched_outputs(subject: InspectedModel) -> list[str]:
-    """Return the names of the declared outputs, or else of all, whose dtype NumPy can hold."""
+    """Return the names of the model outputs to fetch: the declared ones, or else all."""
     graph = subject.graph
     declared = [graph.output(name) for name in subject.output_names]
     tensors = [tensor for tensor in declared if tensor] or graph.outputs
@@ -101,7 +101,7 @@ def fetched_outputs(subject: InspectedModel) -> list[str]:
 
 
 def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
-    """Return the input shape to feed; the manifest fills dimensions that the graph leaves open."""
+    """Return the shape to feed for an input; the manifest fills symbolic dimensions."""
     dims = tensor.dims if tensor.dims is not None else entry.shape or ()
     declared = entry.shape if entry.shape and len(entry.shape) == len(dims) else None
     return tuple(
@@ -111,20 +111,20 @@ def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
 
 
 def probed_shapes(subject: InspectedModel) -> dict[str, tuple[int, ...]]:
-    """Return the shape to feed for each input by name, with open dimensions filled in."""
+    """Return the shape to feed for each input by name, with symbolic dimensions resolved."""
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
     entries = subject.manifest.inputs if subject.manifest else ()
     return {i.name: _probed_shape(i, tensors[i.name]) for i in entries if i.name in tensors}
 
 
 def probed_bytes(subject: InspectedModel) -> int:
-    """Return the size in bytes of the inputs of one probe."""
+    """Return the size in bytes of one complete set of test inputs."""
     shapes = probed_shapes(subject).values()
     return sum(_WIDEST * math.prod(max(0, dim) for dim in shape) for shape in shapes)
 
 
 def _affordable(subject: InspectedModel) -> int:
-    """Return the number of probes whose inputs and outputs fit the memory budget."""
+    """Return the number of test runs whose inputs and outputs fit the memory budget."""
     total = probed_bytes(subject)
     for tensor in (subject.gaussians, subject.appearance, subject.cells):
         dims = static_dims(tensor) if tensor else None

@@ -1,4 +1,4 @@
-"""Probes: the deterministic inputs that a model is run with, the same on every machine.
+"""Probes: deterministic test inputs for a model, the same on every machine.
 
 Cameras orbit the declared bounds, times cover the declared range with both ends, and every
 other input is sampled within its range. The first probe is all zeros, which is what runtimes
@@ -34,7 +34,7 @@ _UP = {"x": 0, "y": 1, "z": 2}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Probe:
-    """One set of model inputs, with a label.
+    """A probe: one set of test inputs for a model, with a label.
 
     Attributes:
         label: Its name in reports, such as ``camera 3, time=0.5``.
@@ -59,7 +59,7 @@ def default_probes(
     seed: int = 0,
     count: int = 8,
 ) -> tuple[Probe, ...]:
-    """Return the deterministic probe set of a model.
+    """Return the deterministic test inputs (probes) of a model.
 
     Args:
         manifest: Declares the role and the range of each input.
@@ -88,7 +88,7 @@ def default_probes(
 def dependency_probes(
     manifest: Manifest, base: Probe, other_probes: tuple[Probe, ...]
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield, for each input role, probes that differ from a base probe in that role's inputs alone.
+    """Yield, for each input role, test inputs that differ from a base set in that role alone.
 
     An input that ``depends_on`` names has probes of its own, under the key ``input NAME``.
     """
@@ -110,7 +110,7 @@ def dependency_probes(
 
 
 def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray, "4 4"]:
-    """Return a matrix as [4, 4] tensor data; column-major order stores Mᵀ, row-major stores M."""
+    """Return a matrix as a [4, 4] tensor in row-major or (transposed) column-major order."""
     tensor = matrix.T if order == "column" else matrix
     return np.ascontiguousarray(tensor, np.float32)
 
@@ -189,14 +189,14 @@ def _viewport(along: float) -> tuple[float, float]:
 
 
 def _lens(along: float) -> Float[np.ndarray, "4 4"]:
-    """Return the projection matrix of a camera on the probes' spiral around the scene."""
+    """Return the projection matrix of a test camera on a spiral around the scene."""
     narrowest, widest = _FOV
     width, height = _viewport(along)
     return perspective(narrowest + (widest - narrowest) * along, width / height, _NEAR, _FAR)
 
 
 def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:
-    """Return the view matrix of a camera on the probes' spiral around the declared bounds."""
+    """Return the view matrix of a test camera on a spiral around the declared bounds."""
     bounds = getattr(manifest, "bounds", None) or Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
     low, high = np.clip([bounds.min, bounds.max], -_FARTHEST, _FARTHEST)
     center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)

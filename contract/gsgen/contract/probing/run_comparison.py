@@ -1,4 +1,4 @@
-"""The input of behaviour rules: several model runs of one session, compared output by output."""
+"""The input of behaviour rules: several runs of a model, compared output by output."""
 
 __all__ = ["Behaviour", "Comparison", "ProbeRun", "ProbeRuns", "difference", "read_behaviour"]
 
@@ -16,7 +16,7 @@ from gsgen.contract.probing.sandbox_worker import thinned
 
 @dataclass(frozen=True, slots=True)
 class ProbeRuns:
-    """The planned runs of a model, and their outputs."""
+    """The planned test runs of a model, and the outputs of each."""
 
     subject: InspectedModel
     execution: Execution
@@ -25,7 +25,7 @@ class ProbeRuns:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two model runs: their probes, and the difference of each output.
+    """Two runs of a model: the test inputs of both, and the difference of each output.
 
     Attributes:
         first: Label of the first run's probe.
@@ -94,22 +94,22 @@ class Behaviour:
     unfinished_probes: list[str] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
-        """Return the model runs with an empty list of unfinished probes, for the next rule."""
+        """Return the model runs with an empty list of unfinished test inputs, for the next rule."""
         return replace(self, unfinished_probes=[])
 
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The model outputs at the probes of value rules, without all-zero probes."""
+        """The model outputs for the test inputs of value rules, without the all-zero inputs."""
         return [runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The base probe, and the probes that differ in the inputs of one role alone."""
+        """The base test inputs, and test inputs that differ from them in one role alone."""
         base, variants = self.trial.plan.variants.get(role, (0, ()))
         return self._of((base, *variants)) if variants else []
 
     @property
     def values(self) -> list[ProbeRun]:
-        """The model runs at the probes of value rules, in order."""
+        """The model runs with the test inputs of value rules, in order."""
         return [self._visit(index) for index in range(self.trial.plan.values)]
 
     @property
@@ -121,18 +121,18 @@ class Behaviour:
 
     @property
     def seconds(self) -> list[float]:
-        """The duration of each model run at the probes of value rules, in seconds."""
+        """The duration in seconds of each model run with the test inputs of value rules."""
         return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
 
     def visits(self, trial: str) -> list[ProbeRun]:
-        """Return the finished model runs of a probe group, and record the unfinished probes."""
+        """Return the finished model runs of a group of test inputs; record the unfinished ones."""
         probe_indices = self.trial.plan.trials.get(trial, ())
         missed = (index for index in probe_indices if not self._ran(index))
         self.unfinished_probes.extend(self.trial.plan.probes[index].label for index in missed)
         return [self._visit(index) for index in probe_indices if self._ran(index)]
 
     def runs(self, indices: Iterable[int]) -> list[ProbeRun]:
-        """Return the finished model runs with given numbers in the probe plan."""
+        """Return the finished model runs with given indices in the plan of test runs."""
         return [self._visit(index) for index in indices if self._ran(index)]
 
     def _ran(self, index: int) -> bool:
@@ -180,7 +180,7 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest absolute difference of two outputs; infinite if their shapes differ."""
+    """Return the largest absolute difference of two output arrays; infinite if shapes differ."""
     if a.shape != b.shape:
         return float("inf")
     x, y = a.astype(np.float64), b.astype(np.float64)

@@ -34,7 +34,7 @@ FaultStage = Literal["load", "run", "time", "memory", "crash"]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """The reason why a sandboxed model did not run to the end."""
+    """The reason why a model in the sandbox did not run to the end."""
 
     stage: FaultStage
     message: str
@@ -43,7 +43,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
-    """One distinct set of outputs, shared by all runs that gave the same bytes.
+    """One distinct set of model outputs, shared by all runs that gave the same bytes.
 
     Attributes:
         index: Its number, counted in order of appearance.
@@ -62,7 +62,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One inference: its probe, the number of its output sample, and its duration.
+    """One inference: its test inputs, the index of its stored outputs, and its duration.
 
     An extra probe may give none: then ``sample`` is −1, and ``error`` says why, or is empty where
     there was no time left.
@@ -110,7 +110,7 @@ def execute(
     worker: str = _WORKER,
     **options: object,
 ) -> Iterator[Execution]:
-    """Run a model once for each probe, in order, in one sandboxed session.
+    """Run a model once for each set of test inputs, in order, in one sandboxed session.
 
     Args:
         model: The ONNX file.
@@ -162,7 +162,7 @@ def _write_job(
 
 
 def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
-    """Return the child's exit status, or None if the child was stopped at its time limit."""
+    """Run the sandbox's child process; return its exit status, or None at the time limit."""
     environment = child_environment() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
         child = subprocess.Popen(
@@ -221,7 +221,7 @@ def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -
 
 
 def _events(path: Path) -> list[dict[str, Any]]:
-    """Read the events that a sandbox process wrote; a half-written last line ends the list."""
+    """Read the log events (JSON lines) of a sandbox process, up to an incomplete last line."""
     events: list[dict[str, Any]] = []
     if path.exists():
         for line in path.read_text("utf-8").splitlines():

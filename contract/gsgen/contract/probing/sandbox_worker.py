@@ -1,4 +1,4 @@
-"""The sandbox's child process: runs one model for a list of probes, then exits.
+"""The sandbox's child process: runs one model for a list of test inputs, then exits.
 
 It writes one JSON line an event, and every distinct output once as an ``.npy`` file, so that
 an abort leaves everything that was done before. Other workers are made of the same parts.
@@ -118,7 +118,7 @@ def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
 
 
 def read_inputs(path: Path, names: list[str]) -> dict[str, np.ndarray]:
-    """Return the input arrays of a probe, by the names of the inputs."""
+    """Return the input arrays of one set of test inputs, by input name."""
     with np.load(path, allow_pickle=False) as arrays:
         return {name: arrays[f"input_{index}"] for index, name in enumerate(names)}
 
@@ -131,7 +131,7 @@ def keep_outputs(
     *,
     thin: bool = False,
 ) -> int:
-    """Store a run's outputs unless equal outputs are stored; return the number of the stored set.
+    """Store the outputs of a run unless equal ones are stored; return the stored set's index.
 
     Where ``thin``, a part of the rows is stored, and which outputs are not finite is noted.
     """
@@ -149,7 +149,7 @@ def keep_outputs(
 
 
 def digest_of(outputs: dict[str, np.ndarray]) -> str:
-    """Return the SHA-256 over a line "name dtype shape" and the bytes of each output, in order."""
+    """Return the SHA-256 of model outputs: name, dtype, shape and bytes of each, in order."""
     digest = hashlib.sha256()
     for name, value in outputs.items():
         if not isinstance(value, np.ndarray) or value.dtype.hasobject:
@@ -171,7 +171,7 @@ def _finite(value: np.ndarray) -> bool:
 
 
 def stage_of(error: Exception, probe: int | None) -> str:
-    """Return the exceeded limit that an error names, or else the stage of the failed run."""
+    """Return the limit that an error exceeded, or else the stage in which the run failed."""
     if isinstance(error, MemoryError) or any(word in str(error) for word in _OUT_OF_MEMORY):
         return "memory"
     return "load" if probe is None else "run"

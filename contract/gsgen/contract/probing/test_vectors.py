@@ -1,4 +1,4 @@
-"""Test vectors: probes whose outputs a manifest promises, and the search for these probes."""
+"""Test vectors: test inputs for which a manifest declares the digest of the outputs."""
 
 __all__ = ["MOST_SEEDS", "probed_seeds", "vector_label", "vector_probes"]
 
@@ -13,12 +13,12 @@ MOST_SEEDS = 4
 
 
 def vector_label(label: str, seed: int) -> str:
-    """Return the label of a probe that is generated with a non-default seed."""
+    """Return the label of test inputs that are generated from a non-default seed."""
     return f"{label}, seed {seed}"
 
 
 def probed_seeds(manifest: Manifest, seed: int) -> tuple[int, ...]:
-    """Return the seeds of test vectors to run, other than the validation's ``seed``."""
+    """Return the random seeds of declared test vectors that differ from the validation's seed."""
     seeds = dict.fromkeys(vector.seed for vector in manifest.test_vectors if vector.seed != seed)
     return tuple(seeds)[:MOST_SEEDS]
 
@@ -30,7 +30,7 @@ def vector_probes(
     seed: int,
     count: int,
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield the probes of test vectors that were recorded with another seed than ``seed``.
+    """Yield the test inputs of test vectors that were recorded with another seed than ``seed``.
 
     Args:
         manifest: Holds the test vectors.

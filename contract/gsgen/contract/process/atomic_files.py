@@ -25,7 +25,7 @@ MODEL_SUFFIX = ".onnx"
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path; a file written there is renamed to the final path after the block.
+    """Yield a temporary path, and rename the file there to its final path after the block.
 
     Files beside it (external weights), also in subfolders, are moved first, so that a model never
     refers to a missing file. If the block raises, nothing is moved and the temporary files are

@@ -26,10 +26,12 @@ class Limits:
     def __post_init__(self) -> None:
         if not (self.seconds > 0 and self.memory > 0):  # phrased so that NaN is refused
             actual = f"{self.seconds:g} s and {self.memory} bytes"
-            raise ConfigInvalid(f"{actual}, expected limits above 0", where="limits")
+            raise ConfigInvalid(
+                f"time and memory are {actual}, expected limits above 0", where="limits"
+            )
 
     def for_model(self, size: int) -> "Limits":
-        """Return these limits plus the memory for loading ``size`` bytes of weights.
+        """Return these limits with memory added for loading ``size`` bytes of weights.
 
         ONNX Runtime holds the parsed file, its own copy, a folded copy, and the outputs.
         """

@@ -1,1 +1,1 @@
-"""How is a report presented? One module per output format; each turns reports into text."""
+"""How is a validation report presented? One module per output format."""

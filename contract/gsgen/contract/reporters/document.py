@@ -1,4 +1,4 @@
-"""Dataclasses of the JSON report, from which its published schema is derived.
+"""Dataclasses of the JSON validation report, which define the report's published schema.
 
 Empty fields are omitted. A major version of the schema may gain fields, but no field changes its
 meaning.
@@ -63,7 +63,7 @@ class SubjectEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counts:
-    """Numbers of findings by severity, of waived and known findings, and of rules by status."""
+    """Numbers of findings by severity, waived and known ones, and of rules by status."""
 
     error: int
     warning: int
@@ -75,7 +75,7 @@ class Counts:
 
 @dataclass(frozen=True, slots=True)
 class LevelEntry:
-    """A level of validation, and whether it ran."""
+    """A validation level, and whether the validator ran it."""
 
     level: str
     status: Literal["ran", "skipped"]
@@ -101,7 +101,7 @@ class ExampleEntry:
 
 @dataclass(frozen=True, slots=True)
 class Stats:
-    """Numbers and examples of a finding."""
+    """Counts, statistics and example rows of a finding."""
 
     count: Annotated[int, Hint(text="Rows or values that break the rule; never capped.")]
     total: Annotated[int, Hint(text="Rows or values that were checked.")]
@@ -111,7 +111,7 @@ class Stats:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FindingEntry:
-    """One rule that does not hold at one location."""
+    """A finding: one rule that a model breaks at one location."""
 
     rule: RuleId
     slug: Annotated[str, Hint(text="The rule's readable name.")]
@@ -150,7 +150,7 @@ class CauseEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RuleEntry:
-    """The outcome of one rule."""
+    """The outcome of checking one rule on the model."""
 
     id: RuleId
     status: Literal["pass", "fail", "skipped", "not-applicable", "crashed"]
@@ -182,7 +182,7 @@ class ToleranceEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GoneEntry:
-    """A finding of the baseline that does not occur any more."""
+    """A finding of the baseline report that no longer occurs."""
 
     rule: RuleId
     slug: Annotated[str, Hint(text="The rule's readable name.")]
@@ -193,7 +193,7 @@ class GoneEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Document:
-    """The JSON report of one model."""
+    """The JSON validation report of one model."""
 
     schema: SchemaName
     tool: Tool
@@ -233,7 +233,7 @@ class Document:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """The reason why a file could not be read."""
+    """The reason why a model file could not be read."""
 
     message: str
     where: str
@@ -242,7 +242,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class UnreadableDocument:
-    """The JSON report of a model that could not be read."""
+    """The JSON report of a model file that could not be read."""
 
     schema: SchemaName
     subject: SubjectEntry
@@ -252,7 +252,7 @@ class UnreadableDocument:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """The JSON reports of several models."""
+    """The JSON validation reports of several models."""
 
     schema: SchemaName
     reports: tuple[Document | UnreadableDocument, ...]

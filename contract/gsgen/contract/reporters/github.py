@@ -1,4 +1,4 @@
-"""GitHub Actions report: workflow commands, which GitHub shows as annotations."""
+"""GitHub Actions report: workflow commands that GitHub shows as annotations."""
 
 __all__ = ["to_github"]
 
@@ -13,7 +13,7 @@ _COMMANDS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO
 
 
 def to_github(entries: Sequence[Entry]) -> str:
-    """Return an annotation for each counted finding, and the verdict of each model."""
+    """Return a GitHub annotation for each finding that counts, and each model's verdict."""
     lines: list[str] = []
     for entry in entries:
         if isinstance(entry, Unreadable):
@@ -57,5 +57,5 @@ def _property(text: str) -> str:
 
 
 def _inert(text: str) -> str:
-    """Return the text as a line that GitHub does not read as a workflow command such as ``##[``."""
+    """Return a text as a line that GitHub does not take for a workflow command like ``##[``."""
     return printable(text).replace("##[", "## [")

@@ -1,4 +1,4 @@
-"""HTML report: one file without scripts or links to other files.
+"""HTML validation report: one file without scripts or links to other files.
 
 Texts from a model are escaped, and the page's own policy forbids scripts and requests.
 """

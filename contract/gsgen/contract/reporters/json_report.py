@@ -1,4 +1,4 @@
-"""JSON report, which follows the published schema ``gsgen-report/1``."""
+"""JSON validation report, which follows the published schema ``gsgen-report/1``."""
 
 __all__ = ["SCHEMA", "to_dict", "to_json"]
 
@@ -45,7 +45,7 @@ _STATUSES = ("pass", "fail", "skipped", "not-applicable", "crashed")
 
 
 def to_json(entries: Sequence[Entry]) -> str:
-    """Return one report as a JSON object, or several as an object with a list of ``reports``."""
+    """Return a validation report as a JSON object, or several as an object with ``reports``."""
     documents = [to_dict(entry) for entry in entries]
     document: Any = (
         documents[0] if len(documents) == 1 else {"schema": SCHEMA, "reports": documents}
@@ -56,14 +56,14 @@ def to_json(entries: Sequence[Entry]) -> str:
 
 
 def to_dict(entry: Entry) -> dict[str, Any]:
-    """Return the report of a model, or the error of an unreadable model, as JSON types."""
+    """Convert a model's validation report, or the error of an unreadable file, to JSON types."""
     document = _unreadable(entry) if isinstance(entry, Unreadable) else document_of(entry)
     data: dict[str, Any] = to_json_value(document)
     return data
 
 
 def document_of(report: Report) -> Document:
-    """Return a validation report as the dataclasses of the JSON report's schema."""
+    """Convert a validation report to the dataclasses of the JSON report's schema."""
     rules = {outcome.rule.id: outcome.rule for outcome in report.outcomes}
     return Document(
         schema="gsgen-report/1",

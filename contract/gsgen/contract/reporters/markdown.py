@@ -1,4 +1,4 @@
-"""Markdown report for pull requests and job summaries on GitHub.
+"""Markdown validation report for pull requests and job summaries on GitHub.
 
 Texts from a model stand in code spans, where they cannot format, link or mention.
 """

@@ -1,4 +1,4 @@
-"""Plots of findings as inline SVG: a histogram of rows, a number against its limits."""
+"""Plots of rule findings as inline SVG: a histogram, or a number against its limits."""
 
 __all__ = ["histogram", "number_line"]
 
@@ -13,7 +13,7 @@ _ROOM = 0.15
 
 
 def histogram(distribution: Distribution, name: str) -> str:
-    """Return an SVG histogram of a rule's values; bars of bad rows stand on bars of good rows."""
+    """Return an SVG histogram of the values that a rule checked, valid and invalid ones stacked."""
     bars = list(zip(distribution.valid, distribution.invalid, strict=True))
     tallest = max(valid + invalid for valid, invalid in bars)
     width = (_WIDTH - 2 * _MARGIN) / len(bars)

@@ -68,7 +68,7 @@ def page(rule: Rule, registry: Registry) -> str:
 
 
 def index(registry: Registry) -> str:
-    """Return the Markdown list of all rules, by family."""
+    """Return the Markdown list of all rules, grouped by rule family."""
     lines = ["# Rules", "", f"{len(registry.rules)} rules, one page each.", ""]
     family = ""
     for rule in registry.rules.values():
@@ -82,7 +82,7 @@ def index(registry: Registry) -> str:
 
 
 def to_dict(rule: Rule) -> dict[str, Any]:
-    """Return the declaration of ``rule`` as JSON types."""
+    """Convert the declaration of ``rule`` to JSON types."""
     return {
         "id": rule.id,
         "slug": rule.slug,

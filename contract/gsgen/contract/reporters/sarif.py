@@ -63,7 +63,7 @@ def to_sarif(entries: Sequence[Entry]) -> str:
 
 
 def _speaking(report: Report) -> set[str]:
-    """Return the ids of the rules that a SARIF log mentions."""
+    """Return the ids of the rules that a SARIF log refers to."""
     silent_failures = [*_crashed(report), *report.unchecked]
     rules_of_findings = {finding.rule for finding in report.findings}
     return rules_of_findings | {outcome.rule.id for outcome in silent_failures}
@@ -99,7 +99,7 @@ def _artifact(entry: Entry) -> Json:
 
 
 def _uri(path: str) -> str:
-    """Return a path as a URI reference, relative for a relative path."""
+    """Convert a file path to a URI reference; a relative path gives a relative one."""
     quoted = quote(os.fsencode(Path(path).as_posix()))
     return f"file://{quoted}" if Path(path).is_absolute() else quoted
 

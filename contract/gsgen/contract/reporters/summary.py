@@ -1,4 +1,4 @@
-"""Texts that all reporters share: a model's verdict, the summary of several models."""
+"""Texts that all report formats share: the verdict of a model, a summary of several models."""
 
 __all__ = ["plural", "printable", "summary_line", "verdict_line", "verdict_word"]
 
@@ -40,7 +40,7 @@ def verdict_line(report: Report) -> str:
 
 
 def verdict_word(report: Report) -> str:
-    """Return a model's verdict in words, such as ``conforms``."""
+    """Return a report's verdict in words, such as ``conforms``."""
     return _CRASHED if report.verdict == "internal-error" else report.verdict
 
 

@@ -32,7 +32,7 @@ class Line:
 def render_all(
     entries: Sequence[Entry], *, verbose: bool = False, quiet: bool = False
 ) -> list[Line]:
-    """Return all reports as lines of text; with several models, the last line sums up."""
+    """Return all reports as lines of text; for several models, the last line is a summary."""
     lines: list[Line] = []
     for entry in entries:
         if isinstance(entry, Report):
@@ -41,7 +41,7 @@ def render_all(
 
 
 def brief_line(report: Report) -> Line:
-    """Return the model's path and its verdict in one line."""
+    """Return a model's path and its validation verdict in one line."""
     return Line(printable(f"{report.path}: {verdict_line(report)}"), _verdict(report).style)
 
 
@@ -101,7 +101,7 @@ def _size(size: int) -> str:
 
 
 def finding_lines(findings: Iterable[Finding], *, verbose: bool = False) -> list[Line]:
-    """Return findings as lines of text: rule, locations, numbers and hint.
+    """Return findings of a report as lines of text: rule, locations, numbers and hint.
 
     Consecutive findings of the same rule share their heading and their hint.
 
@@ -190,7 +190,7 @@ def _not_run(report: Report) -> list[Line]:
 
 
 def _skipped(report: Report) -> list[Line]:
-    """Return lines that list the rules that were skipped although their level ran."""
+    """Return text lines that list the rules that were skipped although their level ran."""
     ran = {outcome.level for outcome in report.levels if outcome.ran}
     lines: list[Line] = []
     for outcome in report.outcomes:

@@ -1,1 +1,1 @@
-"""Which statements does the contract check on a model? One module of rules per subject."""
+"""Which statements about a model does the contract check? One module of rules per subject."""

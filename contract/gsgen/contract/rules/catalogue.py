@@ -125,7 +125,7 @@ def installed_rules() -> Registry:
 
 @cache
 def model_rules() -> Registry:
-    """Return the installed rules without those of other files, which take time to import."""
+    """Return the installed rules for ONNX models, without those for tilesets."""
     return _registry(_MODEL_GROUP)
 
 
@@ -146,7 +146,7 @@ def _registry(*groups: str) -> Registry:
 
 
 def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
-    """Return a rule that always crashes, in place of a plugin's rules that cannot be loaded."""
+    """Return a rule that always crashes, to report that a plugin's rules cannot be loaded."""
     letters = re.sub("[^a-z0-9]+", "-", point.name.lower()).lstrip("-0123456789")
 
     @rule(

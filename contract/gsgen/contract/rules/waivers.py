@@ -1,4 +1,4 @@
-"""Rules of waivers (GW): every waiver in the settings still matches a finding."""
+"""Rules of waivers (GW): every waiver in the settings matches a finding of the model."""
 
 from collections.abc import Iterator
 

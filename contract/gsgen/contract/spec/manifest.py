@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
@@ -206,12 +206,16 @@ class AppearanceOutput:
     name: Name
     space: Annotated[
         Literal["sh", "rgb"],
-        Hint(text="`sh`: coefficient-major SH, RGB innermost. `rgb`: raw colour in [0, 1]."),
+        Hint(text="`sh`: coefficient-major, RGB innermost. `rgb`: raw colour."),
     ]
     degree: Annotated[
         int | None, Hint(text="SH degree; required for `sh`.", minimum=0, maximum=3)
     ] = None
     color_space: Literal["srgb", "linear"] = "srgb"
+    _: KW_ONLY
+    range: Annotated[
+        tuple[float, float] | None, Hint(text="Lowest and highest `rgb`; [0, 1] if absent.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)

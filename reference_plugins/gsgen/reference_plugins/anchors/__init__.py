@@ -1,1 +1,1 @@
-"""How are scenes of anchors exported: Scaffold-GS, Octree-GS, Duplex-GS?"""
+"""How are anchor-based methods exported: Scaffold-GS, Octree-GS, Duplex-GS?"""

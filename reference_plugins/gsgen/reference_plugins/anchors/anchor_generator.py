@@ -36,7 +36,7 @@ class Decoding:
     rows: Int[Tensor, " n"] | None = None  # row numbers of the anchors; all in order if absent
 
     def of(self, table: Tensor) -> Tensor:
-        """Return the rows of a table that belong to the decoded anchors."""
+        """Return the rows of a per-anchor tensor that belong to the decoded anchors."""
         if self.rows is None:
             return table
         return torch.index_select(table, 0, self.rows)
@@ -149,7 +149,7 @@ class AnchorGenerator(GaussianGenerator):
         )
 
     def placements(self) -> tuple[Tensor, ...]:
-        """Return the centres of Gaussians, and other results of placement, for all anchors."""
+        """Return the centres of all anchors' Gaussians, then method-specific values."""
         tensors: tuple[Tensor, ...] = self.placement(self.anchor, self.scale)
         return tensors
 
@@ -166,7 +166,7 @@ class AnchorGenerator(GaussianGenerator):
         return opacity
 
     def cells(self, frame: Decoding) -> Cells | None:
-        """Return the anchors as cells of a weighted sum; None if the method sorts Gaussians."""
+        """Return the anchors as cells for weighted blending; None if the method blends by depth."""
         return None
 
     def _combined_share(

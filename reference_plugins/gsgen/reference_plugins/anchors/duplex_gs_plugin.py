@@ -1,4 +1,4 @@
-"""`gsgen export duplex-gs`: a Duplex-GS checkpoint as a generator."""
+"""The command `gsgen export duplex-gs`: exports a Duplex-GS checkpoint as an ONNX generator."""
 
 __all__ = ["PLUGIN"]
 

@@ -1,4 +1,4 @@
-"""`gsgen export octree-gs`: an Octree-GS checkpoint as a generator."""
+"""The command `gsgen export octree-gs`: exports an Octree-GS checkpoint as an ONNX generator."""
 
 __all__ = ["PLUGIN"]
 

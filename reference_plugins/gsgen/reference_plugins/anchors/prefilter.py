@@ -1,4 +1,4 @@
-"""Selects the anchors that the published renderer decodes: those whose ellipsoid is in view.
+"""Selects anchors as Scaffold-GS's own renderer does: only those with an ellipsoid in view.
 
 Scaffold-GS and Octree-GS skip anchors before they decode any (``prefilter_voxel``; the test is
 that of the rasteriser of 3DGS, ``forward.cu``). A skipped anchor may have Gaussians that reach into
@@ -90,7 +90,7 @@ class Prefilter(nn.Module):
         return torch.ceil(3 * torch.sqrt(middle + torch.sqrt(spread)))
 
     def _along(self, direction: Tensor, turn: Tensor) -> Tensor:
-        """Return the length of the ellipsoid's axes along a direction of camera space."""
+        """Return the component of each ellipsoid axis along a direction in camera space."""
         local = direction @ turn.transpose(0, 1)
         (root,) = self.axes()
         reach: Tensor = (root * local[:, :, None]).sum(dim=1)

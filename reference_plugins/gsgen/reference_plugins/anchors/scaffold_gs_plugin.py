@@ -1,4 +1,4 @@
-"""`gsgen export scaffold-gs`: a Scaffold-GS checkpoint as a generator."""
+"""The command `gsgen export scaffold-gs`: exports a Scaffold-GS checkpoint as an ONNX generator."""
 
 __all__ = ["PLUGIN"]
 

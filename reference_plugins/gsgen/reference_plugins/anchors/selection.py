@@ -57,7 +57,7 @@ class Frustum(nn.Module):
 
 
 def culling(cloud: AnchorCloud, cull: Cull) -> tuple[Frustum | Prefilter | None, tuple[Input, ...]]:
-    """Return the module that culls anchors, and its inputs besides the view."""
+    """Return the module that culls anchors, and its model inputs besides the view matrix."""
     if cull == "frustum":
         return Frustum(cloud), (inputs.projection(),)
     if cull == "published":

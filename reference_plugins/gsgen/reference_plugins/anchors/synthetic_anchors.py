@@ -130,7 +130,7 @@ def _positions(options: AnchorOptions) -> dict[str, Float[np.ndarray, " n"]]:
 def _payload(
     options: AnchorOptions, rng: np.random.Generator
 ) -> dict[str, Float[np.ndarray, " n"]]:
-    """Return the columns of offsets (stored axis by axis), features, scales and rotations."""
+    """Return the PLY columns of anchors: offsets (axis by axis), features, scales, rotations."""
     n, k = options.anchors, options.per_anchor
     offset = rng.normal(0, 1, (n, k, 3)).transpose(0, 2, 1).reshape(n, 3 * k)
     feature = rng.normal(0, 0.5, (n, options.width))
@@ -198,7 +198,7 @@ def _networks(options: AnchorOptions, *, octree: bool) -> dict[str, nn.Module]:
 
 
 class _Embedding(nn.Module):
-    """Wraps an embedding of appearances as a module, as the published code does."""
+    """Wraps an appearance embedding in a module, as the training code of Scaffold-GS does."""
 
     def __init__(self, options: AnchorOptions, generator: torch.Generator) -> None:
         super().__init__()
@@ -236,7 +236,7 @@ def _shape_head(name: str, head: nn.Sequential, per_anchor: int) -> None:
 
 
 def _save_script(network: nn.Module, path: Path) -> None:
-    """Save a network as TorchScript by tracing, as the published code does."""
+    """Save a network as TorchScript by tracing, as the training code of Scaffold-GS does."""
     example: Tensor
     if isinstance(network, nn.Sequential):
         first = network[0]

@@ -21,7 +21,7 @@ _ROUNDING = 1e-3
 
 @final
 class MotionPlayback(GaussianGenerator):
-    """An avatar, or several side by side, whose poses come from a motion."""
+    """Plays a recorded motion with one avatar, or with several side by side."""
 
     family = "avatar"
 

@@ -64,7 +64,7 @@ Hands = Annotated[
 
 
 def warn_about_body(cfg: "CfgArgs", body: "Body") -> None:
-    """Warn if the published code would use another body model than the one that was read."""
+    """Warn if a method's published code would use another body model than the given file."""
     if not cfg.present:
         note(f"note: {cfg.path} does not exist; a neutral {body.kind} body is assumed")
     if body.kind == "SMPL":
@@ -76,7 +76,7 @@ def warn_about_body(cfg: "CfgArgs", body: "Body") -> None:
 
 
 def read_shape(text: str | None, motion: "Motion | None", most: int) -> list[float] | None:
-    """Return the shape coefficients to bake, from the option or the motion; None for an input."""
+    """Return the shape coefficients to bake in, by --shape or motion; None keeps them an input."""
     coefficients = parse_numbers(text, most, "--shape")
     if coefficients is not None or motion is None:
         return coefficients
@@ -97,7 +97,7 @@ def with_motion(
     loop: bool,
     spacing: float,
 ) -> "GaussianGenerator":
-    """Wrap an avatar to play a motion file, if one is given, and add the motion's licence."""
+    """Wrap an avatar so that it plays a motion file, if given, and add the motion's licence."""
     from importlib.metadata import version
 
     from gsgen.contract.spec.manifest import Producer

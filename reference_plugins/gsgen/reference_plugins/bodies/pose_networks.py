@@ -44,7 +44,7 @@ class PoseNets:
 def read_pose_nets(
     path: Path, pose: Mapping[str, Any], weights: Mapping[str, Any], joints: int
 ) -> PoseNets:
-    """Extract the layers of both correction networks from their state dicts; check the shapes."""
+    """Extract GauHuman's two correction networks from their state dicts, and check all shapes."""
     turns = 3 * (joints - 1)
     width = _width(pose.get("block_mlps.0.weight"))
     sizes = [(turns, width), (width, width), (width, turns)]

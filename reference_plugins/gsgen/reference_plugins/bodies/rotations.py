@@ -84,7 +84,7 @@ def nearest_rotation(
 def _larger(
     a: Tensor, b: Tensor, quaternion_a: Tensor, quaternion_b: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Select the larger of two numbers with its quaternion; the first one if both are equal."""
+    """Return the larger of two numbers in each row, and the quaternion that belongs to it."""
     first = a >= b
     quaternion = torch.where(first[:, None], quaternion_a, quaternion_b)
     return torch.maximum(a, b), quaternion

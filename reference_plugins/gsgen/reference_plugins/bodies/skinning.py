@@ -47,7 +47,7 @@ def posed_transforms(
 def blend_transforms(
     transforms: Float[Tensor, "k j 3 4"], weights: Float[Tensor, "j n"]
 ) -> Float[Tensor, "k 3 4 n"]:
-    """Return each Gaussian's mean of the joint transforms, weighted by skinning weights."""
+    """Return each Gaussian's blended transform: the joint transforms, averaged by weights."""
     bodies, joints = transforms.shape[:2]
     flat = transforms.reshape(bodies, joints, 12).transpose(1, 2)
     return (flat @ weights).reshape(bodies, 3, 4, -1)
@@ -66,7 +66,7 @@ def transform_points(
 def multiply_matrices(
     first: Float[Tensor, "k 3 c n"], second: Float[Tensor, "*k 3 3 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Multiply 3×3 matrices; further columns of the first matrix are ignored."""
+    """Multiply the 3×3 matrices of all Gaussians; further columns of the first are ignored."""
     product = first[:, :, 0:1] * second[:, 0:1]
     for axis in (1, 2):
         product = product + first[:, :, axis : axis + 1] * second[:, axis : axis + 1]
@@ -74,7 +74,7 @@ def multiply_matrices(
 
 
 def covariance(root: Float[Tensor, "k 3 3 n"]) -> Float[Tensor, "k 6 n"]:
-    """Return the covariance M Mᵀ of a matrix M, as planes xx, xy, xz, yy, yz, zz."""
+    """Return the covariance M Mᵀ of a matrix M, as components xx, xy, xz, yy, yz, zz."""
     rows = root.unbind(dim=1)
     return torch.stack([(rows[a] * rows[b]).sum(dim=1) for a, b in UPPER_TRIANGLE], dim=1)
 
@@ -85,5 +85,5 @@ def planes_to_rows(planes: Float[Tensor, "k c n"]) -> Float[Tensor, "m c"]:
 
 
 def repeat_rows(rows: Float[Tensor, "n ..."], bodies: int) -> Float[Tensor, "m ..."]:
-    """Repeat a table that is stored once, for each of K bodies."""
+    """Repeat the rows of Gaussians, which are stored once, for each of K bodies."""
     return rows if bodies == 1 else torch.cat([rows] * bodies, dim=0)

@@ -142,7 +142,7 @@ def _register(module: nn.Module, **tables: Tensor | np.ndarray) -> None:
 
 
 def _root(rotation: Float[Tensor, "n 4"], scale: Float[Tensor, "n 3"]) -> Float[Tensor, "1 3 3 n"]:
-    """Return R S, a root of the covariance, as planes, from quaternions and standard deviations."""
+    """Return R S, a square root of the covariance, from quaternions and standard deviations."""
     columns = rotation_columns(planes_of(rotation))
     turn = torch.stack([torch.cat(column) for column in columns], dim=1)
     return (turn * scale.transpose(0, 1)[None])[None]

@@ -146,7 +146,7 @@ def _tubes(
 def _chosen_tubes(
     joint_positions: Float[np.ndarray, "j 3"], count: int, rng: np.random.Generator
 ) -> Int[np.ndarray, " n"]:
-    """Draw random tubes of the body, with probability proportional to their surface."""
+    """Sample random tubes of the body, with probability proportional to their surface."""
     begin, end, radius = _tubes(joint_positions)
     surface = radius * (np.linalg.norm(end - begin, axis=1) + 0.3 * radius)
     return rng.choice(len(joint_positions), count, p=surface / surface.sum())
@@ -155,7 +155,7 @@ def _chosen_tubes(
 def _tube_points(
     joint_positions: Float[np.ndarray, "j 3"], tube: Int[np.ndarray, " n"], rng: np.random.Generator
 ) -> Float[np.ndarray, "n 3"]:
-    """Draw random points on the surface of the tubes of a synthetic body."""
+    """Sample random points on the surface of the tubes of a synthetic body."""
     begin, end, radius = (values[tube] for values in _tubes(joint_positions))
     along = end - begin
     length = np.linalg.norm(along, axis=1, keepdims=True)

@@ -36,7 +36,7 @@ _MIN_SQUARED_ANGLE = 1e-24
 
 
 class _SplitLayer(nn.Module):
-    """A layer with separate inputs for point, time and hidden values; time is equal in all rows."""
+    """A dense layer with separate weights for point, time and hidden inputs; time is one row."""
 
     def __init__(self, weight: Tensor, bias: Tensor, point_inputs: int, time: int) -> None:
         super().__init__()
@@ -142,7 +142,7 @@ class Deformable3DGS(GaussianGenerator):
 def _screw_motion(
     point: Float[Tensor, "n 3"], axis: Float[Tensor, "n 3"], moment: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "n 3"]:
-    """Move points by screw motions, as in the published code (``utils/rigid_utils.py``).
+    """Move points by screw motions, as Deformable-3D-Gaussians does (``utils/rigid_utils.py``).
 
     With θ = ‖axis‖ the unit screw is w = axis/θ + 1e-5 and v = moment/θ + 1e-5, W its cross
     product, and a point goes to (I + sin θ W + (1 − cos θ) W²) x + (θ I + (1 − cos θ) W +

@@ -1,4 +1,4 @@
-"""`gsgen export deformable-3dgs`: a checkpoint of Deformable-3D-Gaussians as a generator."""
+"""The command `gsgen export deformable-3dgs`: exports Deformable-3D-Gaussians to ONNX."""
 
 __all__ = ["PLUGIN"]
 

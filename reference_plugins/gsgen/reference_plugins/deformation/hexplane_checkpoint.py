@@ -54,7 +54,9 @@ class Flags:
         """Read the active parts of the networks from training options, with published defaults."""
         if cfg.flag("no_grid"):
             hint = "The published code fails with it, too."
-            raise CheckpointInvalid("no_grid is True", where=str(cfg.path), hint=hint)
+            raise CheckpointInvalid(
+                "the training option no_grid is True", where=str(cfg.path), hint=hint
+            )
         if cfg.integer("grid_pe", 0) > 1:
             message = f"grid_pe is {cfg.values['grid_pe']}, expected 0 or 1"
             raise CheckpointInvalid(message, where=str(cfg.path))
@@ -77,7 +79,7 @@ class Flags:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneNets:
-    """The hexplane of 4DGaussians and the networks behind it."""
+    """The hexplane of 4DGaussians and the networks that read the hexplane's features."""
 
     aabb: Float[Tensor, "2 3"]  # box of the planes; the first row is the upper corner
     # for each resolution six planes [C, second axis, first axis], of the axes xy xz xt yz yt zt
@@ -165,7 +167,7 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
 
 
 def _counts(path: Path, net: Mapping[str, Any]) -> tuple[int, int]:
-    """Return the number of plane resolutions and of layers behind the planes."""
+    """Return the number of a hexplane's resolutions, and of the feature network's layers."""
     scales = {int(match[1]) for name in net if (match := _GRID.fullmatch(name))}
     layers = {int(match[1]) for name in net if (match := _OUT.fullmatch(name))}
     if scales != set(range(len(scales))) or not scales or not layers:
@@ -211,7 +213,7 @@ def _pair(read: Mapping[str, Tensor], name: str) -> tuple[Layer, Layer]:
 
 
 def _voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the voxel grid of a checkpoint and its corners, by default those of the planes."""
+    """Return the voxel grid of a checkpoint and its corners, by default the hexplane's bounds."""
     upper, lower = read["grid.aabb"]
     low = read.get("empty_voxel.xyz_min", lower)
     return read["empty_voxel.grid"][0, 0], low, read.get("empty_voxel.xyz_max", upper)

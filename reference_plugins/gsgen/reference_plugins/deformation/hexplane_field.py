@@ -149,7 +149,7 @@ class HexPlaneField(nn.Module):
     def __init__(
         self, nets: HexPlaneNets, position: Float[Tensor, "n 3"], bake: Bake = "auto"
     ) -> None:
-        """Store the products of the planes of space at the points, or the planes themselves.
+        """Bake a hexplane at fixed points: store products of its space planes, or the planes.
 
         Points outside the box take the values of its border. ``bake``: ``always`` stores products
         of the planes of space, ``never`` the planes, ``auto`` the smaller ones.

@@ -79,7 +79,9 @@ def _hexplane_state(options: HexPlaneOptions) -> dict[str, Tensor]:
         sizes = [*(factor * size for size in options.resolution[:3]), options.resolution[3]]
         for index, (a, b) in enumerate(combinations(range(4), 2)):
             shape = (1, options.channels, sizes[b], sizes[a])
-            cells = 0.8 + 0.4 * torch.randn(shape, generator=noise)
+            # Six planes are multiplied: their values are bounded, so that no product is an outlier
+            # which throws a few Gaussians far away from their neighbours.
+            cells = 1 + 0.3 * torch.tanh(torch.randn(shape, generator=noise))
             state[f"{net}grid.grids.{scale}.{index}"] = cells
     width = options.width
     for layer in range(max(1, options.depth)):

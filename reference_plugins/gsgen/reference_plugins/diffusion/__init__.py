@@ -1,1 +1,1 @@
-"""Which networks of image diffusion can be read from checkpoints, and which LoRA files?"""
+"""Which image diffusion networks and LoRA files can be read?"""

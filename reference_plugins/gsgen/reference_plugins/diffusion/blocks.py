@@ -108,7 +108,7 @@ class ImageAttention(Attention):
     def __init__(
         self, channels: int, heads: int, width: int, *, groups: int, eps: float, shrink: float = 1.0
     ) -> None:
-        """Create an attention block of pixels with norm options, and a divisor of the sum."""
+        """Create self-attention between pixels, with group norm options and an output divisor."""
         super().__init__(channels, heads, width, bias=True)
         self.shrink = shrink
         self.group_norm = nn.GroupNorm(groups, channels, eps=eps)

@@ -56,7 +56,7 @@ def _layers(network: nn.Module) -> Iterator[tuple[str, nn.Module]]:
 
 
 def _original(name: str, unet: UNet) -> str:
-    """Return the name of a U-Net layer in the original code of latent diffusion."""
+    """Convert a U-Net layer name of diffusers to the name in the original latent diffusion code."""
     match = _LAYER.fullmatch(name)
     if match is None:
         return _OUTSIDE.get(name, name)

@@ -76,7 +76,7 @@ class ModelConfig:
         return numbers
 
     def kinds(self, name: str, known: Mapping[str, str], levels: int) -> tuple[str, ...]:
-        """Return the network option of each level that belongs to the level's block type."""
+        """Convert the block type of each network level to the name that gsgen uses."""
         names = self.values.get(name)
         if not isinstance(names, list) or len(names) != levels:
             raise self.option_error(name, f"is {names!r}, expected a list of {levels} block types")
@@ -86,7 +86,7 @@ class ModelConfig:
         return tuple(known[kind] for kind in names)
 
     def size(self, name: str) -> tuple[int, int] | None:
-        """Return a network option as height and width; a single number is both."""
+        """Return a network's size option as height and width; a single number means both."""
         value = self.values.get(name)
         if value is None:
             return None

@@ -43,14 +43,14 @@ _REQUIRED = {
 
 @dataclass(frozen=True, slots=True)
 class VectorOptions:
-    """Shape of the vector that SDXL adds to the embedded time: prompt and image sizes."""
+    """Sizes of the vector of prompt and image sizes that SDXL adds to the timestep embedding."""
 
     length: int  # length of the vector: the pooled prompt, then features of each size
     features: int  # number of sines and cosines for one size
 
     @classmethod
     def of(cls, config: ModelConfig) -> "VectorOptions | None":
-        """Parse the options of SDXL's added vector; None for networks without it."""
+        """Parse the options of SDXL's conditioning vector; None if the network takes none."""
         if config.choice("addition_embed_type", (None, "text_time")) is None:
             return None
         length = config.integer("projection_class_embeddings_input_dim", 0)
@@ -63,7 +63,7 @@ class VectorOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UNetOptions:
-    """The shape of a U-Net."""
+    """The layer sizes and options of a U-Net."""
 
     inputs: int  # channels of the image
     outputs: int  # channels of the result
@@ -141,7 +141,7 @@ class UNetOptions:
 
     @property
     def time(self) -> int:
-        """The length of the embedded time vector of a U-Net."""
+        """The length of a U-Net's timestep embedding."""
         return _TIME * self.channels[0]
 
 
@@ -172,7 +172,7 @@ def _heads_per_level(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutoencoderOptions:
-    """The shape of an autoencoder (AutoencoderKL)."""
+    """The layer sizes and options of an image autoencoder (AutoencoderKL)."""
 
     inputs: int  # channels of the image
     outputs: int  # channels of the decoded image

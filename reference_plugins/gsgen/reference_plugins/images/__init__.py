@@ -1,1 +1,1 @@
-"""How are networks exported that process rendered images: diffusion denoisers, style transfer?"""
+"""How are networks exported that post-process rendered images: denoisers, style transfer?"""

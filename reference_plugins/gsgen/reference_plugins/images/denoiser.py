@@ -1,4 +1,4 @@
-"""A post-process model that cleans the rendered image by one step of image diffusion.
+"""A post-process model that cleans the rendered image by one step of a diffusion network.
 
 A network that predicts noise ε at timestep t determines the clean image directly (Ho et al. 2020,
 equation 15): x₀ = (x − √(1 − ᾱₜ) ε) / √ᾱₜ. Enhancers of rendered images such as Difix (Wu et al.

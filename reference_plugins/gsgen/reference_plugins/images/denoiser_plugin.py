@@ -1,4 +1,4 @@
-"""`gsgen export denoiser`: one step of a diffusion network as a post-process model."""
+"""The command `gsgen export denoiser`: exports one diffusion step as a post-process model."""
 
 __all__ = ["PLUGIN"]
 
@@ -176,7 +176,7 @@ def _conditioning(
 def _vector(
     read: "DiffusionCheckpoint", prompt: "Embeddings", ids: str | None, size: tuple[int, int] | None
 ) -> "Tensor | None":
-    """Return SDXL's vector for the embedded time: pooled prompt and image sizes."""
+    """Return the conditioning vector of SDXL: the pooled prompt embedding and image sizes."""
     from gsgen.reference_plugins.diffusion.unet import added_vector
 
     if read.unet.options.vector is None:

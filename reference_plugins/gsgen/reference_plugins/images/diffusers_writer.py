@@ -22,7 +22,7 @@ _WEIGHTS = "diffusion_pytorch_model.safetensors"
 
 
 def config_of(values: Mapping[str, Any]) -> ModelConfig:
-    """Wrap network options in a ModelConfig, as if they were read from a ``config.json``."""
+    """Build a ModelConfig from network options, as if read from a ``config.json``."""
     return ModelConfig(Path("config.json"), values)
 
 

@@ -142,7 +142,7 @@ def read_diffusion(
 
 @dataclass(frozen=True, slots=True)
 class _Read(Generic[_Net]):
-    """A diffusion network, the file of its weights, and the LoRA saved in the file, if any."""
+    """A diffusion network read from a file, the file's path, and the LoRA in the file, if any."""
 
     network: _Net
     path: Path
@@ -208,7 +208,7 @@ def _weights(folder: Path) -> tuple[Path, dict[str, Any]]:
 def _rename_attention(
     state: dict[str, Any], expected: dict[str, tuple[int, ...]]
 ) -> dict[str, Any]:
-    """Convert attention layers of old diffusers files to today's names and shapes."""
+    """Rename attention weights of old diffusers files to the current names and shapes."""
     renamed = {}
     for name, value in state.items():
         *parents, layer, kind = name.split(".") if name.count(".") else ("", "", name)

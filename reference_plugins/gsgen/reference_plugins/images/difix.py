@@ -1,4 +1,4 @@
-"""Reads the file of Difix: changes of its training to the networks of sd-turbo.
+"""Reads the file of Difix: the weights that its training changed in the networks of sd-turbo.
 
 ``model.pkl`` is a dict saved by ``torch.save``: ``state_dict_unet`` holds the U-Net, or its changed
 tensors, and ``state_dict_vae`` the additions to the autoencoder: a LoRA of its decoder and the
@@ -50,7 +50,7 @@ def read_difix(path: Path) -> Difix:
 
 
 def split_fused_lora(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Any], Adapter | None]:
-    """Split a state dict that was saved with a LoRA inside, as peft wraps layers.
+    """Separate the LoRA from a state dict that was saved with the layers wrapped by peft.
 
     Returns the weights, named as without the LoRA, and the LoRA, if any.
     """

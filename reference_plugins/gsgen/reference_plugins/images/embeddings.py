@@ -68,7 +68,7 @@ def _numbers(name: str, array: np.ndarray, path: Path) -> Float32[np.ndarray, ".
 
 
 def _named_embeddings(arrays: Mapping[str, np.ndarray], path: Path) -> Embeddings:
-    """Assign the arrays of an npz file to SDXL's two embeddings by their names."""
+    """Find the two prompt embeddings of SDXL among the arrays of an npz file, by their names."""
     known = (*_CONTEXT, *_POOLED, *_TIME_IDS)
     unknown = [name for name in arrays if name not in known]
     matches = [[name for name in names if name in arrays] for names in (_CONTEXT, _POOLED)]

@@ -1,4 +1,4 @@
-"""`gsgen export stylise`: a style transfer network as a post-process model."""
+"""The command `gsgen export stylise`: exports a style transfer network as post-process model."""
 
 __all__ = ["PLUGIN"]
 

@@ -112,7 +112,7 @@ def _set_identity(coder: Autoencoder) -> None:
 
 
 def _set_blotch_removal(unet: UNet, scale: float) -> None:
-    """Make the U-Net predict x₀ = −f(d) of the latent x, where d = x − its mean of four pixels.
+    """Make the U-Net predict x₀ = −f(d) of a latent x, where d = x − the mean of four pixels.
 
     f keeps soft contrasts only. Groups of eight hold x, −x, four times d, K and −K of a colour; ε = (x + √ᾱ f(d)) / √(1 − ᾱ).
     """
@@ -149,7 +149,7 @@ def _set_blotch_removal(unet: UNet, scale: float) -> None:
 
 
 def _skips() -> Iterator[tuple[str, Tensor]]:
-    """Yield the skip connections of Difix: zero weights, and a LoRA that copies the image."""
+    """Yield the weights of Difix's skip connections: zeros, and a LoRA that copies the image."""
     for index in (1, 2):
         name = f"decoder.skip_conv_{index}"
         down, up = torch.zeros(_RANK, _WIDTH, 1, 1), torch.zeros(_WIDTH, _RANK, 1, 1)
@@ -171,7 +171,7 @@ def _fix(bias: Float[Tensor, " o"], color: int) -> None:
 
 
 def _read_out(weights: Weights, part: str) -> None:
-    """Set the U-Net's output layer to the colours of groups that hold x, −x, K and −K."""
+    """Set the U-Net's output layer to read each colour from channels with x, −x, K and −K."""
     for color in range(COLORS):
         pair = slice(4 * color, 4 * color + 2)
         weights[f"{part}.conv_norm_out.weight"][pair] = _LARGE / math.sqrt(2)

@@ -1,4 +1,4 @@
-"""Which readers of training files do several families share?
+"""Which readers of checkpoint files do several export plugins share?
 
 Options come from ``cfg_args`` as literals, tensors from ``torch.load(weights_only=True)`` or from
 the storages of a TorchScript archive; no code of a file is evaluated, imported or called.

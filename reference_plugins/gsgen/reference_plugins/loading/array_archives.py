@@ -25,7 +25,7 @@ def read_npz(path: Path, names: Iterable[str] | None = None, hint: str = "") -> 
         # NumPy does not close a stream that it opened itself if it fails.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise ValueError("holds one array, expected an archive of several")
+                raise ValueError("the file holds one array, expected an .npz archive")
             requested = archive.files if names is None else names
             return {name: archive[name] for name in requested if name in archive.files}
     except _DAMAGED as error:

@@ -31,7 +31,7 @@ def read_array_pickle(path: Path) -> dict[str, Any]:
         if isinstance(read, np.ndarray) and read.shape == () and read.dtype == object:
             read = read.item()
         if not isinstance(read, dict):
-            raise ValueError(f"holds a {type(read).__name__}, expected a dict of arrays")
+            raise ValueError(f"the pickle holds a {type(read).__name__}, expected a dict of arrays")
         return {str(name): _plain(value) for name, value in read.items()}
     except pickle.UnpicklingError as error:
         raise _unreadable(path, str(error)) from error
@@ -48,7 +48,7 @@ def _pass_header(file: BinaryIO) -> None:
     if version != (1, 0):
         header = np.lib.format.read_array_header_2_0
     if not header(file)[2].hasobject:
-        raise ValueError("holds an array, expected a dict of arrays")
+        raise ValueError("the .npy file holds an array, expected a dict of arrays")
 
 
 def _unreadable(path: Path, reason: str) -> CheckpointInvalid:
@@ -57,7 +57,7 @@ def _unreadable(path: Path, reason: str) -> CheckpointInvalid:
 
 
 class _Inert:
-    """Placeholder for a class that the file names: keeps the state and runs no code."""
+    """Placeholder for a class that a pickle names: keeps the object's state and runs no code."""
 
     def __init__(self, *_: Any) -> None:
         self.state: dict[str, Any] = {}
@@ -122,7 +122,7 @@ def _plain(value: Any) -> Any:
 
 def _empty_array(kind: Any, shape: Any, code: Any) -> Any:
     if kind is not np.ndarray:
-        raise pickle.UnpicklingError(f"an array is of the unknown class {kind!r}")
+        raise pickle.UnpicklingError(f"the pickle has an array of the unknown class {kind!r}")
     array: Any = _reconstruct(kind, shape, code)
     return array
 
@@ -137,14 +137,14 @@ def _scalar(dtype: np.dtype, data: Any) -> Any:
 
 def _bytes_of(text: str, encoding: str) -> bytes:
     if encoding != "latin1":
-        raise pickle.UnpicklingError(f"bytes are encoded as {encoding!r}, expected 'latin1'")
+        raise pickle.UnpicklingError(f"the pickle encodes bytes as {encoding!r}, expected 'latin1'")
     return text.encode("latin1")
 
 
 def _object_of(kind: Any, *_: Any) -> Any:
     """Create an instance of a placeholder class, in place of ``copy_reg._reconstructor``."""
     if not (isinstance(kind, type) and issubclass(kind, _Inert)):
-        raise pickle.UnpicklingError(f"an object is of the unknown class {kind!r}")
+        raise pickle.UnpicklingError(f"the pickle has an object of the unknown class {kind!r}")
     return kind()
 
 
@@ -182,4 +182,4 @@ class _Unpickler(pickle.Unpickler):
             return _Wrapped
         if (module, name) in _KNOWN:
             return _KNOWN[module, name]
-        raise pickle.UnpicklingError(f"names {module}.{name}, which is not an array")
+        raise pickle.UnpicklingError(f"the pickle names {module}.{name}, which is not an array")

@@ -1,4 +1,4 @@
-"""Reads the canonical Gaussians of a deformation from a 3DGS PLY, as tensors."""
+"""Reads canonical Gaussians, which a network deforms over time, from a 3DGS PLY."""
 
 __all__ = ["Canonical", "read_canonical"]
 
@@ -18,7 +18,7 @@ from gsgen.reference_plugins.loading.folder import required_file
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Canonical:
-    """N canonical Gaussians of a deformation before activation, float32."""
+    """N canonical (undeformed) Gaussians before activation, float32."""
 
     position: Float[Tensor, "n 3"]  # centres
     rotation: Float[Tensor, "n 4"]  # quaternions (w, x, y, z), not normalised
@@ -43,7 +43,7 @@ class Canonical:
 
 
 def read_canonical(path: Path) -> Canonical:
-    """Read the canonical Gaussians of a deformation from a 3DGS PLY."""
+    """Read the canonical (undeformed) Gaussians of a scene from a 3DGS PLY."""
     required_file(path, "the canonical Gaussians")
     with format_faults(path):
         splats = read_ply(path)

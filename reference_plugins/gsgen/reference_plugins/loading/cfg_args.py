@@ -120,7 +120,7 @@ def _parsed(path: Path) -> dict[str, Any]:
         and not tree.args
         and all(option.arg or _is_unspellable(option.value) for option in tree.keywords)
     ):
-        raise CheckpointInvalid("is not a Namespace(…)", where=str(path), hint=hint)
+        raise CheckpointInvalid("is not a printed Namespace(…)", where=str(path), hint=hint)
     return {name: _value(node, text) for name, node in _options(tree, text)}
 
 
@@ -168,7 +168,7 @@ def _value(node: ast.expr, text: str) -> Any:
 
 
 class _Plain(ast.NodeTransformer):
-    """Makes literals of ``inf`` and ``nan``, and of printed paths."""
+    """Rewrites ``inf``, ``nan`` and printed paths in the tree of ``cfg_args`` as literals."""
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         return ast.Constant(float(node.id)) if node.id in ("inf", "nan") else node

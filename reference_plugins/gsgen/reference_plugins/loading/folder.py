@@ -100,7 +100,7 @@ def _is(is_right: Callable[[Path], bool], folder: Path) -> bool:
 
 
 def _below(folder: Path, levels: int = _LEVELS) -> Iterator[Path]:
-    """Yield the readable folders in ``folder``, and those below them to a depth of ``levels``."""
+    """Yield the readable subfolders of ``folder``, down to a depth of ``levels``."""
     try:
         inner = sorted(child for child in folder.iterdir() if child.is_dir())
     except OSError:  # the folder cannot be listed
@@ -120,7 +120,7 @@ def required_file(path: Path, content: str) -> Path:
 
 
 def _elsewhere(path: Path) -> str:
-    """Return a hint that names the other iterations of the run that have a file."""
+    """Return a hint that lists the other iterations of a training run that have the file."""
     home = path.parent.parent
     if not _ITERATION.fullmatch(path.parent.name) or not home.is_dir():
         return ""

@@ -10,7 +10,7 @@ from gsgen.sdk.plugins.plugin import installed_plugins
 
 
 def refuse_other_method(name: str, run: Path, iteration: Path) -> None:
-    """Raise if a training run is certainly of another method than that of a plugin.
+    """Raise if the files of a training run belong to another method than that of the plugin.
 
     The hint has the command of the plugin that recognises the run.
     """

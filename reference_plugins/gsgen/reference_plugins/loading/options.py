@@ -57,7 +57,7 @@ Loop = Annotated[
 
 
 def note(text: str) -> None:
-    """Print a line to stderr, in place of a progress line if one is shown."""
+    """Print a line to stderr, and overwrite the progress line that is shown there, if any."""
     clear = "\r\x1b[2K" if sys.stderr.isatty() else ""
     typer.echo(f"{clear}{text}", err=True)
 

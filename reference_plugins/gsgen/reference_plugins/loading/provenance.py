@@ -3,7 +3,9 @@
 __all__ = ["producer_of"]
 
 import hashlib
+from collections.abc import Sequence
 from importlib.metadata import version
+from pathlib import Path
 
 from gsgen.contract.spec.manifest import Producer
 from gsgen.formats.codecs import codec_named
@@ -13,11 +15,11 @@ _WEIGHTS = (*codec_named("ply").suffixes, *codec_named("checkpoint").suffixes)
 _PARENTS = ("point_cloud", "deform", "mlp_ckpt")
 
 
-def producer_of(source: str, run: TrainingRun) -> Producer:
+def producer_of(source: str, run: TrainingRun, weights: Sequence[Path] = ()) -> Producer:
     """Return the producer entry of the manifest: version, source and checksum of the weights.
 
-    The digest is that of the contents of all PLY and torch files of the iteration, one after
-    another in the order of their paths.
+    The digest is that of the contents of ``weights``, or else of all PLY and torch files of the
+    iteration, one after another in the order of their paths.
     """
     folders = [run.folder / parent / f"iteration_{run.iteration}" for parent in _PARENTS]
     folders = folders if folders[0].is_dir() else [run.folder]
@@ -28,7 +30,7 @@ def producer_of(source: str, run: TrainingRun) -> Producer:
         if file.suffix in _WEIGHTS
     ]
     digest = hashlib.sha256()
-    for file in sorted(files):
+    for file in sorted(weights or files):
         with file.open("rb") as stream:
             while block := stream.read(1 << 20):
                 digest.update(block)

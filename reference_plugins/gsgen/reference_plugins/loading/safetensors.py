@@ -64,10 +64,10 @@ def _header(data: bytes | bytearray, size: int) -> tuple[dict[str, Any], int]:
     """Parse the header from the first bytes of a safetensors file; return it and its end offset."""
     length = int.from_bytes(data[:_LENGTH], "little")
     if size < _LENGTH or length > min(_MAX_HEADER_BYTES, size - _LENGTH):
-        raise ValueError(f"the header claims {length:,} of {size:,} bytes")
+        raise ValueError(f"the header length is {length:,} bytes, but the file has {size:,}")
     header = json.loads(data[_LENGTH : _LENGTH + length].decode("utf-8"))
     if not isinstance(header, dict):
-        raise ValueError(f"the header is a {type(header).__name__}, expected an object")
+        raise ValueError(f"the header is a {type(header).__name__}, expected a JSON object")
     return header, _LENGTH + length
 
 
@@ -89,7 +89,7 @@ def _tensor(data: bytearray, start: int, name: str, entry: Any) -> Tensor:
     count = math.prod(shape)
     inside = 0 <= begin <= end <= len(data) - start
     if not inside or min(shape, default=0) < 0 or end - begin != count * dtype.itemsize:
-        raise ValueError(f"{name} {shape} does not fit bytes {begin:,} to {end:,}")
+        raise ValueError(f"tensor {name} {shape} does not fit bytes {begin:,} to {end:,}")
     if not count:
         return torch.empty(shape, dtype=dtype)
     # A copy, because numbers in the file may be unaligned.

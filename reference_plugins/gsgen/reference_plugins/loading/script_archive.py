@@ -89,7 +89,7 @@ class _Reader:
         self._archive = archive
         names = [name for name in archive.namelist() if name.endswith("/data.pkl")]
         if len(names) != 1:
-            raise ValueError(f"{len(names)} entries data.pkl, expected one")
+            raise ValueError(f"the archive has {len(names)} entries named data.pkl, expected one")
         self._root = names[0].removesuffix("data.pkl")
         order = f"{self._root}byteorder"
         if order in archive.namelist() and self._bytes("byteorder") != sys.byteorder.encode():
@@ -106,7 +106,7 @@ class _Reader:
     def _bytes(self, name: str) -> bytes:
         info = self._archive.getinfo(self._root + name)
         if info.compress_type != zipfile.ZIP_STORED:
-            raise ValueError(f"{info.filename} is compressed, expected an uncompressed entry")
+            raise ValueError(f"the entry {info.filename} is compressed, expected it uncompressed")
         return self._archive.read(info)
 
 
@@ -124,7 +124,7 @@ class _Unpickler(pickle.Unpickler):
             return _rebuilt
         if (module, name) == ("collections", "OrderedDict"):
             return OrderedDict
-        raise pickle.UnpicklingError(f"refers to {module}.{name}, which is not a tensor")
+        raise pickle.UnpicklingError(f"the pickle refers to {module}.{name}, which is not a tensor")
 
     def persistent_load(self, pid: Any) -> Tensor:
         _, kind, key, *_ = pid
@@ -138,7 +138,7 @@ def _rebuilt(
         return storage[offset : offset + 1].reshape(size) if not size else storage.new_empty(size)
     last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
     if offset < 0 or min(stride) < 0 or last >= len(storage):
-        raise ValueError(f"a tensor {list(size)} does not fit its storage of {len(storage)}")
+        raise ValueError(f"a tensor {list(size)} does not fit its {len(storage)} stored numbers")
     return storage.as_strided(size, stride, offset).clone()
 
 

@@ -100,7 +100,7 @@ def layer_of(state: Mapping[str, Tensor], name: str) -> Layer:
 
 
 def first_names(names: Iterable[str], between: str = ", ") -> str:
-    """Join the first names of a list, and add how many more there are."""
+    """Join the first few names of a list, and append the number of the others."""
     shown = list(names)
     remainder = f"{between}and {len(shown) - _MAX_SHOWN} more" if len(shown) > _MAX_SHOWN else ""
     return between.join(shown[:_MAX_SHOWN]) + remainder

@@ -1,4 +1,4 @@
-"""Reads files of ``torch.save`` without running code that they name."""
+"""Reads files that ``torch.save`` wrote, without running code that a pickle names."""
 
 __all__ = ["Inert", "load_tensors"]
 
@@ -33,7 +33,7 @@ _DAMAGED = (
 
 
 class Inert:
-    """Placeholder for a class that a file names: keeps the state and runs no code."""
+    """Placeholder for a class that a pickle names: keeps the object's state and runs no code."""
 
     def __init__(self, *_: Any) -> None:
         self.given: dict[str, Any] = {}

@@ -72,7 +72,7 @@ class _Resolution(nn.Module):
 
 
 class Appearance(nn.Module):
-    """The decoder of Gaussian attributes, with the hexplane that it reads."""
+    """R3-Avatar's decoder of Gaussian attributes, with the hexplane that the decoder reads."""
 
     def __init__(self, read: R3Checkpoint, poses: Sequence[int]) -> None:
         """Bake the values of R3-Avatar's hexplane that do not depend on the frame.
@@ -90,7 +90,7 @@ class Appearance(nn.Module):
         self.heads = Dense(weight, bias)
 
     def forward(self, frame: Int[Tensor, "1"]) -> Float[Tensor, "11 n"]:
-        """Return the changes of Gaussians as planes: offset, root of scale, rotation, opacity."""
+        """Return changes of Gaussians by component: offset, root of scale, rotation, opacity."""
         hidden = torch.cat([grid(frame) for grid in self.grids], dim=1)
         for layer in self.inner:
             hidden = torch.relu(layer(hidden))

@@ -37,7 +37,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians
 
 @final
 class GauHuman(GaussianGenerator):
-    """GauHuman: a person, or several copies, whose poses are inputs."""
+    """A GauHuman avatar, or several copies of it, whose poses are inputs of the model."""
 
     family = "avatar"
 

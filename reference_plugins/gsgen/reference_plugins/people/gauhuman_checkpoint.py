@@ -41,7 +41,7 @@ class GauHumanCheckpoint:
     nets: PoseNets | None  # networks that correct joints and weights; None if they were not trained
 
     def describe(self) -> str:
-        """Describe the checkpoint in one line: Gaussians, networks and body model."""
+        """Describe a GauHuman checkpoint in one line: Gaussians, networks and body model."""
         nets = "pose and weight networks" if self.nets is not None else "no networks"
         return f"{self.run}, {self.canonical.describe()}, {nets}; {self.body.describe()}"
 
@@ -85,7 +85,7 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
 
 
 def _kind_of(body: Path | None) -> str:
-    """Return SMPL or SMPL-X by a body model file, for a run without options; default SMPL."""
+    """Return SMPL or SMPL-X by the number of joints in a body model file; SMPL without a file."""
     if body is None or not body.is_file():
         return "smpl"
     joints = joints_of_file(body)

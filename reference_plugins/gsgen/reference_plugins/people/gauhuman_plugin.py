@@ -1,4 +1,4 @@
-"""`gsgen export gauhuman`: a checkpoint of GauHuman as a generator."""
+"""The command `gsgen export gauhuman`: exports a GauHuman checkpoint as an ONNX generator."""
 
 __all__ = ["PLUGIN"]
 

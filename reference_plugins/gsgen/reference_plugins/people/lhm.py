@@ -40,7 +40,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians
 
 @final
 class LHM(GaussianGenerator):
-    """LHM: a person, or several copies, whose SMPL-X poses are inputs."""
+    """An LHM avatar, or several copies of it, whose SMPL-X poses are inputs of the model."""
 
     family = "avatar"
 

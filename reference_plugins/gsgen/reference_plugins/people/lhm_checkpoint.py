@@ -41,7 +41,7 @@ _PRIOR = "pretrained_models/voxel_grid/human_prior_constrain.npz"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LHMCheckpoint:
-    """An avatar of LHM: Gaussians, person and body model."""
+    """An avatar of LHM: Gaussians, body shape of the person, and body model."""
 
     path: Path  # the file of tensors
     position: Float[Tensor, "n 3"]  # query points and their offsets, added
@@ -64,7 +64,7 @@ class LHMCheckpoint:
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """Expressions of FLAME, which LHM uses in place of those of SMPL-X."""
+    """Facial expressions of FLAME, which LHM uses in place of those of SMPL-X."""
 
     vertices: Int[np.ndarray, " f"]  # indices of the SMPL-X vertices that they move
     dirs: Float[np.ndarray, "f 3 e"]  # offset of each vertex per expression coefficient
@@ -103,7 +103,7 @@ def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
 
 
 def read_face(flame: Path, ids: Path, body: Body) -> Face:
-    """Read FLAME's expressions and the SMPL-X vertices that they move.
+    """Read the facial expressions of FLAME and the SMPL-X vertices that they move.
 
     ``flame`` is ``FLAME_NEUTRAL.pkl`` or an ``.npz`` of the same arrays, and ``ids`` is
     ``SMPL-X__FLAME_vertex_ids.npy``.
@@ -180,7 +180,7 @@ def _tensors(path: Path) -> dict[str, Tensor]:
     for name, shape in expected.items():
         value = fields[name]
         if not isinstance(value, Tensor) or not count:
-            raise CheckpointInvalid(f"{name} is not a tensor", where=str(path), hint=hint)
+            raise CheckpointInvalid(f"{name} is not a tensor with rows", where=str(path), hint=hint)
         if value.numel() != np.prod(shape) or not torch.isfinite(value).all():
             message = f"{name} is {list(value.shape)}, expected {list(shape)}, all finite"
             raise CheckpointInvalid(message, where=str(path), hint=hint)

@@ -1,4 +1,4 @@
-"""`gsgen export lhm`: an avatar of LHM as a generator."""
+"""The command `gsgen export lhm`: exports an LHM avatar as an ONNX generator."""
 
 __all__ = ["PLUGIN"]
 

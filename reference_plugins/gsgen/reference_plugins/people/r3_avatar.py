@@ -37,7 +37,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians
 
 @final
 class R3Avatar(GaussianGenerator):
-    """R3-Avatar: a person, or several copies, whose poses and training frames are inputs."""
+    """An R3-Avatar, or several copies of it; poses and training frames are inputs of the model."""
 
     family = "avatar"
 
@@ -59,7 +59,7 @@ class R3Avatar(GaussianGenerator):
         add_hands: bool = False,
         progress: Callable[[int], None] | None = None,
     ) -> None:
-        """Bake an R3-Avatar checkpoint, and find the nearest body vertices in every frame.
+        """Bake an R3-Avatar checkpoint; find the nearest body vertices in every training frame.
 
         ``poses`` has the pose id of each frame; other options are as in GauHuman. ``progress`` is
         called with the number of finished frames.

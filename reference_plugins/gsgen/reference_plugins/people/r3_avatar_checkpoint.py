@@ -94,7 +94,7 @@ class R3Checkpoint:
     origin: int  # the pose id at which time is 0
 
     def describe(self) -> str:
-        """Describe the checkpoint in one line: Gaussians, planes, time and body model."""
+        """Describe an R3-Avatar checkpoint in one line: Gaussians, hexplane, frames, body model."""
         return (
             f"{self.path}: {self.canonical.describe()}, "
             f"{len(self.grids)} × 6 planes, time 0 at pose "
@@ -164,7 +164,7 @@ def _checkpoint_file(folder: Path, iteration: int | None) -> Path:
 
 
 def _last_iteration_folder(folder: Path) -> Path:
-    """Return the folder of a run's last iteration; the run's folder without iterations."""
+    """Return the last iteration folder of a training run, or the run's folder if it has none."""
     iteration_folders = (folder / "point_cloud").glob("iteration_*")
     return max(iteration_folders, default=folder)
 

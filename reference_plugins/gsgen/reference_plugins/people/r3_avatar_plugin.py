@@ -1,4 +1,4 @@
-"""`gsgen export r3-avatar`: a checkpoint of R3-Avatar as a generator."""
+"""The command `gsgen export r3-avatar`: exports an R3-Avatar checkpoint as an ONNX generator."""
 
 __all__ = ["PLUGIN"]
 

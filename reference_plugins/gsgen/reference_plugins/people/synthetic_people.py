@@ -219,7 +219,7 @@ def _with_tensors(module: nn.Module, state: Mapping[str, Tensor]) -> nn.Module:
 
 @contextmanager
 def _training_classes() -> Iterator[dict[str, type[nn.Module]]]:
-    """Register classes that are pickled under their names in the training code."""
+    """Define classes whose pickles have the class names of R3-Avatar's training code."""
     homes = {
         "GaussianDecoder": "gaussian_decoder",
         "BodyPoseRefiner": "mlp_delta_body_pose",

@@ -1,1 +1,1 @@
-"""How is a splat file or point cloud that does not move exported?"""
+"""How are static splat files and point clouds exported?"""

@@ -74,7 +74,7 @@ def from_content(
     appearance: Literal["sh", "rgb"] | None = None,
     sh_degree: int | None = None,
 ) -> ConstantRows:
-    """Pack the content of a splat file, point cloud or file of packed rows.
+    """Convert the content of a splat file, point cloud or file of packed rows to packed rows.
 
     Packed rows pass through unchanged. ``dtype`` is float32, or that of packed rows, by default,
     and RGB is the default of ``appearance``. Points get SH if ``sh_degree`` is present, else RGB;
@@ -116,7 +116,7 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> Constan
 
 
 def _of_degree(sh: Float[np.ndarray, "n k 3"], degree: int) -> Float[np.ndarray, "n l 3"]:
-    """Truncate SH to a degree, or pad them with zeros."""
+    """Truncate SH coefficients to a degree, or pad them with zeros."""
     resized = np.zeros((len(sh), coefficients(degree), 3), sh.dtype)
     shared = min(resized.shape[1], sh.shape[1])
     resized[:, :shared] = sh[:, :shared]
@@ -165,7 +165,7 @@ def _from_rows(
     space = appearance or ("rgb" if channels in (3, 4) else "sh")
     if channels not in (sh_channels if space == "sh" else (3, 4)):
         expected = f"{sh_channels} for SH or 3 or 4 for RGB"
-        raise GsgenError(f"{channels} channels, expected {expected}", where="appearance")
+        raise GsgenError(f"has {channels} channels, expected {expected}", where="appearance")
     if dtype is not None:
         rows, color = rows.astype(dtype), color.astype(dtype)
     return ConstantRows(

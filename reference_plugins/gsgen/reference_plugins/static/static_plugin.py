@@ -1,4 +1,4 @@
-"""`gsgen export static`: a splat file or a point cloud as a generator."""
+"""The command `gsgen export static`: exports a splat file or point cloud as an ONNX generator."""
 
 __all__ = ["PLUGIN", "build"]
 

@@ -1,4 +1,4 @@
-"""Which synthetic scenes and checkpoints can be written, and what do their writers share?
+"""What do the writers of synthetic checkpoints share: a scene, random weights, run files?
 
 The writers of a family are in its folder; this package offers them all. They need torch, so they
 are imported on first use.
@@ -25,13 +25,14 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.images.synthetic_difix import write_difix
     from gsgen.reference_plugins.images.synthetic_images import write_denoiser, write_stylise
     from gsgen.reference_plugins.people.synthetic_people import write_gauhuman, write_lhm, write_r3
+    from gsgen.reference_plugins.spacetime.synthetic_spacetime import write_spacetime
     from gsgen.reference_plugins.synthetic.knot import torus_knot
 
 __all__ = [
     "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_body",
     "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_gauhuman",
     "write_hexplane", "write_lhm", "write_motion", "write_octree", "write_r3", "write_scaffold",
-    "write_stylise",
+    "write_spacetime", "write_stylise",
 ]  # fmt: skip
 
 __getattr__ = lazy_getattr(__name__)

@@ -1,1 +1,1 @@
-"""Which tensor operations do several families share?"""
+"""Which tensor operations do several export plugins share?"""

@@ -23,7 +23,7 @@ class Constants(nn.Module):
     def __init__(
         self, make: nn.Module, arguments: Sequence[Tensor] = (), bake: Bake = "auto"
     ) -> None:
-        """Compute a module's constant results, and keep the results or the buffers behind them.
+        """Compute a module's constant results, and store the results or the buffers they depend on.
 
         Args:
             make: Module that returns a tuple of tensors, computed from its buffers.

@@ -1,4 +1,4 @@
-"""Computes covariances from one tensor per component: w, x, y, z, and the scales sx, sy, sz.
+"""Computes covariances from quaternions and scales, stored as one tensor per component.
 
 Such a plane holds one component of all Gaussians, so no step slices quaternions, and each is one
 kernel over contiguous memory. No tensor is larger than an input: a million Gaussians stay far
@@ -22,7 +22,7 @@ _TINY = 1e-24
 def rotation_columns(
     rotation: Sequence[Tensor], *, normalise: bool = True
 ) -> list[tuple[Tensor, Tensor, Tensor]]:
-    """Return the three columns of the rotation matrix R(q), each as planes x, y and z.
+    """Return the three columns of the rotation matrix R(q), each as tensors of x, y and z.
 
     With ``normalise``, |q|² divides. Otherwise R is I − 2(…) of the quaternion as it is, as in the
     rasteriser of 3DGS.
@@ -47,7 +47,7 @@ def rotation_columns(
 def covariance_planes(
     scale: Sequence[Tensor], rotation: Sequence[Tensor], *, normalise: bool = True
 ) -> list[Tensor]:
-    """Return the planes xx, xy, xz, yy, yz, zz of R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6)."""
+    """Return the six components of the covariance R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6)."""
     columns = rotation_columns(rotation, normalise=normalise)
     axes = [[s * r for r in column] for s, column in zip(scale, columns, strict=True)]
     a, b, c = axes

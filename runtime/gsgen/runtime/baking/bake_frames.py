@@ -114,7 +114,7 @@ def bake_source(
     psnr: bool | None = None,
     progress: Progress = lambda text: None,
 ) -> BakeReport:
-    """Write frames of an open generator, with arguments as in :func:`bake`.
+    """Write frames of a generator that is open already as plain splat files.
 
     The frames have the input values of ``tracks``, and what ``cameras`` see: one camera per frame,
     one for all, or none to fit SH.
@@ -163,7 +163,7 @@ def _frame_count(frames: int, cameras: int) -> int:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Job:
-    """The state of a running bake."""
+    """The state of writing frames of a generator as splat files."""
 
     source: GeneratorSource
     values: FrameValues

@@ -38,7 +38,7 @@ def generator_images(
     number: int,
     renderer: "Renderer",
 ) -> Images:
-    """Run a generator for each camera, and draw one frame of it with given input values."""
+    """Run a generator once per camera with given input values, and draw the resulting Gaussians."""
     images = []
     for camera in cameras:
         source.update(camera, values, number)

@@ -1,4 +1,4 @@
-"""Converts the drawn Gaussians of one frame to the splats of a file."""
+"""Converts the drawn Gaussians of one frame to the splat parameters that files store."""
 
 __all__ = ["drawn_mask", "splats_of_frame"]
 

@@ -86,7 +86,7 @@ def _inputs_of(source: GeneratorSource, track: Track) -> list[Input]:
     known = {word for spec in source.inputs for word in (spec.name, spec.role)}
     if track.word == "time":
         raise ConfigInvalid(
-            f"{source.name} has no time input, but {', '.join(sorted(known)) or 'no inputs'}",
+            f"{source.name} has no time input; its inputs are {', '.join(sorted(known)) or 'none'}",
             where=track.where,
             hint="Leave --time out, or set another input with --input NAME=VALUE.",
         )

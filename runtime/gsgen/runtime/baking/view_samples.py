@@ -23,7 +23,7 @@ _MAX_GROWTH: Final = 8  # rows of a union this many times larger than a frame do
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewSamples:
-    """The Gaussians that any camera gets, with colours and opacities by camera.
+    """The union of the Gaussians of several cameras, with colours and opacities per camera.
 
     Attributes:
         union: Means over the cameras: of opacities, and of positions and covariances weighted by
@@ -51,7 +51,7 @@ class _View:
 
 
 def cameras_around(source: GeneratorSource, count: int, *, offset: float = 0.5) -> list[Camera]:
-    """Return evenly spread cameras on a sphere around a source, with all Gaussians in view.
+    """Return cameras evenly spread on a sphere, from which all Gaussians of a source are in view.
 
     They are on a Fibonacci lattice, which ``offset`` shifts to other directions.
     """
@@ -83,7 +83,7 @@ def sample_views(
     number: int,
     step: Callable[[int], None] = lambda view: None,
 ) -> ViewSamples:
-    """Run a generator for each camera, and match the rows of all cameras.
+    """Run a generator once per camera, and match the output rows of all cameras.
 
     Rows are matched by index, or by the bits of their positions if the live count changes with the
     camera. ``step`` is called before each run with the number of the camera.
@@ -144,7 +144,7 @@ def _scattered(ids: Sequence[np.ndarray], arrays: Sequence[np.ndarray]) -> np.nd
 def _mean(
     views: Sequence[_View], ids: Sequence[np.ndarray], opacity: np.ndarray
 ) -> DecodedGaussians:
-    """Return the mean Gaussians over the cameras, weighted by opacity."""
+    """Return Gaussians averaged over the cameras, weighted by the opacity for each camera."""
     size = opacity.shape[1]
     weight, sums = np.zeros(size), np.zeros((size, 9))
     appearance = views[0].gaussians.rgb if views[0].gaussians.sh is None else views[0].gaussians.sh

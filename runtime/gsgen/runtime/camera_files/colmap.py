@@ -55,7 +55,7 @@ def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> 
     lens = lenses.get(image.lens)
     if lens is None:
         raise ConfigInvalid(
-            f"has camera {image.lens}, expected one of {sorted(lenses)[:8]}", where=where
+            f"refers to camera {image.lens}, expected one of {sorted(lenses)[:8]}", where=where
         )
     fx, fy, cx, cy, _ = parameters(lens.model, lens.values, where)
     view = np.eye(4)

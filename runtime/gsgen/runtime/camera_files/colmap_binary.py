@@ -24,7 +24,7 @@ _DAMAGED: Final = "The file is damaged, or was not written by COLMAP."
 
 
 def lenses(path: Path) -> dict[int, ColmapLens]:
-    """Read the lenses of COLMAP's cameras.bin, by their numbers."""
+    """Read the intrinsics in COLMAP's cameras.bin, by camera number."""
     with _opened(path) as data:
         by_number: dict[int, ColmapLens] = {}
         for index in range(data.count(_LENS.size)):
@@ -54,7 +54,7 @@ def images(path: Path) -> list[ColmapImage]:
 
 @final
 class _Reader:
-    """A memory-mapped binary file with a read position."""
+    """A memory-mapped binary file of COLMAP with a read position."""
 
     def __init__(self, data: mmap.mmap, path: Path) -> None:
         self._data, self._path, self._at = data, path, 0
@@ -87,7 +87,7 @@ class _Reader:
         self._at += size
 
     def name(self) -> str:
-        """Read a text that ends with a zero byte."""
+        """Read a zero-terminated text of a COLMAP file."""
         end = self._data.find(b"\0", self._at, self._at + _LONGEST_NAME)
         if end < 0:
             raise ConfigInvalid(

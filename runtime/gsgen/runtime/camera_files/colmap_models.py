@@ -29,7 +29,7 @@ PINHOLES: Final = ("SIMPLE_PINHOLE", "PINHOLE")
 @final
 @dataclass(frozen=True, slots=True)
 class ColmapLens:
-    """The intrinsics of images, which COLMAP calls a camera."""
+    """A COLMAP camera: the camera model and intrinsics that several images may share."""
 
     model: str
     width: int
@@ -54,7 +54,7 @@ class ColmapImage:
 def parameters(
     model: str, values: tuple[float, ...], where: str
 ) -> tuple[float, float, float, float, tuple[float, ...]]:
-    """Return fx, fy, cx, cy and the distortion coefficients of a camera."""
+    """Return fx, fy, cx, cy and the distortion coefficients of a COLMAP camera model."""
     if model not in MODELS or "FISHEYE" in model or model == "FOV":
         raise ConfigInvalid(
             f"has the camera model {model}, expected one that a pinhole approximates",

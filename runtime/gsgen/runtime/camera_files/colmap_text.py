@@ -14,7 +14,7 @@ _LONGEST: Final = 1 << 26  # characters of a line: an image may have a million p
 
 
 def lenses(path: Path) -> dict[int, ColmapLens]:
-    """Read the lenses of COLMAP's cameras.txt, by their numbers."""
+    """Read the intrinsics in COLMAP's cameras.txt, by camera number."""
     by_number = {}
     for number, line in _lines(path):
         if not line or line.startswith("#"):
@@ -30,7 +30,7 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
 
 
 def images(path: Path) -> list[ColmapImage]:
-    """Read the images of COLMAP's images.txt: a line of pose, camera, name, and one of points."""
+    """Read COLMAP's images.txt: per image a line of pose, camera and name, and a line of points."""
     records = []
     points = False  # whether the next line holds the points of an image
     for number, line in _lines(path):
@@ -69,7 +69,7 @@ def _numbers(words: list[str], where: str) -> tuple[float, ...]:
     try:
         numbers = tuple(float(word) for word in words)
     except ValueError as error:
-        raise ConfigInvalid(f"{error}", where=where) from error
+        raise ConfigInvalid(f"has {words}, expected numbers", where=where) from error
     if not all(map(math.isfinite, numbers)):
         raise ConfigInvalid(f"has {words}, expected finite numbers", where=where)
     return numbers
@@ -79,4 +79,4 @@ def _integers(words: list[str], where: str) -> list[int]:
     try:
         return [int(word) for word in words]
     except ValueError as error:
-        raise ConfigInvalid(f"{error}", where=where) from error
+        raise ConfigInvalid(f"has {words}, expected integers", where=where) from error

@@ -15,7 +15,7 @@ from gsgen.runtime.scene.camera import Camera
 
 
 def number(document: Mapping[str, Any], name: str, where: str) -> float:
-    """Read a JSON field that must be a finite number."""
+    """Read a JSON field of a camera file that must be a finite number."""
     value = document.get(name)
     # An integer may be too large for a float.
     good = isinstance(value, int | float) and not isinstance(value, bool)
@@ -25,7 +25,7 @@ def number(document: Mapping[str, Any], name: str, where: str) -> float:
 
 
 def side(document: Mapping[str, Any], name: str, where: str) -> int:
-    """Read a JSON field that must be whole pixels; some writers store 1920.0."""
+    """Read a JSON field of a camera file in whole pixels; some writers store 1920.0."""
     value = number(document, name, where)
     if value != math.floor(value):
         raise ConfigInvalid(f"{name} is {value}, expected whole pixels", where=where)
@@ -33,7 +33,7 @@ def side(document: Mapping[str, Any], name: str, where: str) -> int:
 
 
 def text(document: Mapping[str, Any], name: str, fallback: str) -> str:
-    """Read a JSON field as text; return ``fallback`` if it is absent."""
+    """Read a JSON field of a camera file as text; return ``fallback`` if the field is absent."""
     value = document.get(name)
     return fallback if value is None or isinstance(value, list | dict) else str(value)
 

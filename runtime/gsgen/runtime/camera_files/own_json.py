@@ -10,7 +10,7 @@ from gsgen.runtime.scene.camera import Camera
 
 
 def is_own(document: object) -> bool:
-    """Return whether a JSON document is a gsgen camera, or a list that begins with one."""
+    """Return whether a JSON document is one gsgen camera, or a list that begins with one camera."""
     first = document[0] if isinstance(document, list) and document else document
     return isinstance(first, dict) and not first.keys().isdisjoint(("view", "fx", "fy"))
 

@@ -25,12 +25,12 @@ _SUFFIXES: Final = ("", ".png", ".jpg")  # synthetic scenes omit the suffix
 
 
 def is_transforms(document: object) -> bool:
-    """Return whether a JSON document is a transforms.json."""
+    """Return whether a JSON document is a transforms.json of nerfstudio, Instant-NGP or NeRF."""
     return isinstance(document, dict) and isinstance(document.get("frames"), list)
 
 
 def read_transforms(document: Mapping[str, Any], path: str) -> CameraFile:
-    """Read the camera of each frame of a transforms.json."""
+    """Read the camera of each frame of a transforms.json (nerfstudio, Instant-NGP, NeRF)."""
     frames = document["frames"]
     if not frames:
         raise ConfigInvalid("has no frames, expected at least one", where=path)
@@ -84,7 +84,7 @@ def _camera(document: Mapping[str, Any], index: int, where: str) -> NamedCamera:
 
 
 def _shape(document: Mapping[str, Any]) -> tuple[int, int]:
-    """Return the shape of ``transform_matrix``: some writers omit the last row."""
+    """Return the shape of a ``transform_matrix``, whose last row some writers omit."""
     transform = document.get("transform_matrix")
     return (3, 4) if isinstance(transform, list) and len(transform) == 3 else (4, 4)
 

@@ -1,1 +1,1 @@
-"""Level render of the validator: does a model draw what it should?"""
+"""Validation level ``render``: do the drawn frames of a model show the model?"""

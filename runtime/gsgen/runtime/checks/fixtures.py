@@ -46,7 +46,7 @@ def grows_out_of_nothing() -> ModelSpec:
 
 @invalid("GB020", level=Level.RENDER)
 def opaque_behind_opaque() -> ModelSpec:
-    """Fixture: a black sheet before a white one, of which one rasteriser draws a hundredth."""
+    """Fixture: two large sheets, black before white, which the two rasterisers draw differently."""
     sheets = still(2)
     rows, colors = (np.array(sheets.weights[name]) for name in ("rows", "colors"))
     rows[:, :3], rows[:, 3] = (0.0, 0.0, 0.0), 1.0
@@ -58,7 +58,7 @@ def opaque_behind_opaque() -> ModelSpec:
 
 @invalid("GB021", level=Level.RENDER)
 def looks_otherwise() -> ModelSpec:
-    """Fixture: a model whose reference image is red, unlike the model."""
+    """Fixture: a model whose reference image is red, while the model is drawn otherwise."""
     from gsgen.runtime.media.pictures import png_of
 
     red = np.zeros((36, 64, 3), np.uint8)

@@ -59,14 +59,14 @@ def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarra
     raw = _bytes(folder, reference.path)
     digest = hashlib.sha256(raw).hexdigest()
     if digest != reference.sha256:
-        raise ReferenceUnreadable(f"sha256 is {digest}, expected {reference.sha256}")
+        raise ReferenceUnreadable(f"the image's sha256 is {digest}, expected {reference.sha256}")
     from PIL import Image, UnidentifiedImageError
 
     try:
         with Image.open(io.BytesIO(raw), formats=["PNG"]) as image:
             if max(image.size) > MAX_SIDE:
                 raise ReferenceUnreadable(
-                    f"{image.width}×{image.height} pixels, expected at most {MAX_SIDE}×{MAX_SIDE}"
+                    f"the image is {image.width}×{image.height}, expected at most {MAX_SIDE}×{MAX_SIDE}"
                 )
             colors = np.asarray(image.convert("RGB"), np.float32)
     except (

@@ -50,7 +50,7 @@ _PICTURE_NAME: Final = re.compile(r"^[0-9]+\.png$")
 @final
 @dataclass(frozen=True, slots=True)
 class References:
-    """The copy of a model, its written reference images, and labels of empty ones."""
+    """A model copy with reference images, and the labels of probes whose images are empty."""
 
     model: Path
     images: tuple[ReferenceImage, ...]

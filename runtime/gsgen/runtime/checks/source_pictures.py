@@ -177,7 +177,7 @@ def _probe(subject: InspectedModel, settings: Settings, label: str | None) -> Pr
 
 
 def _matched(folder: Path, file: CameraFile) -> tuple[list[_Source], tuple[str, ...]]:
-    """Return the pictures that have a camera, and the names of those without one."""
+    """Return the training pictures that have a camera, and the names of those without a camera."""
     if not folder.is_dir():
         raise InputUnreadable("is not a folder of pictures", where=str(folder))
     by_stem = {Path(entry.name).stem: entry.camera for entry in file.cameras}

@@ -1,4 +1,4 @@
-"""Draws the frames of the viewer kit; registered under the entry point ``gsgen.kit_pictures``."""
+"""Draws the expected pictures of a viewer test kit, by the entry point ``gsgen.kit_pictures``."""
 
 __all__ = ["draw_frames", "on_screen", "runtime_camera"]
 
@@ -34,11 +34,11 @@ def draw_frames(model: Path, frames: Sequence[KitFrame]) -> list[Float[np.ndarra
 
 
 def runtime_camera(camera: KitCamera) -> Camera:
-    """Return a camera of the kit as the renderer takes it."""
+    """Convert a camera of the viewer test kit to a camera of the renderer."""
     return Camera(**{field.name: getattr(camera, field.name) for field in fields(camera)})
 
 
 def on_screen(rgba: Float[np.ndarray, "h w 4"], scene: Scene) -> Float[np.ndarray, "h w 3"]:
-    """Return what a screen shows of a drawn image: over black, in [0, 1], encoded as sRGB."""
+    """Return the image over black that a screen shows: colours clamped to [0, 1], sRGB-encoded."""
     color = np.clip(rgba[..., :3], 0, 1)
     return srgb_of_linear(color) if scene.color_space == "linear" else color

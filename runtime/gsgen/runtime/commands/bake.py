@@ -150,7 +150,7 @@ def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
         track = input_track(text)
         if track.sweep:
             raise ConfigInvalid(
-                f"{text!r} has no number of frames",
+                f"{text!r} does not say how many frames to bake",
                 where=track.where,
                 hint="Write FIRST:LAST:COUNT, for example 0:1:30.",
             )

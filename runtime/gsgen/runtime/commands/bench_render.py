@@ -108,7 +108,7 @@ def _milliseconds(seconds: float) -> str:
 
 
 def _lines(cost: "FrameCost") -> list[str]:
-    """Return lines of text on the frames, the device and its memory."""
+    """Format the counts of drawn frames, the device and its memory as lines of text."""
     width, height = cost.size
     kind = " (a software driver)" if cost.software else ""
     bytes_per_row = cost.rows_bytes / max(1, cost.capacity)

@@ -195,7 +195,7 @@ def _writer(
             continue
         if codec.name != name:
             raise ConfigInvalid(
-                f"applies to {name}, but the output is {codec.name}",
+                f"applies to {name} files, but the output format is {codec.name}",
                 where=option,
                 hint="Leave the option out.",
             )

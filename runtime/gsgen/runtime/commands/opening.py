@@ -102,7 +102,7 @@ def _warnings_as_notes() -> Iterator[None]:
 
 
 def _sizes_by_path(paths: Sequence[Path], sizes: Mapping[str, int]) -> dict[Path, dict[str, int]]:
-    """Return the sizes of each model's own open dimensions, by path.
+    """Return the sizes that the user set for each model's symbolic dimensions, by model path.
 
     Raises:
         UnknownName: No model has such an open dimension.

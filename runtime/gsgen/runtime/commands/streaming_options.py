@@ -51,7 +51,7 @@ _OPTIONS = inspect.signature(_settings).parameters
 
 
 def with_streaming_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command with the options of streaming, which are passed as one settings object."""
+    """Add the tileset streaming options to a command, which receives them as one object."""
     own = inspect.signature(command).parameters
 
     def streaming_command(*arguments: Any, **values: Any) -> None:

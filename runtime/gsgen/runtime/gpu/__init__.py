@@ -1,1 +1,1 @@
-"""GPU memory: which scene data is on the device, how it is uploaded and read back?"""
+"""GPU memory: which scene data is on the device, how is it uploaded and read back?"""

@@ -114,7 +114,7 @@ class Device:
             ) from error
 
     def storage(self, label: str, size: int, *, extra: str = "") -> Buffer:
-        """Return a new storage buffer of ``size`` bytes, filled with zeros.
+        """Return a new GPU storage buffer of ``size`` bytes, filled with zeros.
 
         Args:
             label: Name of the buffer in errors.
@@ -135,7 +135,7 @@ class Device:
         return self._buffer(label, at_least(-(-size // 16) * 16, 16), usage)
 
     def dynamic_storage(self, label: str, size: int) -> Buffer:
-        """Return a new storage buffer for data that changes often.
+        """Return a new GPU storage buffer for data that changes often.
 
         Raises:
             CapacityExceeded: No binding may be that large.
@@ -151,11 +151,11 @@ class Device:
         return bool(buffer.usage & wgpu.BufferUsage.MAP_WRITE)
 
     def uniform(self, label: str, size: int) -> Buffer:
-        """Return a new uniform buffer of ``size`` bytes."""
+        """Return a new GPU uniform buffer of ``size`` bytes."""
         return self._buffer(label, -(-size // 16) * 16, "UNIFORM|COPY_DST")
 
     def readable(self, label: str, size: int) -> Buffer:
-        """Return a new buffer of ``size`` bytes that this process can read.
+        """Return a new GPU buffer of ``size`` bytes for readback: the CPU can map and read it.
 
         Raises:
             CapacityExceeded: No buffer may be that large.
@@ -187,7 +187,7 @@ class Device:
         return buffer
 
     def texture(self, label: str, size: tuple[int, int], format: str, usage: str) -> Texture:
-        """Return a new texture without mipmaps; ``format`` and ``usage`` are wgpu's names.
+        """Return a new GPU texture without mipmaps; ``format`` and ``usage`` are wgpu's names.
 
         Raises:
             CapacityExceeded: No texture may be that large.
@@ -290,7 +290,7 @@ class Device:
             self.raw.queue.write_buffer(buffer, offset, raw)
 
     def read(self, buffer: Buffer, dtype: type[np.generic], count: int) -> np.ndarray:
-        """Read the first ``count`` numbers of a GPU buffer, after all submitted work is done."""
+        """Read the first ``count`` numbers of a GPU buffer, after all submitted work has ended."""
         size = count * np.dtype(dtype).itemsize
         if size == 0:
             return np.zeros(0, dtype)

@@ -41,7 +41,7 @@ class MeshBuffers:
 
 @final
 class MeshResidency:
-    """Keeps each ``MeshData`` in GPU buffers for as long as it exists."""
+    """Keeps each ``MeshData`` in GPU buffers for as long as the object exists."""
 
     def __init__(self, device: Device) -> None:
         self._device = device

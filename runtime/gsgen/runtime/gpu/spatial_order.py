@@ -41,7 +41,7 @@ class SpatialOrder:
 
     @classmethod
     def of(cls, data: SplatData) -> Self:
-        """Return the Morton order of the present rows of a set of Gaussians."""
+        """Compute the Morton order of the Gaussians that a splat set holds at present."""
         along = along_curve(data.rows[: data.count, layout.POSITION])
         rows = np.concatenate([along, np.arange(data.count, len(data))]).astype(np.uint32)
         samples = np.linspace(0, data.count - 2, _SAMPLE if data.count > 1 else 0)

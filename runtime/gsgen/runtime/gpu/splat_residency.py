@@ -1,4 +1,4 @@
-"""Keeps the Gaussians of every set in GPU buffers, in pages no larger than a binding."""
+"""Keeps the Gaussians of each splat set in GPU buffers, split into pages that can be bound."""
 
 __all__ = [
     "PAGE_ROWS",
@@ -51,7 +51,7 @@ def stride(channels: int, *, half: bool) -> int:
 
 
 def bytes_of(data: SplatData, *, compact: bool) -> int:
-    """Return the GPU memory of the rows, the appearance and the cells of a set, in bytes."""
+    """Return the bytes of GPU memory that a splat set's rows, appearance and cells take."""
     half = compact or data.appearance.dtype == np.float16
     row = _bytes_of_row(packed=compact and data.cells is None)
     row += _bytes_of_appearance(stride(data.appearance.shape[1], half=half))
@@ -70,7 +70,7 @@ def _bytes_of_appearance(stride: int) -> int:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PageSlots:
-    """The slots of a pool's GPU page, and the buffers that a frame plan writes for them.
+    """The slots of the splat pool that one GPU page holds, and the GPU buffers about these slots.
 
     Attributes:
         pool: The pool.
@@ -92,7 +92,7 @@ class PageSlots:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Page:
-    """Consecutive Gaussians of one set in GPU buffers.
+    """Consecutive Gaussians of one splat set, in GPU buffers that are small enough to be bound.
 
     Attributes:
         first: Index of the page's first row in the set.
@@ -149,13 +149,13 @@ def _typed(
 @final
 @dataclass(slots=True, eq=False)
 class _Filled:
-    """The uploaded part of an array: its version, and the number of its first rows."""
+    """The uploaded part of an array: the array's version, and the number of uploaded rows."""
 
     version: int = -1
     rows: int = 0
 
     def missing(self, version: int, live: int) -> Iterator[slice]:
-        """Yield the slice of live rows that are not uploaded yet, and count them as uploaded."""
+        """Yield the slice of an array's live rows that is not uploaded yet; mark it as uploaded."""
         first = self.rows if self.version == version else 0
         if live > first:
             yield slice(first, live)
@@ -164,7 +164,7 @@ class _Filled:
 
 @final
 class _State(NamedTuple):
-    """Versions of a set's arrays and its number of live rows at the start of a frame."""
+    """The array versions and the number of live rows of a splat set at the start of a frame."""
 
     rows: int
     appearance: int
@@ -174,7 +174,7 @@ class _State(NamedTuple):
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
 class _Resident:
-    """The GPU pages of one ``SplatData``, and how much of each array is uploaded.
+    """The GPU pages of one ``SplatData``, and the uploaded part of each of its arrays.
 
     Attributes:
         state: Versions at the start of the last frame.
@@ -192,7 +192,7 @@ class _Resident:
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
-    """Yield each GPU page with its part of the live rows, and the part's offset in the page."""
+    """Yield each GPU page with its part of a splat set's live rows, and the part's page offset."""
     for page in pages:
         first = max(live.start, page.first)
         last = min(live.stop, page.first + page.capacity)
@@ -202,7 +202,7 @@ def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
 
 @final
 class Residency:
-    """Keeps each ``SplatData`` in GPU pages for as long as it exists.
+    """Keeps each ``SplatData`` in GPU pages for as long as the object exists.
 
     Args:
         device: Device of the buffers.
@@ -221,7 +221,7 @@ class Residency:
         self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
-        """Begin a frame that draws a splat set, whose rows are in spatial order from frame two on.
+        """Begin a frame with a splat set, whose rows are in spatial order from its second frame on.
 
         Neighbours in memory are then read together by a tile, which nearly halves the time of a
         frame of a million Gaussians. Rows that change keep the order of an earlier frame if they
@@ -248,7 +248,7 @@ class Residency:
             self._arrange(resident, SpatialOrder.of(data))
 
     def restore_order(self, data: SplatData) -> None:
-        """Return the rows of a set to their own order in GPU memory for good."""
+        """Store the rows of a splat set in their original order on the GPU from now on."""
         resident = self._hold(data)
         resident.is_unordered = True
         self._arrange(resident, None)
@@ -268,7 +268,7 @@ class Residency:
             ]
 
     def _arrange(self, resident: _Resident, order: SpatialOrder | None) -> None:
-        """Set the order of a set's rows in GPU memory, which uploads all of them again."""
+        """Set the order of a splat set's rows in GPU memory, and upload all rows again."""
         resident.order = order
         resident.rows, resident.appearance = _Filled(), _Filled()
         resident.pages = [
@@ -292,7 +292,7 @@ class Residency:
         return self._held[data]
 
     def pages(self, data: SplatData) -> list[Page]:
-        """Return the GPU pages of a set, after uploading its changed rows."""
+        """Return the GPU pages of a splat set, after uploading the rows that changed."""
         resident = self._hold(data)
         for live in resident.rows.missing(data.rows_version, data.count):
             self._upload(resident, live, data.rows, _rows_of)
@@ -302,7 +302,7 @@ class Residency:
         return resident.pages
 
     def pool_pages(self, pool: SplatPool) -> list[Page]:
-        """Return the GPU pages of a pool, after uploading the rows of the tiles that arrived.
+        """Return the GPU pages of a splat pool, after uploading the rows of newly arrived tiles.
 
         Writes of the queue come before the next frame and after all earlier ones, so that no frame
         in flight reads a slot that is written.
@@ -355,7 +355,7 @@ class Residency:
         array: Float[np.ndarray, "n c"],
         target: Callable[[Page, int, np.ndarray], Target],
     ) -> None:
-        """Write live rows of an array into a GPU buffer of each page."""
+        """Write live rows of an array into the GPU buffer of each page."""
         for page, part, first in _parts(resident.pages, live):
             to = target(page, first, array)
             if resident.order is None:

@@ -1,4 +1,4 @@
-"""Writes MP4 videos: AV1 samples in the boxes that players and browsers expect.
+"""Writes MP4 videos: Pillow encodes AV1 frames, which are wrapped in MP4 boxes.
 
 The encoder is Pillow's, whose AVIF sequences hold the same AV1 samples in other boxes. So no codec
 with another licence is needed. Boxes: ISO/IEC 14496-12 (ISO base media file format); the
@@ -50,7 +50,7 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
     size = len(head) + len(_contents(groups[0], samples, firsts.tolist(), fps, 0)) + 8
     if size + sum(map(len, samples)) >= _MAX_BYTES:
         raise SceneInvalid(
-            f"has {len(samples):,} frames of more than 4 GiB, the limit of an .mp4",
+            f"the {len(samples):,} frames take more than 4 GiB, the limit of an .mp4 file",
             hint="Draw the video in parts, or smaller.",
         )
     contents = _contents(groups[0], samples, firsts.tolist(), fps, size)
@@ -60,7 +60,7 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
 @final
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Video frames that were encoded together, with their sample entry box."""
+    """AV1 frames of a video that were encoded together, and the MP4 sample entry that they need."""
 
     entry: bytes
     samples: list[bytes]
@@ -69,7 +69,7 @@ class _Group:
 
 
 def _groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
-    """Yield pictures in groups of at least two, unless there is only one picture.
+    """Divide pictures into groups of at least two, unless there is only one picture.
 
     AVIF stores a sequence of one picture as a still image, which has other boxes.
     """
@@ -81,7 +81,7 @@ def _groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
 
 
 def _sequence(pictures: Sequence["Image"]) -> _Group:
-    """Encode pictures as an AVIF sequence, and extract its AV1 samples."""
+    """Encode pictures as an AVIF sequence, and extract the AV1 samples from it."""
     from PIL import features
 
     if not features.check("avif"):
@@ -131,7 +131,7 @@ def _entry(avif: bytes) -> bytes:
 def _contents(
     group: _Group, samples: Sequence[bytes], firsts: Sequence[int], fps: float, offset: int
 ) -> bytes:
-    """Return the MP4 box ``moov`` for consecutive samples that begin at ``offset``."""
+    """Return the MP4 box ``moov`` for consecutive samples that begin at byte ``offset``."""
     duration = _TICKS * len(samples)
     rate = round(_TICKS * fps)
     table = _box(

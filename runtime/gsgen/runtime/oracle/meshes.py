@@ -74,7 +74,7 @@ def cast(meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "l
 
 
 def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return the origin and the direction, of depth 1, of each pixel's ray at several shifts."""
+    """Return origin and direction (of depth 1) of rays at several sub-pixel offsets per pixel."""
     x = np.arange(camera.width) + 0.5 + _SHIFTS[:, 0, None]
     y = np.arange(camera.height) + 0.5 + _SHIFTS[:, 1, None]
     shape = (len(_SHIFTS), camera.height, camera.width)
@@ -94,7 +94,7 @@ def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
-    """Return the rows and columns of pixels that a triangle may cover."""
+    """Return the rows and columns of pixels that a projected triangle may cover."""
     corners = triangle @ camera.view[:3, :3].T + camera.view[:3, 3]
     everything = slice(0, camera.height), slice(0, camera.width)
     if camera.kind == "panorama":
@@ -113,7 +113,7 @@ def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
 def _met(
     triangle: np.ndarray, start: np.ndarray, ahead: np.ndarray, near: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Intersect rays with a triangle: depths (infinite if missed), weights, unit normal."""
+    """Intersect rays with a triangle: depths (infinite if missed), vertex weights, unit normal."""
     a, b, c = triangle
     area = np.cross(b - a, c - a)
     size = np.linalg.norm(area)
@@ -166,7 +166,7 @@ def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
 
 
 def _edges(depth: np.ndarray, color: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Return the pixels whose depth, colour or normal changes slightly beside their centres."""
+    """Return the pixels whose depth, colour or normal differs slightly off the pixel's centre."""
     is_hit = np.isfinite(depth)
     edge = (is_hit != is_hit[0]).any(axis=0)
     near = np.where(is_hit, depth, 0)

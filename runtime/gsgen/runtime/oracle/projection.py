@@ -1,4 +1,4 @@
-"""Projection of Gaussians in float64, shared by the reference renderers.
+"""Projects Gaussians to the image in float64, for the reference renderers.
 
 It shares no code with the kernels, nor the method where two methods exist.
 """
@@ -39,7 +39,7 @@ _DILATION: Final = 0.3
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Picture:
-    """The result of a reference renderer; see :class:`gsgen.runtime.scene.frame.Frame`.
+    """The image, depths, ids and normals that a reference renderer returns.
 
     Attributes:
         rgba: Colours multiplied by alpha, and alpha.
@@ -88,7 +88,7 @@ class Ellipses:
 
 
 def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera) -> Ellipses:
-    """Project packed rows of a splat set, Gaussians or cells, into an image."""
+    """Project packed rows of Gaussians or cells of a splat set into an image, as ellipses."""
     linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
     turn = camera.view[:3, :3]
     with np.errstate(all="ignore"):  # rows that are not finite are not sound
@@ -254,7 +254,7 @@ def _thinnest(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def across(pixels: Float[np.ndarray, " n"], mean: float, camera: Camera) -> Float[np.ndarray, " n"]:
-    """Return the horizontal distances of pixels from a Gaussian; in a panorama the shorter way."""
+    """Return the horizontal distances of pixels to a Gaussian; in a panorama, the shorter way."""
     if camera.kind != "panorama":
         return pixels - mean
     turn = 2 * np.pi * camera.fx

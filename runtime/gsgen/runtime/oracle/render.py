@@ -165,7 +165,7 @@ def _is_near_edge(unclamped: np.ndarray, dx: np.ndarray, camera: Camera) -> np.n
 
 
 def _touches(depth: float, surface: np.ndarray) -> np.ndarray:
-    """Return the pixels at which a surface has the depth of a Gaussian, up to rounding."""
+    """Return the pixels at which a mesh surface has the depth of a Gaussian, up to rounding."""
     return np.asarray(np.abs(depth - surface) <= _TOUCH * depth)
 
 
@@ -179,7 +179,7 @@ def _cover(
     median: np.ndarray,
     fragile_median: np.ndarray,
 ) -> None:
-    """Blend the layer of weighted sums into some pixels, in place."""
+    """Blend the image layer of weighted-sum rendering into selected pixels, in place."""
     remaining = through[pixels]
     color[pixels] += remaining[:, None] * veil.color[pixels]
     normal[pixels] += remaining[:, None] * veil.normal[pixels]
@@ -191,7 +191,7 @@ def _cover(
 
 
 def _ties(depth: np.ndarray) -> np.ndarray:
-    """Return the mask of sorted depths so close to the previous one that rounding may swap both."""
+    """Return the mask of sorted depths so near the previous depth that rounding may swap both."""
     gap = np.diff(depth, prepend=-np.inf)
     return np.asarray((gap > 0) & (gap < TIE * np.abs(depth)))
 

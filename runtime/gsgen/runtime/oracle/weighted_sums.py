@@ -1,4 +1,4 @@
-"""Reference of weighted sums: blends cell after cell in float64 NumPy, without the kernels.
+"""Reference of weighted-sum rendering: blends cell after cell in float64 NumPy.
 
 It follows the specification's page on cells. Cells end at whole tiles and Gaussians at circles of
 whole pixels, as in the renderer of Liu et al. 2025.
@@ -28,7 +28,7 @@ _EQUAL: Final = 1e-4  # relative difference of depths or opacities that counts a
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Sums:
-    """The weighted sums of a scene at every pixel, with the weight w of a Gaussian.
+    """The sums of weighted-sum rendering at each pixel: Σ w of colour, normal and depth.
 
     Attributes:
         color: Σ w c.
@@ -71,7 +71,7 @@ class Sums:
         return np.asarray(self.total + self.weight_behind * self.through)
 
     def veil(self) -> "Veil":
-        """Return the sums as a translucent image layer for compositing with other sets."""
+        """Return weighted sums as a translucent image layer, to composite with other splat sets."""
         covered = self.total > 0
         return Veil(
             color=self.color / self.scale[..., None],
@@ -85,7 +85,7 @@ class Sums:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Veil:
-    """A translucent image layer with depths.
+    """A translucent image layer: a colour, an alpha, a normal and a depth at each pixel.
 
     Attributes:
         color: Colours multiplied by alpha.
@@ -104,7 +104,7 @@ class Veil:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Cell:
-    """A drawn cell with its Gaussians.
+    """A visible cell (a group of Gaussians that are sorted as one), with its Gaussians.
 
     Attributes:
         depth: Depth of the cell's centre.
@@ -126,7 +126,7 @@ class _Cell:
 
 
 def alone(partial: Sums, background: Sequence[float], *, published: bool = False) -> Picture:
-    """Return the picture of weighted sums over a background."""
+    """Return the picture of weighted-sum rendering over a background."""
     veil, backdrop = partial.veil(), partial.weight_behind / partial.scale
     share = backdrop if published else backdrop * partial.through
     *color, opaque = background
@@ -145,7 +145,7 @@ def alone(partial: Sums, background: Sequence[float], *, published: bool = False
 
 
 def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = None) -> Sums:
-    """Sum the Gaussians of a scene's weighted sets, in front of the depths of meshes."""
+    """Sum the Gaussians of a scene's weighted splat sets that are in front of the meshes."""
     shape = (camera.height, camera.width)
     limit = np.full(shape, np.inf) if walls is None else walls
     first, cells = 0, []
@@ -179,7 +179,7 @@ def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = 
 
 
 class _State:
-    """The sums and the transmittance of each pixel after some cells, nearest first."""
+    """The sums and the transmittance of each pixel after some cells, from the nearest on."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.color, self.normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
@@ -237,7 +237,7 @@ class _State:
 
 
 def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
-    """Return the cells of a splat set that touch tiles of the image."""
+    """Return the cells of a splat set that touch image tiles."""
     data, weighted = splat_set.data, splat_set.weighted
     assert data.cells is not None
     assert weighted is not None
@@ -269,7 +269,7 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
 
 
 def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the radii of cells' circles in whole pixels, and the error that float32 may make."""
+    """Return the circle radii of a cell's Gaussians in pixels, and the possible float32 error."""
     middle = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2
     longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
     radius = deviations * np.sqrt(longest)
@@ -278,7 +278,7 @@ def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.nd
 
 
 def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return the masks of a cell's pixels, and of pixels that float32 may add or leave out."""
+    """Return the masks of the pixels in a cell's tiles, and of pixels that depend on rounding."""
     (radius,), (ring,) = _reach(covariance[None], 2)
     boxes = [
         _tiles(mean + shift * np.array(way), radius, camera)

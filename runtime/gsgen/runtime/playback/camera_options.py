@@ -31,7 +31,7 @@ DEFAULT_FOV: Final = 50.0
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Viewpoint:
-    """The cameras of all frames, as the camera options describe them.
+    """The cameras of all frames of a video, as the camera options describe them.
 
     One of ``orbit``, ``look_at`` and ``cameras`` is set; without any, the camera orbits.
 
@@ -62,7 +62,7 @@ class Viewpoint:
 
     @property
     def sizes(self) -> set[tuple[int, int]]:
-        """The image sizes of the cameras of a file; empty without a file."""
+        """The image sizes of the cameras from a camera file; empty without a file."""
         return {
             (self.width or camera.width, self.height or camera.height)
             for camera in self.cameras
@@ -70,7 +70,7 @@ class Viewpoint:
         }
 
     def camera(self, source: Source, number: int, turn: float) -> Camera:
-        """Return the camera of frame ``number``, from 0; the cameras of a file repeat.
+        """Return the camera of frame ``number``, from 0; the cameras of a camera file repeat.
 
         An orbit is around ``source``, and has turned by ``turn`` degrees since the first frame.
         """
@@ -101,7 +101,7 @@ class Viewpoint:
     def _heading(
         self, source: Source, center: Float[np.ndarray, "3"], turn: float
     ) -> tuple[list[float], list[float]]:
-        """Return the position of a panorama camera, and the direction of the middle column."""
+        """Return a panorama camera's position, and the direction of the image's middle column."""
         if self.look_at is not None:
             eye, target = np.array(self.look_at[:3]), np.array(self.look_at[3:])
             return eye.tolist(), (target - eye).tolist()

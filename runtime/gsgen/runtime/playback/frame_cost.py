@@ -1,4 +1,4 @@
-"""Measures the seconds per stage and per model, and the memory, of played frames."""
+"""Measures the time of each stage and model, and the memory, of the frames of a playback."""
 
 __all__ = ["FrameCost", "Span", "measure"]
 
@@ -23,7 +23,7 @@ _BLACK: Final = np.zeros(3)
 @final
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The median and the 95th percentile of the seconds of one step of a frame."""
+    """The median and the 95th percentile of a duration over several frames, in seconds."""
 
     p50: float
     p95: float
@@ -38,7 +38,7 @@ class Span:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameCost:
-    """Time and memory of the frames of a sequence; counts are medians.
+    """Time and memory of drawing the frames of a sequence; counts are medians over frames.
 
     Attributes:
         device: Name of the graphics device.
@@ -115,7 +115,7 @@ def measure(sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Played:
-    """Measurements of each frame of a played sequence."""
+    """Times and counts of each frame of a played sequence: inference, drawing, Gaussians."""
 
     inference: dict[str, list[float]]
     wall: list[float] = field(default_factory=list)
@@ -144,7 +144,7 @@ def _play(sequence: FrameSequence) -> _Played:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Staged:
-    """Measurements of the stages of a frame, and of buffers."""
+    """The seconds of each drawing stage, and the bytes of the buffers, of a frame sequence."""
 
     submit: list[float]
     stages: dict[str, float]
@@ -185,7 +185,7 @@ def _stage(sequence: FrameSequence) -> _Staged:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _PlannedFrame:
-    """A frame with its plan, which can be drawn again up to any stage."""
+    """A frame with the recorded GPU work, which can be drawn again up to any stage."""
 
     plan: Plan
     placed: list[Placed]
@@ -233,5 +233,5 @@ class _PlannedFrame:
 
     @property
     def plan_bytes(self) -> int:
-        """Bytes of the buffers of the frame plan."""
+        """Bytes of the GPU buffers that the frame plan owns."""
         return sum(buffer.size for buffer in self.plan.buffers.values())

@@ -148,7 +148,7 @@ class FrameSequence(Playback):
             yield pictures.picture_of(frame, self._mode, depths)
 
     def summary(self) -> dict[str, int | str]:
-        """Return the sizes and the counts of the last drawn frame."""
+        """Return image size, device, and numbers of frames and Gaussians of a drawn sequence."""
         assert self._last is not None  # write() comes first
         height, width = self._last.alpha.shape
         return {

@@ -51,7 +51,7 @@ def _starts(length: int, size: int, overlap: int) -> list[int]:
 def tile_weights(
     image: tuple[int, int], tile: tuple[int, int], overlap: int
 ) -> list[tuple[Tile, Float[np.ndarray, "h w"]]]:
-    """Return every tile of an image with the blend weights of its pixels, float64.
+    """Return every tile of an image with the blend weight of each pixel, float64.
 
     A weight rises from a tile's edge over ``overlap`` pixels. The weights of all tiles sum to 1
     at each pixel; a pixel of one tile alone has weight 1.

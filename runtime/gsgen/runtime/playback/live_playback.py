@@ -82,7 +82,7 @@ class LivePlayback(Playback):
             self._position = (self._position + seconds * self.fps) % self.frames
 
     def moment(self) -> float | None:
-        """Return the current time of the first source that has a time input."""
+        """Return the current time value of the first source that has a time input."""
         for source, values in zip(self.sources, self.values(self.number), strict=False):
             if source.time is not None and source.time.name in values:
                 return float(np.asarray(values[source.time.name]).reshape(-1)[0])
@@ -143,7 +143,7 @@ class LivePlayback(Playback):
         return frame
 
     def depths(self, camera: Camera) -> tuple[float, float]:
-        """Return the nearest and the farthest depth of all sources from a camera."""
+        """Return the nearest and the farthest depth of all sources, as seen by a camera."""
         extents = [source.extent() for source in self.sources]
         ahead = [
             float(np.linalg.norm(center - camera.eye))
@@ -173,7 +173,7 @@ class LivePlayback(Playback):
             model.close()
 
     def _moment_key(self, camera: Camera) -> object:
-        """Return a key that changes when the sources must be computed again."""
+        """Return a key that changes when the sources must compute a new frame."""
         if not any(source.follows_camera for source in self.sources):
             return 0
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
@@ -184,7 +184,7 @@ class LivePlayback(Playback):
 
 
 def _range_length(sources: Sequence[Source]) -> int:
-    """Return the longest range of a frame number input, or a default without one."""
+    """Return the longest range of a frame number input, or a default if no input has a range."""
     ranges = [
         spec.range
         for source in sources

@@ -19,7 +19,7 @@ DEFAULT_FPS: Final = 25.0
 
 
 class Playback:
-    """Sources, models, input values and a frame rate, from which numbered frames are drawn.
+    """Sources, post-process models, input values and a frame rate, to draw frames by number.
 
     :class:`FrameSequence` draws every frame into files; :class:`LivePlayback` follows a clock. Both
     therefore show the same picture for the same frame number.
@@ -59,11 +59,11 @@ class Playback:
             source.survey((number, self.values(number)[index]) for number in survey_frames)
 
     def values(self, number: int) -> list[Values]:
-        """Return the input values of each source, then of each post-process model."""
+        """Return the input values of each source and each post-process model in a frame."""
         return self._timeline.values(number, self.frames)
 
     def request(self, camera: Camera, number: int) -> FrameRequest:
-        """Return the request of frame ``number`` for a camera."""
+        """Return the request to draw frame ``number`` with a camera."""
         return FrameRequest(camera, self.values(number), number)
 
     def scene(self) -> Scene:
@@ -77,7 +77,7 @@ class Playback:
         output: Output,
         post: Sequence[PostProcessor],
     ) -> Player:
-        """Return a player of the sources, whose colours go through the models ``post``."""
+        """Return a player of the sources, whose colours the post-process models ``post`` change."""
         return Player(
             self.sources,
             post=post,

@@ -89,7 +89,7 @@ class Player:
         self._begun = 0
 
     def render(self, request: FrameRequest) -> Frame:
-        """Compute and draw the frame of a request.
+        """Compute and draw the requested frame.
 
         Raises:
             GsgenError: A value does not fit or a model fails; the error names model, input, frame.
@@ -151,7 +151,7 @@ class Player:
 
 
 def _each(values: Sequence[Values]) -> Iterator[Values]:
-    """Yield the given values, and then empty mappings without end."""
+    """Yield the input values of each model, and then empty mappings without end."""
     yield from values
     yield from repeat({})
 
@@ -308,7 +308,7 @@ class GeneratorPlayer:
         )
 
     def close(self) -> None:
-        """Release the sessions of the models; a second call has no effect."""
+        """Release the sessions of all models; a second call has no effect."""
         self.source.close()
         for model in self._post:
             model.close()

@@ -1,4 +1,4 @@
-"""Reads the poses of a body in each frame from motion files.
+"""Reads the poses of a body, frame by frame, from motion files.
 
 - an .npy or a .json of nested lists: ``[J, 3]``, or ``[F, J, 3]`` (quaternions: 4),
 - an .npz of one such array, or of AMASS (``poses``, ``trans``), or with ``R`` or ``Rh`` and

@@ -50,7 +50,7 @@ class Timeline:
         self._lengths = [self._length(track) for track in tracks]
 
     def _length(self, track: Track) -> int:
-        """Return the number of values of a track, given the shapes of the inputs it sets."""
+        """Return the number of values that a track has, by the shapes of the inputs it sets."""
         shapes = [
             model.shape(spec.name) for model in self._models for spec in model.named(track.word)
         ]
@@ -71,7 +71,7 @@ class Timeline:
 
     @property
     def is_animated(self) -> bool:
-        """Whether an input differs between the frames of a video."""
+        """Whether the value of any model input differs between the frames of a video."""
         sweeps = any(track.sweep for track in self._tracks)
         advances = any(self._advancing(model) for model in self._models)
         return self.frames > 1 or sweeps or advances
@@ -95,7 +95,7 @@ class Timeline:
         return values
 
     def _advancing(self, model: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
-        """Return the time inputs of a model, or else its frame numbers, that advance by themselves."""
+        """Return a model's time inputs, or else frame numbers, that advance without a track."""
         fixed_names = {spec.name for track in self._tracks for spec in model.named(track.word)}
         if self._time is not None:
             fixed_names |= {spec.name for spec in _of_role(model, "time")}
@@ -116,7 +116,7 @@ def _rounded(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, "..."]:
 
 
 def _moment(spec: Input, ends: tuple[float, float], number: int, frames: int) -> object:
-    """Return the time or frame number of a video frame; a loop stops before its first value."""
+    """Return the time or frame number of a video frame; a loop ends before its first value."""
     low, high = ends
     if spec.role == "frame_index":
         return int(low + number % (high - low + 1))

@@ -43,7 +43,7 @@ Placed = tuple[SplatSet, Page]
 
 @final
 class Plan:
-    """GPU buffers and compute steps that draw given pages and meshes at one image size.
+    """GPU buffers and steps that draw some pages of Gaussians and meshes at one image size.
 
     Args:
         device: Device of the buffers.
@@ -164,7 +164,7 @@ class Plan:
     def _record(
         self, placed: Sequence[Placed], outputs: frozenset[Output], *, quads: bool
     ) -> dict[str, list[Step]]:
-        """Record the stages that draw the sorted sets, in execution order."""
+        """Record the stages that draw the depth-sorted splat sets, in execution order."""
         n = self._gaussians
         # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
         columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
@@ -208,7 +208,7 @@ class Plan:
         )
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
-        """Record the drawing of meshes, and return the steps that copy them to a layer."""
+        """Record the drawing of meshes, and return the steps that copy them to an image layer."""
         self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._size))
         self._meshes = self._kernels.meshes(self._panorama).step(
             self._size, meshes, self._mesh_slots, self._mesh_rays, self._layers
@@ -277,7 +277,7 @@ class Plan:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the steps that sort splat-tile pairs by tile, and the buffer of sorted splats."""
+        """Return the steps that sort splat-tile pairs by tile, and the buffer of sorted pairs."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self._counts,
@@ -369,7 +369,7 @@ class Plan:
         device.submit(encoder)
 
     def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Wait for the frame, and return its counts and each image as [height, width, 4] words.
+        """Wait for the frame; return its counters and each image as [height, width, 4] words.
 
         Args:
             fetch: Whether images are read; must be the same as in :meth:`submit`.
@@ -407,7 +407,7 @@ class Plan:
 
 
 def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
-    """Return the index of each GPU row in the order of the sets; None if they are in order."""
+    """Return the index of each GPU row in scene order; None if the rows are in scene order."""
     if all(page.rows_of is None for _, page in placed):
         return None
     parts, base = [], 0
@@ -419,7 +419,7 @@ def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
 
 
 def _slot_rows(page: Page) -> int:
-    """Return the rows of a slot of a pool's page; 0 for other pages."""
+    """Return the rows of each slot in a GPU page of the splat pool; 0 for other pages."""
     return 0 if page.slots is None else page.slots.pool.slot_rows
 
 
@@ -432,7 +432,7 @@ def _sorted(placed: Sequence[Placed]) -> list[Placed]:
 
 
 def _together(counts: Sequence[UInt32[np.ndarray, " n"]]) -> UInt32[np.ndarray, " n"]:
-    """Add up the counts of the plan's parts, each of which has its own pair capacity."""
+    """Add up the frame counters of sorted and weighted splats; pair capacities stay separate."""
     total = np.asarray(np.sum(counts, axis=0), np.uint32)
     total[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + total[Counts.DRAWN]
     total[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)

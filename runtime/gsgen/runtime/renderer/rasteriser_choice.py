@@ -147,7 +147,7 @@ def _crowd(n: int, tall: float) -> SplatData:
 def _roomy(
     device: Device, kernels: Kernels, placed: list[Placed], camera: Camera, *, quads: bool
 ) -> Plan:
-    """Return a frame plan whose capacity fits all pairs of the frame."""
+    """Return a frame plan that has enough capacity for all splat-tile pairs of the frame."""
     room, size = _PAIRS, (camera.width, camera.height)
     while True:
         plan = Plan(device, kernels, placed, size, frozenset({"color"}), room, quads=quads)
@@ -161,7 +161,7 @@ def _roomy(
 def _seconds(
     device: Device, plan: Plan, placed: list[Placed], camera: Camera, stages: tuple[str, ...]
 ) -> tuple[float, float]:
-    """Return the median seconds of some stages, 0 without timestamps, and of whole frames."""
+    """Return the median GPU seconds of some stages (0 without timestamps) and of whole frames."""
     clock = StageClock(device) if device.has_clock else None
     ticks, walls = [], []
     for number in range(_WARM + _FRAMES):
@@ -187,7 +187,7 @@ def _key(device: Device) -> str:
 
 
 def _file() -> Path | None:
-    """Return the path of the timings cache, or None if GSGEN_NO_CACHE is set."""
+    """Return the path of the cached rasteriser timings, or None if GSGEN_NO_CACHE is set."""
     if os.environ.get("GSGEN_NO_CACHE"):
         return None
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -195,7 +195,7 @@ def _file() -> Path | None:
 
 
 def _read() -> dict[str, Timings]:
-    """Read the cached timings; an unreadable or foreign file counts as empty."""
+    """Read the cached rasteriser timings; an unreadable or foreign file counts as empty."""
     path = _file()
     try:
         if path is None or path.stat().st_size > _MOST_BYTES:
@@ -220,7 +220,7 @@ def _timings(entry: object) -> Timings | None:
 
 
 def _write(measured: dict[str, Timings]) -> None:
-    """Write the timings cache; if that fails, each process measures again."""
+    """Write the rasteriser timings to the cache; if that fails, each process measures again."""
     path = _file()
     if path is None:
         return

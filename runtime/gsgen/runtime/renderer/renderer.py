@@ -166,7 +166,7 @@ class Renderer:
         *,
         fetch: bool = True,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
-        """Draw a scene until all pairs fit and all ties are sorted; no images without ``fetch``."""
+        """Draw a scene until all pairs fit and ties are sorted; read images only if ``fetch``."""
         requested = _known(outputs)
         if self._published:
             _require_alone(scene)
@@ -210,7 +210,7 @@ class Renderer:
         return plan, counts, images
 
     def _must_redraw(self, counts: np.ndarray, plan: Plan) -> bool:
-        """Return whether a frame has to be drawn again, after growing what it lacked."""
+        """Return whether a frame must be drawn again; enlarge the buffers that were too small."""
         short = int(counts[Counts.WANTED_PAIRS]) > plan.pair_capacity
         if short:
             self._grow(int(counts[Counts.WANTED_PAIRS]))
@@ -249,7 +249,7 @@ class Renderer:
         outputs: frozenset[Output],
         meshes: Sequence[PlacedMesh] = (),
     ) -> Plan:
-        """Return the frame plan for given pages, camera and outputs, reusing the last if it fits."""
+        """Return the frame plan of pages, camera and outputs; reuse the last plan if it fits."""
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
         pages = tuple((page, splat_set.weighted is None) for splat_set, page in placed)
         contents = (pages, tuple(mesh.buffers for mesh in meshes))
@@ -280,7 +280,7 @@ class Renderer:
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
     def _grow(self, pairs: int) -> None:
-        """Raise the capacity for pairs, or raise an error if the device cannot hold them."""
+        """Raise the capacity for splat-tile pairs, or raise if the device cannot hold them."""
         most = min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK)
         if pairs > most:
             raise CapacityExceeded(
@@ -293,7 +293,7 @@ class Renderer:
 
 
 def _bare_set(pooled: PooledSet) -> SplatSet:
-    """Return a set with the settings of a pool, and no Gaussians of its own."""
+    """Return a splat set without Gaussians that has the drawing settings of a splat pool."""
     pool = pooled.pool
     rows = np.zeros((0, layout.ROW), np.float32)
     data = SplatData(rows, np.zeros((0, pool.channels), np.float32), "sh")
@@ -323,7 +323,7 @@ def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool
 
 
 def _require_alone(scene: Scene) -> None:
-    """Raise if a scene has meshes or sorted sets next to weighted sets."""
+    """Raise if a scene has meshes or depth-sorted sets besides weighted splat sets."""
     summed = [splat_set.weighted is not None for splat_set in scene.sets]
     if any(summed) and (scene.meshes or not all(summed)):
         raise SceneInvalid(
@@ -393,7 +393,7 @@ def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h 
 
 
 def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
-    """Convert the plan's ids, which count only sorted sets, to indices in the scene."""
+    """Convert ids that count only the depth-sorted splat sets to row indices in the scene."""
     ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
     weighted = [splat_set.weighted is not None for splat_set in scene.sets]
     summed = np.array([*weighted, *(False for _ in scene.pools)], bool)

@@ -1,4 +1,4 @@
-"""The part of a frame plan that blends splat sets by weighted sums, cell by cell.
+"""The part of a frame plan that draws splat sets by weighted-sum rendering, cell by cell.
 
 Only cells are sorted and listed per tile, and their Gaussians are looked up through them. A Gaussian
 needs neither sort keys nor pairs of its own.
@@ -37,7 +37,7 @@ from gsgen.runtime.scene.scene import SplatSet
 
 @final
 class WeightedKernels:
-    """The kernels of weighted sums, each compiled when it is first needed.
+    """The kernels of weighted-sum rendering, each compiled when it is first needed.
 
     Args:
         device: Device of the kernels.
@@ -76,7 +76,7 @@ class WeightedKernels:
 
 @final
 class WeightedPart:
-    """GPU buffers and steps of a frame plan that draw weighted sets.
+    """GPU buffers and steps of a frame plan that draw splat sets by weighted-sum rendering.
 
     Args:
         device: Device of the buffers.
@@ -201,7 +201,7 @@ class WeightedPart:
         ]
 
     def _sort(self, columns: tuple[Columns, Columns], lows: Buffer) -> tuple[list[Step], Buffer]:
-        """Return the steps of the depth sort, and the buffer of cells, nearest first."""
+        """Return the steps that sort cells by depth, and the buffer of cells, nearest first."""
         n = self._cells
         spare = self._storage("keys of cells c", 4 * n) if self._deep else None
         return self._kernels.order.steps(n, self.counts, columns, lows, None, spare)
@@ -244,12 +244,12 @@ class WeightedPart:
         return kernel.step(self._tiles, (frame, *resources, self.images[name]))
 
     def clear(self, encoder: Encoder) -> None:
-        """Encode the clearing of the tile ranges and counts of cells."""
+        """Encode the clearing of the tile ranges and frame counters of cells."""
         encoder.clear_buffer(self._ranges)
         encoder.clear_buffer(self.counts, 4 * Counts.DRAWN, 12)  # to UNSORTED
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
-        """Write a frame's uniforms of all pages of weighted sets, and of their cells."""
+        """Write the uniforms of a frame for the GPU pages of weighted splat sets and for cells."""
         slots, base = np.zeros(len(placed), PAGE), 0
         cell_slots, cell_base, number = np.zeros(len(placed), PAGE), 0, 0
         for slot, (splat_set, page) in enumerate(placed):
@@ -269,7 +269,7 @@ class WeightedPart:
 
 
 def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, Page]]:
-    """Yield each splat set of weighted sums with its first GPU page."""
+    """Yield each splat set of weighted-sum rendering with its first GPU page."""
     return ((splat_set, page) for splat_set, page in placed if page.first == 0)
 
 
@@ -278,7 +278,7 @@ def _cells(splat_set: SplatSet) -> int:
 
 
 def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
-    """Fill a page's uniform with the parameters of the set's weighted sum, and return it."""
+    """Fill a GPU page's uniform with a splat set's weighting parameters, and return it."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None
     uniform["per_cell"] = splat_set.data.per_cell

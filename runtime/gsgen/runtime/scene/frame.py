@@ -1,4 +1,4 @@
-"""The result of rendering: an image with depths, ids and normals."""
+"""The result of rendering a scene: an image with depths, Gaussian ids and normals."""
 
 __all__ = ["COLOR_ONLY", "NOTHING", "Frame", "Output"]
 
@@ -21,7 +21,7 @@ NOTHING: Final = -1
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Frame:
-    """An image with its depths, ids and normals; outputs that were not requested are None.
+    """A rendered image with its depths, ids and normals; outputs that were not requested are None.
 
     Attributes:
         rgba: Red, green, blue multiplied by alpha, and alpha, [height, width, 4], as blended:

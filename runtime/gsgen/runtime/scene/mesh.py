@@ -97,7 +97,7 @@ class MeshData:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles with a transform and a shading.
+    """A mesh: triangles with a transform to the world and a shading.
 
     Attributes:
         data: The triangles.
@@ -138,7 +138,7 @@ def _floats(
     if not fits or (rows is not None and len(converted) != rows):
         expected = " or ".join(map(str, widths))
         raise SceneInvalid(
-            f"{converted.dtype} {list(converted.shape)}, expected numbers "
+            f"is {converted.dtype} {list(converted.shape)}, expected numbers "
             f"[{'N' if rows is None else rows}, {expected}]",
             where=where,
         )
@@ -158,7 +158,7 @@ def _faces(array: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
     converted = np.asarray(array)
     if converted.ndim != 2 or converted.shape[1] != 3 or converted.dtype.kind not in "iu":
         raise SceneInvalid(
-            f"{converted.dtype} {list(converted.shape)}, expected integers [F, 3]", where="faces"
+            f"is {converted.dtype} {list(converted.shape)}, expected integers [F, 3]", where="faces"
         )
     wrong = ~((converted >= 0) & (converted < vertices)).all(axis=1)
     if wrong.any():
@@ -175,7 +175,7 @@ def _texture(array: np.ndarray) -> UInt8[np.ndarray, "h w 4"]:
     fits = converted.ndim == 3 and converted.shape[2] in (3, 4) and converted.dtype == np.uint8
     if not fits or 0 in converted.shape:
         raise SceneInvalid(
-            f"{converted.dtype} {list(converted.shape)}, expected uint8 [height, width, 3 or 4]",
+            f"is {converted.dtype} {list(converted.shape)}, expected uint8 [height, width, 3 or 4]",
             where="texture",
         )
     opaque = np.full((*converted.shape[:2], 4), 255, np.uint8)

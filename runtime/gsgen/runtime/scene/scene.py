@@ -21,7 +21,7 @@ from gsgen.runtime.scene.transforms import identity, require_affine
 @final
 @dataclass(frozen=True, slots=True)
 class Box:
-    """An axis-aligned box in the local space of a set, from ``low`` to ``high`` inclusive."""
+    """An axis-aligned box in a splat set's local space, from ``low`` to ``high`` inclusive."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
@@ -30,7 +30,7 @@ class Box:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatSet:
-    """Gaussians with a transform and settings for drawing.
+    """A splat set: Gaussians with a transform to the world and drawing settings.
 
     Attributes:
         data: The Gaussians, which several sets may share; they are on the GPU once.
@@ -76,7 +76,7 @@ class SplatSet:
 
     @property
     def depth_range(self) -> float | None:
-        """The depth at which weights of weighted sums reach 0, in world units; None without one."""
+        """The depth at which weights of weighted-sum rendering reach 0, in world units, or None."""
         if self.weighted is None or self.weighted.depth_range is None:
             return None
         volume = abs(float(np.linalg.det(self.transform[:3, :3])))
@@ -108,7 +108,7 @@ def _require_weights(weighted: WeightedSum, data: SplatData) -> None:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Sets of Gaussians that are drawn together, and meshes among them.
+    """A scene: splat sets and meshes that are drawn together.
 
     Attributes:
         sets: Splat sets; of Gaussians at the same depth, those of the earlier set are in front.
@@ -148,7 +148,7 @@ class Scene:
         object.__setattr__(self, "pools", pooled_sets)
 
     def locate(self, index: int) -> tuple[int, int]:
-        """Return the index of the set, and the row in it, of a Gaussian id of ``Frame.ids``.
+        """Return the index of the splat set, and the row in the set, of an id of ``Frame.ids``.
 
         Raises:
             IndexError: The scene has fewer Gaussians.

@@ -94,7 +94,7 @@ class SplatData:
 
     @classmethod
     def from_points(cls, points: PointCloud, opacity: float = 0.8) -> "SplatData":
-        """Convert a point cloud to balls of half the distance of the three nearest neighbours.
+        """Convert a point cloud to balls, sized by the mean distance of three nearest neighbours.
 
         A ball is at most four times the median size: isolated points would hide the others.
 
@@ -135,7 +135,8 @@ class SplatData:
         ):
             if new.shape != old.shape or new.dtype != old.dtype:
                 raise SceneInvalid(
-                    f"{new.dtype} {list(new.shape)}, expected {old.dtype} {list(old.shape)} as before",
+                    f"is {new.dtype} {list(new.shape)}, expected {old.dtype} {list(old.shape)}, "
+                    "as before",
                     where=name,
                 )
         self.rows, self.appearance, self.count = arrays
@@ -149,12 +150,12 @@ class SplatData:
         checked = _checked_cells(cells, self.per_cell, len(self.rows))
         if self.cells is None or checked.dtype != self.cells.dtype:
             before = "none" if self.cells is None else str(self.cells.dtype)
-            raise SceneInvalid(f"{checked.dtype}, expected {before} as before", where="cells")
+            raise SceneInvalid(f"is {checked.dtype}, expected {before} as before", where="cells")
         return checked
 
     @property
     def degree(self) -> int | None:
-        """The SH degree; None if the appearance is RGB."""
+        """The SH degree of the appearance; None if the appearance is RGB."""
         return degree_of(self.appearance.shape[1] // 3) if self.space == "sh" else None
 
     def __len__(self) -> int:
@@ -185,13 +186,13 @@ def _checked(
     allowed = layout.APPEARANCE_CHANNELS[space]
     if rows.ndim != 2 or rows.shape[1] != layout.ROW or rows.dtype not in _HALVES:
         raise SceneInvalid(
-            f"{rows.dtype} {list(rows.shape)}, expected float16 or float32 [N, {layout.ROW}]",
+            f"is {rows.dtype} {list(rows.shape)}, expected float16 or float32 [N, {layout.ROW}]",
             where="rows",
         )
     fits = appearance.ndim == 2 and appearance.shape[1] in allowed
     if not fits or len(appearance) != len(rows) or appearance.dtype not in _HALVES:
         raise SceneInvalid(
-            f"{appearance.dtype} {list(appearance.shape)}, expected float16 or float32 "
+            f"is {appearance.dtype} {list(appearance.shape)}, expected float16 or float32 "
             f"[{len(rows)}, C] with C one of {', '.join(map(str, allowed))} for {space}",
             where="appearance",
         )
@@ -206,7 +207,7 @@ def _checked_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
     fits = cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _HALVES
     if per_cell < 1 or not fits or len(cells) * per_cell != rows:
         raise SceneInvalid(
-            f"{cells.dtype} {list(cells.shape)} of {per_cell} Gaussians each, expected float16 or "
+            f"is {cells.dtype} {list(cells.shape)} with {per_cell} rows a cell, expected float16 or "
             f"float32 [C, {layout.ROW}] with C × {per_cell} = {rows} rows",
             where="cells",
         )

@@ -1,4 +1,4 @@
-"""A pool of Gaussians of fixed size: tiles enter and leave its slots between frames.
+"""A splat pool: fixed GPU space, in slots, for tiles that enter and leave between frames.
 
 A pool has as many rows from its first frame to its last, so that arrivals and evictions change
 neither buffers nor the frame plan. A tile takes slots anywhere; what is drawn of a slot stands in
@@ -30,7 +30,7 @@ _REACH = 3.5
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SlotWrite:
-    """Rows of a tile that wait to be copied into GPU memory, from ``first`` on."""
+    """Rows of a tile that wait to be copied into the splat pool, from row ``first`` on."""
 
     first: int  # row of the pool
     rows: Float32[np.ndarray, "n 10"]
@@ -39,7 +39,7 @@ class SlotWrite:
 
 @final
 class SplatPool:
-    """Slots for tiles of Gaussians, and which of them the next frame draws.
+    """Slots for tiles of Gaussians in GPU memory, and which of the tiles the next frame draws.
 
     Args:
         rows: Number of rows, rounded up to whole slots.
@@ -63,7 +63,9 @@ class SplatPool:
             raise SceneInvalid(f"{message}, expected a multiple of 64 rows a slot", where="pool")
         if channels not in layout.APPEARANCE_CHANNELS["sh"]:
             allowed = ", ".join(map(str, layout.APPEARANCE_CHANNELS["sh"]))
-            raise SceneInvalid(f"has {channels} channels, expected one of {allowed}", where="pool")
+            raise SceneInvalid(
+                f"has {channels} appearance channels, expected one of {allowed}", where="pool"
+            )
         self.slot_rows, self.channels = slot_rows, channels
         self.slots = -(-rows // slot_rows)
         self.live: UInt32[np.ndarray, " s"] = np.zeros(self.slots, np.uint32)
@@ -77,17 +79,17 @@ class SplatPool:
 
     @property
     def degree(self) -> int:
-        """The SH degree of the appearance."""
+        """The SH degree of the appearance in a splat pool."""
         return degree_of(self.channels // 3)
 
     @property
     def free_slots(self) -> int:
-        """The number of slots that no tile holds."""
+        """The number of slots of the splat pool that no tile holds."""
         return len(self._free)
 
     @property
     def tiles(self) -> tuple[int, ...]:
-        """The keys of all tiles in the pool, in ascending order."""
+        """The keys of all tiles in the splat pool, in ascending order."""
         return tuple(sorted(self._slots_of))
 
     def __len__(self) -> int:
@@ -100,7 +102,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Give slots to a tile, whose rows are copied into GPU memory before the next frame.
+        """Assign pool slots to a tile, whose rows are copied into GPU memory before the next frame.
 
         Args:
             tile: Key of the tile, which is not in the pool.
@@ -116,7 +118,7 @@ class SplatPool:
             raise SceneInvalid("the tile is in the pool already", where=f"tile {tile}")
         if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):
             raise SceneInvalid(
-                f"rows {list(rows.shape)} and appearance {list(appearance.shape)}, expected "
+                f"has rows {list(rows.shape)} and appearance {list(appearance.shape)}, expected "
                 f"[N, {layout.ROW}] and [N, {self.channels}]",
                 where=f"tile {tile}",
             )
@@ -140,7 +142,7 @@ class SplatPool:
             self._writes.append(SlotWrite(first, rows[part], appearance[part]))
 
     def evict(self, tile: int) -> None:
-        """Free the slots of a tile.
+        """Free the slots of the splat pool that a tile holds.
 
         Raises:
             SceneInvalid: The tile is not in the pool.
@@ -154,7 +156,7 @@ class SplatPool:
             self._writes = [write for write in self._writes if write.first != first]
 
     def draw(self, fades: Mapping[int, float]) -> None:
-        """Set the tiles that the next frames draw, each with a factor on its opacity.
+        """Set the tiles of the splat pool that the next frames draw, and an opacity factor of each.
 
         Raises:
             SceneInvalid: A tile is not in the pool.
@@ -166,12 +168,12 @@ class SplatPool:
             self.fade[self._slots_of[tile]] = fade
 
     def take_writes(self) -> list[SlotWrite]:
-        """Return the pool's rows that wait for their upload, once: one renderer uploads them."""
+        """Return and clear the list of the pool's rows that one renderer still has to upload."""
         writes, self._writes = self._writes, []
         return writes
 
     def locate(self, row: int) -> tuple[int, int]:
-        """Return the key of the tile, and the row in it, of a row of the pool.
+        """Return the key of the tile, and the row in the tile, that a row of the splat pool holds.
 
         Raises:
             IndexError: No tile holds the row.
@@ -186,7 +188,7 @@ class SplatPool:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PooledSet:
-    """A pool with a transform and settings for drawing; they are those of a ``SplatSet``.
+    """A splat pool with a transform and the drawing settings of a ``SplatSet``.
 
     Raises:
         SceneInvalid: The transform or a number cannot be used.

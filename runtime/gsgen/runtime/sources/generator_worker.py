@@ -115,7 +115,7 @@ class GeneratorWorker:
         self.session.close()
 
     def _forget(self) -> None:
-        """Forget the copied outputs, so that the next frame is copied completely."""
+        """Discard the copied outputs, so that all outputs of the next frame count as changed."""
         self._buffers = tuple(_OutputBuffer() for _ in self._names)
         self._count = -1
 
@@ -175,7 +175,7 @@ class _OutputBuffer:
         self._live = 0
 
     def take(self, array: Float[np.ndarray, "n c"], live_rows: int | None) -> np.ndarray | None:
-        """Copy the live rows of an output, or all; return None if they are unchanged.
+        """Copy the first or all rows of a model output; return None if the rows are unchanged.
 
         The copy stays valid until the call after the next.
         """

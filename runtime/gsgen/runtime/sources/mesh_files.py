@@ -367,7 +367,7 @@ def _require_textures(document: _GltfObject, scene: "trimesh.Scene") -> None:
 
 
 def _buffer_size(path: Path, buffer: _GltfObject) -> int:
-    """Return the size of the file that a glTF buffer names, or 0 if it is missing."""
+    """Return the size of the file that a glTF buffer names, or 0 if the file is missing."""
     name = buffer.get("uri", "data:")
     file = path.parent / name
     return file.stat().st_size if not name.startswith("data:") and file.is_file() else 0

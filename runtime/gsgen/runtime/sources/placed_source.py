@@ -75,7 +75,7 @@ class PlacedSource(Source):
             self.update(None, {})
 
     def _placed(self, pooled: PooledSet) -> PooledSet:
-        """Return a pool with the transform and the drawing settings.
+        """Return a splat pool with this source's transform and drawing settings.
 
         Raises:
             SceneInvalid: The settings have a clip box, which pools do not support.
@@ -97,7 +97,7 @@ class PlacedSource(Source):
 
     @property
     def state(self) -> tuple[int, ...]:
-        """Version numbers of the source: one changes whenever the Gaussians change."""
+        """Version numbers of a source's data: one changes whenever the Gaussians change."""
         return self._inner.state
 
     @property
@@ -112,7 +112,7 @@ class PlacedSource(Source):
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:
-        """Statistics of the source that a viewer shows, as names and values."""
+        """Statistics of a source for display in a viewer, as names and values."""
         return self._inner.statistics
 
     def splats(
@@ -131,7 +131,7 @@ class PlacedSource(Source):
         )
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Begin to compute a frame, with the camera converted to the source's own space."""
+        """Begin to compute a frame; the camera is converted to the source's local space."""
         local = None if camera is None else local_camera(camera, self._transform)
         self._inner.start(local, {**values, **self._fixed}, frame)
 
@@ -150,7 +150,7 @@ class PlacedSource(Source):
         self._inner.abandon()
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Compute some frames, and set the source's extent to a box around the Gaussians of all."""
+        """Compute some frames, and set the source's extent to a box around all their Gaussians."""
         self._inner.survey((frame, {**values, **self._fixed}) for frame, values in frames)
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
@@ -159,7 +159,7 @@ class PlacedSource(Source):
         return self._inner.shape(name)
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """Return the centre of a box around most Gaussians, in the world, and half its diagonal."""
+        """Return the world-space centre of a box around most Gaussians, and half the diagonal."""
         center, reach = self._inner.extent()
         linear, offset = self._transform[:3, :3], self._transform[:3, 3]
         return linear @ center + offset, reach * _scale(linear)

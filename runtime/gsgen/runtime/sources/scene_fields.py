@@ -17,7 +17,7 @@ Alternative = TypeVar("Alternative", list[object], dict[str, object])
 
 
 def refuse(message: str, where: str, hint: str = "") -> NoReturn:
-    """Raise SceneInvalid with a location and a hint."""
+    """Raise SceneInvalid for a fault of a scene file, with the location and a hint."""
     raise SceneInvalid(message, where=where, hint=hint)
 
 
@@ -43,7 +43,7 @@ class Fields:
         refuse(message, self.location(name))
 
     def has(self, name: str) -> bool:
-        """Return whether a field exists and is not null."""
+        """Return whether a field of a scene file exists and is not null."""
         return self.peek(name) is not None
 
     def peek(self, name: str) -> object:
@@ -52,7 +52,7 @@ class Fields:
         return self._document.get(name)
 
     def text(self, name: str) -> str | None:
-        """Read a text field; None if it is absent."""
+        """Read a text field of a scene file; None if the field is absent."""
         value = self.peek(name)
         if value is not None and not isinstance(value, str):
             self._mismatch(name, "text")
@@ -66,14 +66,14 @@ class Fields:
         return value
 
     def required(self, name: str) -> str:
-        """Read a text field that must not be absent or empty."""
+        """Read a text field of a scene file that must be present and not empty."""
         value = self.peek(name)
         if not isinstance(value, str) or not value:
             self._mismatch(name, "text")
         return str(value)
 
     def number(self, name: str, *, low: float = -_MAX, high: float = _MAX) -> float | None:
-        """Read a number field from ``low`` to ``high``."""
+        """Read a number field of a scene file, from ``low`` to ``high``."""
         value = self.peek(name)
         if value is None:
             return None
@@ -86,7 +86,7 @@ class Fields:
         return float(value)
 
     def whole(self, name: str, *, low: int, high: int) -> int | None:
-        """Read an integer field from ``low`` to ``high``."""
+        """Read an integer field of a scene file, from ``low`` to ``high``."""
         value = self.peek(name)
         if value is None:
             return None
@@ -95,11 +95,11 @@ class Fields:
         return int(value)
 
     def side(self, name: str) -> int | None:
-        """Read a field that is a width or a height in pixels."""
+        """Read a field of a scene file that is a width or a height in pixels."""
         return self.whole(name, low=1, high=16_384)
 
     def choice(self, name: str, known: tuple[Word, ...]) -> Word | None:
-        """Read a field that must be one of the known words."""
+        """Read a field of a scene file that must be one of the known words."""
         value = self.peek(name)
         if value is not None and value not in known:
             if not isinstance(value, str):
@@ -108,7 +108,7 @@ class Fields:
         return next((word for word in known if word == value), None)
 
     def array(self, name: str, *shapes: tuple[int, ...]) -> Float[np.ndarray, "..."] | None:
-        """Read a field of finite numbers with one of the given shapes."""
+        """Read a field of a scene file with finite numbers in one of the given array shapes."""
         value = self.peek(name)
         if value is None:
             return None
@@ -127,7 +127,7 @@ class Fields:
         return array.astype(np.float64)
 
     def mapping(self, name: str) -> Mapping[str, np.ndarray]:
-        """Read an object with free names, whose values are numbers or lists of numbers."""
+        """Read an object of a scene file whose values are numbers or lists of numbers."""
         value = self.peek(name)
         if value is None:
             return {}
@@ -145,14 +145,14 @@ class Fields:
         return array
 
     def inner(self, name: str) -> "Fields":
-        """Return a reader of the fields of a nested object."""
+        """Return a reader of the fields of a nested JSON object in a scene file."""
         value = self.peek(name)
         if not isinstance(value, dict):
             self._mismatch(name, "an object")
         return Fields(value, self.location(name))
 
     def parts(self, name: str) -> Iterator["Fields"]:
-        """Yield a reader for each object of a list; a text is an object with that path."""
+        """Yield a field reader for each object of a list; a text item is the object's path."""
         entries = self.peek(name)
         if entries is not None and not isinstance(entries, list):
             self._mismatch(name, "a list")

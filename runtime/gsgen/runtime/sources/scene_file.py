@@ -200,7 +200,7 @@ def _open_mesh(part: SceneMesh) -> Source:
 
 
 def _locate_errors(open_file: Callable[[], Result], where: str) -> Result:
-    """Open a file that a scene file names; errors name the location in the scene file, too."""
+    """Open a file that a scene file names, and add the location in the scene file to errors."""
     try:
         return open_file()
     except GsgenError as error:
@@ -231,7 +231,7 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
     if len(members) < len(pairs):
         names = [name for name, _ in pairs]
         duplicate = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"{duplicate!r} occurs twice in one object")
+        raise ValueError(f"the name {duplicate!r} occurs twice in one JSON object")
     return members
 
 

@@ -20,7 +20,7 @@ from gsgen.runtime.sources.source import Source, StaticSource
 
 @final
 class SceneSource(StaticSource):
-    """A set of Gaussians in memory, which its owner may change."""
+    """A splat set in memory as a source; the owner of the splat set may change it."""
 
     def __init__(
         self, splat_set: SplatSet, color_space: Literal["srgb", "linear"] = "srgb"
@@ -33,12 +33,12 @@ class SceneSource(StaticSource):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the splat set with other drawing settings."""
+        """Return the source's splat set with other drawing settings."""
         degree = self._set.degree if sh_degree is None else sh_degree
         return replace(self._set, degree=degree, antialias=antialias or self.antialias)
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """Return the centre of a box around most Gaussians, in the world, and half its diagonal."""
+        """Return the world-space centre of a box around most Gaussians, and half the diagonal."""
         center, reach = super().extent()
         linear, offset = self._set.transform[:3, :3], self._set.transform[:3, 3]
         scale = float(np.cbrt(abs(np.linalg.det(linear))))

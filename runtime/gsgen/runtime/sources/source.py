@@ -115,19 +115,19 @@ class Source(ABC):
 
     @property
     def count(self) -> int:
-        """The number of Gaussians that the current frame may draw."""
+        """The number of Gaussians of a source that the current frame may draw."""
         return self.data.count
 
     @property
     def state(self) -> tuple[int, ...]:
-        """Version numbers of the source: one changes whenever the Gaussians change."""
+        """Version numbers of a source's data: one changes whenever the Gaussians change."""
         data = self.data
         versions = (data.rows_version, data.appearance_version, data.cells_version)
         return (id(data), *versions, data.count)
 
     @property
     def follows_camera(self) -> bool:
-        """Whether a frame has to be computed again when the camera moves."""
+        """Whether the source must compute a new frame when the camera moves."""
         return bool(self.inputs)
 
     @property
@@ -137,12 +137,12 @@ class Source(ABC):
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:
-        """Statistics of the source that a viewer shows, as names and values."""
+        """Statistics of a source for display in a viewer, as names and values."""
         return ()
 
     @property
     def time(self) -> Input | None:
-        """The time input, or None for a source without one."""
+        """The time input of the source's generator; None if the source has no time input."""
         return next((spec for spec in self.inputs if spec.role == "time"), None)
 
     def named(self, word: str) -> list[Input]:
@@ -151,10 +151,10 @@ class Source(ABC):
 
     @abstractmethod
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input tensor."""
+        """Return the shape of an input tensor of the source's generator."""
 
     def extent(self) -> tuple[Center, float]:
-        """Return the centre of a box around most Gaussians, and half its diagonal.
+        """Return the centre of a box around most Gaussians of a source, and half the diagonal.
 
         The box spans the frames of :meth:`survey`, or else the Gaussians at the first call: cameras
         that are placed by it stand still while Gaussians move.
@@ -164,7 +164,7 @@ class Source(ABC):
         return self._extent
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Compute some frames, and set the source's extent to a box around the Gaussians of all."""
+        """Compute some frames, and set the source's extent to a box around all their Gaussians."""
         centers: dict[tuple[int, int], Float64[np.ndarray, "n 3"]] = {}
         for frame, values in frames:
             self.update(None, values, frame)
@@ -228,7 +228,7 @@ class StaticSource(Source):
 
 @final
 class StillSource(StaticSource):
-    """The Gaussians of a splat file, as ``open_splats`` reads it, the same in every frame."""
+    """The Gaussians of a splat file, the same in every frame, as a source."""
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)
@@ -244,7 +244,7 @@ class StillSource(StaticSource):
 
 @final
 class GeneratorSource(Source):
-    """An ONNX model that computes Gaussians in every frame; see :class:`GeneratorWorker`."""
+    """A source whose Gaussians an ONNX model computes each frame; see :class:`GeneratorWorker`."""
 
     def __init__(
         self, path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None
@@ -294,7 +294,7 @@ class GeneratorSource(Source):
         self._worker.interrupt()
 
     def abandon(self) -> None:
-        """Wait for the pending frame of the generator, and discard its error."""
+        """Wait for the pending run of the generator, and discard its result or error."""
         if self._pending is not None:
             (_, future), self._pending = self._pending, None
             if future.exception() is None:

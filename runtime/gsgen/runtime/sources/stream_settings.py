@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamSettings:
-    """How a tileset is streamed.
+    """Settings of streaming a tileset: error, budgets, disk cache, prediction and waiting time.
 
     Attributes:
         max_error: Screen-space error above which tiles are refined, in pixels.
@@ -36,7 +36,7 @@ class StreamSettings:
 
 
 class StreamOpener(Protocol):
-    """A plug-in that opens streamed sources (entry point group ``gsgen.sources``)."""
+    """Protocol of plug-ins that open streamed sources (entry point group ``gsgen.sources``)."""
 
     def recognises(self, path: Path) -> bool:
         """Return whether ``path`` names a file or an address that this plug-in streams."""

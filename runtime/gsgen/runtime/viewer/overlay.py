@@ -62,7 +62,7 @@ class Statistics:
         title: str,
         is_moving: bool,
     ) -> None:
-        """Count a drawn frame, and update the displayed statistics if they are due."""
+        """Count a drawn frame, and update the displayed statistics when an update is due."""
         self._frame_times.append(now)
         while now - self._frame_times[0] > 1:
             self._frame_times.popleft()
@@ -90,7 +90,7 @@ class Statistics:
 @final
 @dataclass(frozen=True, slots=True)
 class SliderState:
-    """The content of the time slider: knob position in [0, 1], label, and button state."""
+    """What the time slider shows: knob position in [0, 1], label and play state."""
 
     fraction: float
     label: str
@@ -146,7 +146,7 @@ class Overlay:
 def _centered(
     rows: Sequence[tuple[str, str]], size: tuple[int, int], ratio: float, height: float
 ) -> Panel:
-    """Return a panel of text, centred horizontally, at a fraction of the free height."""
+    """Return a text panel, centred horizontally, at a fraction of the surface's free height."""
     picture = paragraph(rows, ratio)
     left = max(0, (size[0] - picture.shape[1]) // 2)
     return Panel(picture, (left, max(0, round((size[1] - picture.shape[0]) * height))))

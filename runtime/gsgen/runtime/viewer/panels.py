@@ -52,12 +52,12 @@ class Slider:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the slider's panel."""
+        """Width and height of the time slider's panel, in pixels."""
         return max(1, self.width - 2 * self._edge), round(34 * self.ratio)
 
     @property
     def corner(self) -> tuple[int, int]:
-        """The upper left corner of the slider's panel."""
+        """The upper left corner of the time slider's panel, in pixels of the surface."""
         return self._edge, max(0, self.height - self.size[1] - self._edge)
 
     @property
@@ -65,21 +65,21 @@ class Slider:
         return round(_MARGIN * self.ratio)
 
     def _ends(self) -> tuple[float, float]:
-        """Return both ends of the slider's track, in pixels from the left of the panel."""
+        """Return both ends of the time slider's track, in pixels from the left of its panel."""
         width = self.size[0]
         return min(34 * self.ratio, width / 2), max(width - 130 * self.ratio, width / 2 + 1)
 
     def contains(self, x: float, y: float) -> bool:
-        """Return whether a point of the surface is on the slider's panel."""
+        """Return whether a point of the window's surface is on the time slider's panel."""
         left, top = self.corner
         return 0 <= x - left < self.size[0] and 0 <= y - top < self.size[1]
 
     def on_button(self, x: float) -> bool:
-        """Return whether a point of the slider's panel is on the play button."""
+        """Return whether a point of the time slider's panel is on the play button."""
         return x - self.corner[0] < self._ends()[0] - 6 * self.ratio
 
     def fraction(self, x: float) -> float:
-        """Return the position of a point along the slider's track, from 0 to 1."""
+        """Return the position of a point along the time slider's track, from 0 to 1."""
         low, high = self._ends()
         return float(np.clip((x - self.corner[0] - low) / (high - low), 0, 1))
 

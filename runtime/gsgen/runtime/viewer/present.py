@@ -62,7 +62,7 @@ class Panel:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class View:
-    """A drawn image in GPU memory, and how it is shown."""
+    """A drawn image in GPU memory, with the settings of showing it on a window's surface."""
 
     drawn: Drawn
     camera: Camera
@@ -180,7 +180,7 @@ def _pipeline(
     blend: dict[str, dict[str, str]] | None,
     **constants: int,
 ) -> tuple[BindGroupLayout, RenderPipeline]:
-    """Create the bind group layout and the pipeline of a shader with two bindings."""
+    """Create the bind group layout and render pipeline of a WGSL shader with two bindings."""
     layout = raw.create_bind_group_layout(
         label=name,
         entries=[

@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewRequest:
-    """Camera, display mode and background of the next picture."""
+    """The camera, display mode and background with which a viewer draws its next picture."""
 
     camera: Camera
     mode: Mode
     background: tuple[float, ...]
 
     def key(self, playback: LivePlayback) -> object:
-        """Return a key that changes when the picture must be drawn again."""
+        """Return a key that changes when the viewer must draw its picture again."""
         camera = self.camera
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         camera_key = (camera.view.tobytes(), lens, camera.near)

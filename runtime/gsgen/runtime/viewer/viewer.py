@@ -191,7 +191,7 @@ class Viewer:
 
     @property
     def slider(self) -> Slider | None:
-        """The time slider, or None if nothing moves."""
+        """The state of the time slider, or None if nothing in the scene moves."""
         return Slider(*self._size, self._ratio) if self.playback.frames > 1 else None
 
     def _slider_state(self) -> SliderState:
@@ -382,7 +382,7 @@ class Viewer:
 
 
 def _next(choices: Sequence[Choice], current: Choice) -> Choice:
-    """Return the choice that cyclically follows the current one."""
+    """Return the value that follows the current one in a cyclic list of choices."""
     return choices[(choices.index(current) + 1) % len(choices)]
 
 

@@ -90,7 +90,7 @@ class BuildReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Run:
-    """The engine and the progress display that all phases of a build share."""
+    """The engine, which runs tasks, and the progress display of all phases of a tileset build."""
 
     engine: Engine
     progress: Progress
@@ -157,7 +157,10 @@ def build_tileset(
         _note_large(facts, progress)
     splats = total - skipped
     if splats == 0:
-        raise InputUnreadable("no splat can be drawn", where=files[0].path)
+        raise InputUnreadable(
+            f"none of the {total:,} splats has finite values, expected at least one",
+            where=files[0].path,
+        )
     key = parameters.key(_content_digests(facts, chunks))
     record = None if fresh else is_complete(output, key)
     if record is not None:

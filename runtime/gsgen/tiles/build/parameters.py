@@ -11,7 +11,7 @@ from typing import Final, final
 from gsgen.tiles.gltf.encoding import CodecName
 from gsgen.tiles.json_values import JsonDict
 
-ALGORITHM_VERSION: Final = 2
+ALGORITHM_VERSION: Final = 3
 """Version of the algorithm: increased when equal inputs and parameters give other bytes."""
 
 

@@ -48,14 +48,14 @@ class Partition:
 
     @property
     def above(self) -> int:
-        """The octree cell above that contains the partition; 0 if it holds the whole scene."""
+        """The parent octree cell of the partition; 0 if the partition holds the whole scene."""
         return self.locations[0] if self.anchored else self.locations[0] >> 3
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The plan of a tileset build, which every task reads.
+    """The plan of a tileset build: scene chunks, octree partitions, upper cells and parameters.
 
     Attributes:
         cube: The root cube.

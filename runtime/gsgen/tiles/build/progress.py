@@ -61,7 +61,7 @@ class JsonProgress(Progress):
     def __exit__(self, *error: object) -> None: ...
 
     def begin(self, phase: str, total: int) -> None:
-        """Write a JSON line for the beginning of a phase."""
+        """Write a JSON line for the beginning of a phase of a tileset build."""
         self._phase, self._total, self._splats_done = phase, total, 0
         self._start_time = time.monotonic()
         self._line()

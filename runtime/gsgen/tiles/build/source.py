@@ -151,7 +151,7 @@ def _whole(path: Path) -> Splats:
         return splats_of_rows(content)
     if isinstance(content, PointCloud):
         raise InputUnreadable(
-            "coloured points, which have no size and no opacity; expected splats",
+            "holds coloured points without size and opacity; expected splats",
             where=str(path),
             hint="Train splats from the points first.",
         )
@@ -194,7 +194,7 @@ def read_chunk(chunk: Chunk) -> Splats:
 
 
 def valid_rows(splats: Splats) -> Bool[np.ndarray, " n"]:
-    """Return the mask of drawable splats: finite, or meaningfully infinite opacity or scale."""
+    """Return the mask of drawable splats: finite, except for allowed infinite opacity or scale."""
     with np.errstate(invalid="ignore", over="ignore"):
         valid = ~np.isnan(splats.logit_opacity)
         for axis in range(3):  # a NaN fails the comparison

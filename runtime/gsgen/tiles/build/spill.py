@@ -46,7 +46,7 @@ def bin_chunk(plan: Plan, chunk: Chunk) -> int:
 
 
 def anchors_of(plan: Plan, rows: Rows) -> np.ndarray:
-    """Return each splat's deepest octree level; in implicit trees, large splats sink as well."""
+    """Return each splat's deepest octree level; in implicit octrees, the deepest for all splats."""
     if plan.parameters.implicit:
         return np.full(len(rows), DEPTH, np.int64)
     return anchor_depths(rows["log_scale"], plan.cube)
@@ -69,7 +69,9 @@ def load_partition(plan: Plan, partition: Partition) -> Rows:
             rows[filled : filled + last - first] = spill[first:last]
             filled += int(last - first)
     if filled != partition.count:  # the barrier before this phase makes it impossible
-        raise AssertionError(f"the temporary files hold {filled} splats of {partition}")
+        raise AssertionError(
+            f"temporary files hold {filled} of {partition.count} splats of {partition}"
+        )
     return rows
 
 

@@ -105,7 +105,7 @@ def run_count(
 
 
 def run_bin(task: PlanTask) -> tuple[int, int]:
-    """Write a scene chunk's splats sorted by partition; return their numbers before and after."""
+    """Write a scene chunk's splats sorted by partition; return the counts read and written."""
     plan = load_plan(task.plan)
     chunk = plan.chunks[task.item]
     return chunk.count, bin_chunk(plan, chunk)

@@ -37,7 +37,7 @@ from gsgen.tiles.json_values import JsonDict
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Content:
-    """A written content file of a tile, at one quality.
+    """A written content file of a tile, at one SPZ quality.
 
     Attributes:
         path: Relative to the tileset.
@@ -112,7 +112,7 @@ def mixture_of(splats: Splats, codes: UInt64[np.ndarray, " n"]) -> Mixture:
 
 
 def splats_of(mixture: Mixture, degree: int) -> Splats:
-    """Convert merged Gaussians to splats, with harmonics up to ``degree``."""
+    """Convert merged Gaussians to splats, with spherical harmonics up to ``degree``."""
     return Splats(
         position=mixture.mean.astype(np.float32),
         rotation=mixture.rotation,

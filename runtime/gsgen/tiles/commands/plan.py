@@ -1,4 +1,4 @@
-"""The command `gsgen tiles plan`: the exact choice of tiles in a budget or before deadlines."""
+"""The command `gsgen tiles plan`: chooses tiles optimally within a byte budget or deadlines."""
 
 __all__ = ["plan"]
 

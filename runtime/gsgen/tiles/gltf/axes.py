@@ -27,7 +27,7 @@ _DIGITS = 7
 
 
 def to_content_axes(splats: Splats) -> Splats:
-    """Return splats of a tile (z up) in the axes of glTF (y up)."""
+    """Rotate splats from the axes of a tile (z up) to the axes of glTF (y up)."""
     return rotate_splats(splats, _CONTENT_FROM_TILE)
 
 

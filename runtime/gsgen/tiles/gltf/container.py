@@ -46,7 +46,7 @@ def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
         content = _buffer(buffer, size, fetch)
         if len(content) < size:
             raise TilesetInvalid(
-                f"{len(content)} bytes",
+                f"the buffer has {len(content)} bytes",
                 location=buffer.location,
                 expected=f"{size}",
                 fault=Fault.CONTENT,
@@ -79,9 +79,9 @@ def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
                 return base64.b64decode(unquote_to_bytes(body), validate=True)
         except (ValueError, binascii.Error) as error:
             raise TilesetInvalid(
-                f"base64 that cannot be decoded ({error})",
+                f"the data URI holds base64 that cannot be decoded ({error})",
                 location=buffer.at("uri"),
-                expected="a data URI",
+                expected="valid base64",
                 fault=Fault.CONTENT,
             ) from error
         return unquote_to_bytes(body)
@@ -92,7 +92,7 @@ def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
 
 @contextmanager
 def as_fault(location: str, fault: Fault) -> Iterator[None]:
-    """Convert a FormatError of the ``with`` block to a TilesetInvalid of one kind of fault."""
+    """Convert a FormatError of a ``with`` block to a TilesetInvalid of the kind ``fault``."""
     try:
         yield
     except FormatError as error:

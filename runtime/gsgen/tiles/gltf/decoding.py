@@ -1,4 +1,4 @@
-"""Reads the glTF content of tiles: KHR_gaussian_splatting or its drafts.
+"""Reads the glTF content of tiles: splats by KHR_gaussian_splatting or drafts of it.
 
 What only a header says is read without decoding, so that a listing of a tileset is quick.
 """
@@ -69,7 +69,7 @@ class SplatPrimitive:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContentHeader:
-    """The header of a tile's content: its size, primitives and extensions.
+    """The metadata of a tile's glTF content: file size, splat primitives and extensions.
 
     Attributes:
         size: Bytes of the file.
@@ -95,7 +95,7 @@ class ContentHeader:
 
 
 def read_header(container: Container, location: str, size: int) -> ContentHeader:
-    """Return the header of a tile's content; splats are not decoded."""
+    """Read the glTF JSON and SPZ headers of a tile's content, without decoding splats."""
     with as_fault(location, Fault.CONTENT):
         primitives = tuple(
             _primitive(container, primitive, where, location)
@@ -151,7 +151,7 @@ def _disagreements(primitive: JsonDict, extensions: JsonDict) -> Iterator[str]:
 
 
 def _spz_head(container: Container, holder: JsonDict, where: str) -> tuple[int, int, int]:
-    """Return version, number of splats and SH degree of the SPZ file in a buffer view."""
+    """Return version, splat count and SH degree from the header of SPZ data in a buffer view."""
     view = container.item("bufferViews", holder.get("bufferView"), where)
     start, size = view_range(container, view, where)
     head = bytes(container.data[start : start + min(size, _SPZ_HEAD_BYTES)])
@@ -160,14 +160,14 @@ def _spz_head(container: Container, holder: JsonDict, where: str) -> tuple[int, 
             head = zlib.decompressobj(wbits=31).decompress(head, _SPZ_HEADER.size)
         except zlib.error as error:
             raise TilesetInvalid(
-                f"SPZ that cannot be unpacked ({error})",
+                f"the SPZ data cannot be unpacked ({error})",
                 location=where,
                 expected="gzip",
                 fault=Fault.CONTENT,
             ) from error
     if len(head) < _SPZ_HEADER.size or head[:4] != b"NGSP":
         raise TilesetInvalid(
-            f"{head[:4].hex(' ')}",
+            f"the SPZ data begin with {head[:4].hex(' ')}",
             location=where,
             expected="4e 47 53 50 (NGSP), as SPZ begins",
             fault=Fault.CONTENT,
@@ -188,7 +188,7 @@ def decode_content(
     header = read_header(container, location, 0)
     if header.splats * _DECODED_EACH > max_bytes:
         raise TilesetInvalid(
-            f"{header.splats:,} splats",
+            f"the content has {header.splats:,} splats",
             location=location,
             expected=f"{max_bytes // _DECODED_EACH:,} or fewer in a tile",
             fault=Fault.CONTENT,

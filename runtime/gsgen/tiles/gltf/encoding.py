@@ -67,8 +67,9 @@ def write_content(
 ) -> EncodedContent:
     """Encode the splats of one tile as a GLB file.
 
-    The splats are stored relative to ``center``, which goes into the matrix of the node. Rows
-    keep their order. Harmonics above degree 3 are dropped: the extension has no names for them.
+    The splats are stored relative to ``center``, which goes into the matrix of the node. SPZ
+    reorders splats of degree 0. Harmonics above degree 3 are dropped: the extension has no names
+    for them.
 
     Args:
         splats: In the root tile's frame, z up; at least one.

@@ -26,7 +26,7 @@ _MOST_COUNT = 4096
 @final
 @dataclass(frozen=True, slots=True)
 class PropertyClass:
-    """The columns of a metadata class that hold a fixed count of numbers.
+    """The numeric columns of a 3D Tiles metadata class: data type, and numbers per row.
 
     Attributes:
         columns: Property → (name it is known by, data type, numbers a row). The name is the
@@ -37,7 +37,7 @@ class PropertyClass:
 
 
 def read_classes(schema: JsonObject | None) -> dict[str, PropertyClass]:
-    """Return the classes of a metadata schema by name; empty without a schema."""
+    """Return the classes of a 3D Tiles metadata schema by name; empty without a schema."""
     if schema is None or "classes" not in schema:
         return {}
     classes = schema.child("classes")
@@ -70,7 +70,7 @@ def read_property_table(
     classes: dict[str, PropertyClass],
     view: Callable[[JsonObject, str], bytes],
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a property table, [count] or [count, numbers]."""
+    """Read the columns of a 3D Tiles property table, as arrays [rows] or [rows, numbers]."""
     name, rows = table.text("class"), table.whole("count")
     if name not in classes:
         table.refuse("class", f"a class of the schema: {', '.join(classes) or 'none there'}")
@@ -85,7 +85,7 @@ def read_property_table(
         data, size = view(entry, "values"), count * width * dtype.itemsize
         if len(data) < size:
             raise TilesetInvalid(
-                f"{len(data)} bytes",
+                f"the buffer view has {len(data)} bytes",
                 location=entry.at("values"),
                 expected=f"{size}: {count} rows of {width} × {dtype.name}",
                 fault=Fault.SUBTREE,

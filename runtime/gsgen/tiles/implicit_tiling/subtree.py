@@ -122,14 +122,16 @@ def _split(data: bytes, location: str) -> tuple[JsonObject, bytes]:
         document = parse_object(data, f"{location}, ", fault=Fault.SUBTREE)
         return document, b""
     if len(data) < _HEADER.size:
-        raise _wrong(f"{len(data)} bytes", location, f"a header of {_HEADER.size}")
+        raise _wrong(f"the file has {len(data)} bytes", location, f"a header of {_HEADER.size}")
     _, version, json_size, binary_size = _HEADER.unpack_from(data)
     if version != _SUBTREE_VERSION:
-        raise _wrong(f"version {version}", f"{location}, byte 4", f"{_SUBTREE_VERSION}")
+        raise _wrong(
+            f"the subtree version is {version}", f"{location}, byte 4", f"{_SUBTREE_VERSION}"
+        )
     whole = _HEADER.size + json_size + binary_size
     if whole != len(data) or json_size > MAX_JSON:
         raise _wrong(
-            f"{len(data)} bytes",
+            f"the file has {len(data)} bytes",
             f"{location}, byte 8",
             f"{whole}: the header, {json_size} of JSON and {binary_size} of data",
         )
@@ -153,7 +155,7 @@ def _check_tree(
     orphans = np.flatnonzero(tiles[1:] & ~tiles[parents])
     if len(orphans):
         raise _wrong(
-            f"tile {orphans[0] + 1} is available and its parent is not",
+            f"tile {orphans[0] + 1} is available, but its parent is not",
             document.at("tileAvailability"),
             "a tree",
         )
@@ -161,7 +163,7 @@ def _check_tree(
         orphan_contents = np.flatnonzero(bits & ~tiles)
         if len(orphan_contents):
             raise _wrong(
-                f"content {orphan_contents[0]} is available and its tile is not",
+                f"content {orphan_contents[0]} is available, but its tile is not",
                 document.at("contentAvailability"),
                 "content of available tiles only",
             )
@@ -169,7 +171,7 @@ def _check_tree(
     orphan_subtrees = np.flatnonzero(below & ~np.repeat(last, branching))
     if len(orphan_subtrees):
         raise _wrong(
-            f"subtree {orphan_subtrees[0]} hangs below a tile that is not available",
+            f"child subtree {orphan_subtrees[0]} is below a tile that is not available",
             document.at("childSubtreeAvailability"),
             "subtrees of available tiles only",
         )
@@ -186,28 +188,30 @@ class _Reader:
         self._loaded: dict[int, bytes] = {}
 
     def availability(self, entry: JsonObject, count: int) -> Bits:
-        """Return ``count`` availability bits of a subtree: a constant, or a bitstream."""
+        """Read ``count`` availability bits of a subtree, stored as one constant or a bitstream."""
         if count > MAX_BITS:
-            raise _wrong(f"{count:,} tiles", entry.location, f"{MAX_BITS:,} or fewer")
+            raise _wrong(
+                f"the subtree has {count:,} tiles", entry.location, f"{MAX_BITS:,} or fewer"
+            )
         if "constant" in entry:
             return np.full(count, bool(entry.whole("constant", most=1)))
         key = "bitstream" if "bitstream" in entry else "bufferView"  # of drafts
         data = self.view(entry, key)
         size = (count + 7) // 8
         if len(data) < size:
-            raise _wrong(f"{len(data)} bytes", entry.at(key), f"{size}, a bit for each of {count}")
+            actual = f"the bitstream has {len(data)} bytes"
+            raise _wrong(actual, entry.at(key), f"{size}, a bit for each of {count}")
         packed = np.frombuffer(data[:size], np.uint8)
         bits = np.unpackbits(packed, bitorder="little")[:count].astype(bool)
         if "availableCount" in entry:
             declared = entry.whole("availableCount")
             if declared != int(bits.sum()):
-                raise _wrong(
-                    f"{declared}", entry.at("availableCount"), f"{int(bits.sum())} set bits"
-                )
+                actual = f"availableCount is {declared}"
+                raise _wrong(actual, entry.at("availableCount"), f"{int(bits.sum())} set bits")
         return np.asarray(bits)
 
     def view(self, entry: JsonObject, key: str) -> bytes:
-        """Return the bytes of a subtree's buffer view, by the view's number in the JSON."""
+        """Return the bytes of a subtree's buffer view, whose number is the JSON member ``key``."""
         index = entry.whole(key)
         if index >= len(self._views):
             entry.refuse(key, f"less than {len(self._views)}, the number of buffer views")
@@ -215,7 +219,9 @@ class _Reader:
         start, size = view.whole("byteOffset"), view.whole("byteLength")
         data = self._buffer(view)
         if start + size > len(data):
-            raise _wrong(f"ends at byte {start + size}", view.location, f"{len(data)} or less")
+            raise _wrong(
+                f"the view ends at byte {start + size}", view.location, f"{len(data)} or less"
+            )
         return data[start : start + size]
 
     def _buffer(self, view: JsonObject) -> bytes:
@@ -229,7 +235,7 @@ class _Reader:
             if "uri" in entry:
                 data = self._read(entry.text("uri"), entry.at("uri"), size)
             if len(data) < size:
-                raise _wrong(f"{len(data)} bytes", entry.location, f"{size}")
+                raise _wrong(f"the buffer has {len(data)} bytes", entry.location, f"{size}")
             self._loaded[index] = data[:size]
         return self._loaded[index]
 
@@ -241,7 +247,7 @@ class _Reader:
         count: int,
         classes: dict[str, PropertyClass],
     ) -> dict[str, np.ndarray]:
-        """Return the columns of a subtree's property table; empty if there is no table."""
+        """Return the columns of a subtree's property table; empty if there is no property table."""
         if key not in holder:
             return {}
         index = holder.whole(key)

@@ -1,4 +1,4 @@
-"""Makes the tiles of an implicit tree: a quadtree or an octree over one tile's volume.
+"""Creates the tiles of an implicit tree: a quadtree or octree over one tile's volume.
 
 3D Tiles 1.1, section "Implicit Tiling".
 """
@@ -25,7 +25,7 @@ _VOLUMES: Final = {"box": 12, "sphere": 4, "region": 6}
 
 
 class TileCoordinates(NamedTuple):
-    """The level and cell of an implicit tile; a cell has two or three coordinates."""
+    """The level of an implicit tile, and its two or three integer coordinates on that level."""
 
     level: int
     cell: tuple[int, ...]
@@ -39,7 +39,7 @@ class TileCoordinates(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImplicitTree:
-    """The implicit tree that a tile's ``implicitTiling`` declares.
+    """An implicit quadtree or octree of tiles, as the ``implicitTiling`` of a tile declares it.
 
     Attributes:
         dimensions: 2 for a quadtree, 3 for an octree.
@@ -88,14 +88,14 @@ def read_implicit(
     base: str,
     classes: dict[str, PropertyClass],
 ) -> ImplicitTree:
-    """Read the member ``implicitTiling`` of a tile."""
+    """Parse ``implicitTiling``, a member of a tile's JSON, into an implicit tree."""
     entry = tile.child("implicitTiling")
     scheme = entry.values.get("subdivisionScheme")
     if not isinstance(scheme, str) or scheme not in _SCHEMES:
         entry.refuse("subdivisionScheme", " or ".join(_SCHEMES))
     if isinstance(volume, Sphere):
         raise TilesetInvalid(
-            "a sphere",
+            "the volume of the tile is a sphere",
             location=tile.at("boundingVolume"),
             expected="a box or a region, which implicit tiling can divide",
         )
@@ -153,7 +153,7 @@ def _expand_subtree(
         return None
     if len(subtree.contents) > len(tree.content_uris):
         raise TilesetInvalid(
-            f"{len(subtree.contents)} contents",
+            f"the subtree has {len(subtree.contents)} contents per tile",
             location=f"{tree.location}, subtree {_label(origin)}",
             expected=f"{len(tree.content_uris)}, as many as the tile has templates",
             fault=Fault.SUBTREE,
@@ -198,7 +198,7 @@ def _further(
         origin = parent.child(k)
         if origin.level >= tree.levels:
             raise TilesetInvalid(
-                f"a subtree at level {origin.level}",
+                f"the subtree begins at level {origin.level}",
                 location=f"{tree.location}, subtree {_label(origin)}",
                 expected=f"less than the {tree.levels} levels of the tree",
                 fault=Fault.SUBTREE,
@@ -252,7 +252,7 @@ def _tile(
     level, cell = coordinates
     if level >= tree.levels:
         raise TilesetInvalid(
-            f"tile {_label(coordinates)} is available",
+            f"tile {_label(coordinates)} is available at level {level}",
             location=tree.location,
             expected=f"less than the {tree.levels} levels of the tree",
             fault=Fault.SUBTREE,
@@ -280,7 +280,7 @@ def _tile(
 
 
 def _declared_volume(values: JsonDict, owner: str) -> Volume | None:
-    """Return the bounding volume in the metadata of a tile or content, or None."""
+    """Return the bounding volume that the metadata of a tile or content declares, or None."""
     for kind, width in _VOLUMES.items():
         name = f"{owner}_BOUNDING_{kind.upper()}"
         if name in values:
@@ -288,7 +288,7 @@ def _declared_volume(values: JsonDict, owner: str) -> Volume | None:
             entry = {kind: numbers.tolist()}
             if len(numbers) != width:
                 raise TilesetInvalid(
-                    f"{len(numbers)} numbers",
+                    f"the property has {len(numbers)} numbers",
                     location=f"property with the semantic {name}",
                     expected=str(width),
                     fault=Fault.SUBTREE,

@@ -124,14 +124,14 @@ def _content(record: TileRecord, quality: int) -> ContentRecord | None:
 def _collect(
     record: TileRecord, quality: int, cells: list[_Cell], oversized: list[TileRecord]
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Collect an octree tile and its descendants by cell; return the tile's bounding box."""
+    """Append an octree tile and its descendants to ``cells``; return the tile's bounding box."""
     low, high = np.array(record.low, np.float64), np.array(record.high, np.float64)
     content = _content(record, quality)
     if content is not None:
         low, high = np.minimum(low, content.low), np.maximum(high, content.high)
         expected = implicit_uri(record.level, record.coordinates, quality)
         if not record.oversized and content.uri != expected:
-            raise ValueError(f"content {content.uri}, expected {expected}")
+            raise ValueError(f"the URI of a tile content is {content.uri}, expected {expected}")
     for child in record.children:
         if child.oversized:
             oversized.append(child)
@@ -244,7 +244,7 @@ def _content_columns(cells: list[_Cell], quality: int) -> dict[str, np.ndarray]:
 
 @final
 class _SubtreeWriter:
-    """Collects the bitstreams and tables of a subtree in one buffer."""
+    """Collects the bitstreams and property tables of an implicit subtree in one buffer."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -273,7 +273,7 @@ class _SubtreeWriter:
         return len(self._views) - 1
 
     def file(self, document: JsonDict) -> bytes:
-        """Return an implicit subtree as the bytes of a binary file."""
+        """Return an implicit subtree as the bytes of a binary subtree file."""
         values = dict(document)
         if self._data:
             values["buffers"] = [{"byteLength": len(self._data)}]

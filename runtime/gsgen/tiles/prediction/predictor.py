@@ -105,7 +105,7 @@ class ConstantVelocity:
 def _velocity(
     first: Pose, last: Pose
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Return the mean velocity and rotation rate between two poses, in the root frame."""
+    """Return the mean velocity and rotation rate between two poses, in the tileset's root frame."""
     seconds = last.time - first.time
     inverse = first.quaternion * [1, -1, -1, -1]
     turn = rotation_vector(quaternion_product(last.quaternion, inverse))

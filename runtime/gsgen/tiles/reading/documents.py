@@ -44,18 +44,18 @@ class DocumentReader:
         self._documents = 0
 
     def spend(self, size: int, path: str) -> None:
-        """Count a JSON document's bytes; raise if the tileset exceeds the limits of reading."""
+        """Add a JSON document's bytes to the total; raise above the limits of reading a tileset."""
         self._bytes_left -= size
         self._documents += 1
         if self._documents > self._limits.documents:
             raise TilesetInvalid(
-                f"more than {self._limits.documents:,} tileset.json and subtree files",
+                f"the tileset has more than {self._limits.documents:,} JSON and subtree files",
                 location=f"{self._store.name}: {path}",
                 expected="fewer",
             )
         if self._bytes_left < 0:
             raise TilesetInvalid(
-                f"more than {self._limits.index_bytes:,} bytes of tileset.json and subtree files",
+                f"JSON and subtree files have more than {self._limits.index_bytes:,} bytes",
                 location=f"{self._store.name}: {path}",
                 expected="fewer",
             )
@@ -91,7 +91,7 @@ class DocumentReader:
         return document
 
     def describe(self, path: str, document: JsonObject, above: tuple[str, ...]) -> Document:
-        """Read a ``tileset.json``'s metadata schema, and list the files that refer to the JSON."""
+        """Return a ``tileset.json`` as Document, with metadata classes and the referring files."""
         schema = document.optional("schema")
         if schema is None and "schemaUri" in document:
             location = document.at("schemaUri")

@@ -97,7 +97,9 @@ def score_tileset(
     content = open_splats(scene)
     if isinstance(content, PointCloud):
         raise TilesetInvalid(
-            "coloured points", location=str(scene), expected="splats to compare with"
+            "the scene holds coloured points",
+            location=str(scene),
+            expected="splats to compare with",
         )
     splats = splats_of_rows(content) if isinstance(content, PackedRows) else content
     renderer = Renderer()
@@ -166,7 +168,7 @@ def _read(store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]) -> tu
         parts += [entry.around(np.zeros(3)) for entry in placed]
     if not parts:
         raise TilesetInvalid(
-            "a level without splats",
+            "a level of the tileset has no splats",
             location=tileset.index,
             expected="contents with KHR_gaussian_splatting",
             fault=Fault.CONTENT,

@@ -32,7 +32,7 @@ class Choice:
 
     @property
     def certificate(self) -> float:
-        """The largest share of the best utility that the choice of tile options can lack."""
+        """An upper bound of the utility that the choice of tiles lacks, relative to the best."""
         return (self.bound - self.utility) / self.bound if self.bound > 0 else 0.0
 
 

@@ -16,7 +16,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Cut:
-    """The tiles that a camera sees, and those that it needs drawn.
+    """The tiles that a camera sees, and the tiles that it needs drawn at its pixel error.
 
     Attributes:
         seen: Tiles that meet the frustum and whose parents are all refined; from the root down.

@@ -20,7 +20,7 @@ Planes = Float64[np.ndarray, "k 4"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frustum:
-    """The part of the tileset's root frame that a camera sees.
+    """A view frustum in the tileset's root frame: the planes around what a camera sees.
 
     Attributes:
         planes: A point x is inside where n·x + d ≥ 0 for every row (n, d); unit normals. Four

@@ -55,7 +55,7 @@ def solve_problem(path: Path) -> Plan:
     try:
         if path.stat().st_size > MAX_JSON:
             raise TilesetInvalid(
-                f"{path.stat().st_size:,} bytes",
+                f"the file has {path.stat().st_size:,} bytes",
                 location=str(path),
                 expected=f"{MAX_JSON:,} bytes or fewer",
             )
@@ -81,7 +81,7 @@ def _solve_cut(problem: JsonObject) -> Choice:
         known = 0 <= node < len(options.cost) and 0 <= quality < options.cost.shape[1]
         if not known or not np.isfinite(options.cost[node, quality]):
             raise TilesetInvalid(
-                f"[{node}, {quality}]",
+                f"the loaded entry is [{node}, {quality}]",
                 location=f"{problem.at('loaded')}[{index}]",
                 expected="a node and one of its qualities",
             )
@@ -90,9 +90,9 @@ def _solve_cut(problem: JsonObject) -> Choice:
     choice = choose_cut_exactly(options, budget)
     if choice is None:
         raise TilesetInvalid(
-            f"{budget:,.0f} bytes",
+            f"the budget is {budget:,.0f} bytes",
             location=problem.at("budget_bytes"),
-            expected="enough for the cheapest cut",
+            expected="enough for the cheapest choice of tiles",
             hint="Raise the budget, or list the loaded nodes.",
         )
     return choice
@@ -157,7 +157,7 @@ def _read_loaded(problem: JsonObject) -> Iterator[tuple[int, int]]:
         numbers = isinstance(pair, list) and len(pair) == 2
         if not (numbers and all(type(entry) is int for entry in pair)):
             raise TilesetInvalid(
-                f"{pair!r:.40}",
+                f"the loaded entry is {pair!r:.40}",
                 location=f"{problem.at('loaded')}[{index}]",
                 expected="[node, quality], two whole numbers",
             )
@@ -177,7 +177,7 @@ def _solve_deadlines(problem: JsonObject) -> Choice:
     cells = len(tiles) * (max((tile.deadline for tile in tiles), default=0) + 1)
     if cells > MOST_CELLS:
         raise TilesetInvalid(
-            f"{cells:,} tiles × slots",
+            f"the problem has {cells:,} tiles × time slots",
             location=problem.at("tiles"),
             expected=f"{MOST_CELLS:,} or fewer",
             hint="Use longer slots.",

@@ -154,7 +154,7 @@ def _region_box(region: Region) -> Box:
 
 
 def _patch(region: Region, x: int, y: int) -> Region:
-    """Return one part of a globe region that is divided into a grid."""
+    """Return one cell of a regular grid that divides a region of the globe."""
     width, height = region.width / _GRID, (region.north - region.south) / _GRID
     west, south = region.west + width * x, region.south + height * y
     return Region(

@@ -31,7 +31,7 @@ class FailureRule:
 
 
 def parse_failure(text: str) -> FailureRule:
-    """Parse a failure rule such as ``404:0.01``, ``cut:0.05`` or ``stall:0.1``.
+    """Parse a simulated network failure and its probability, such as ``404:0.01``.
 
     Raises:
         ConfigInvalid: It says something else.

@@ -103,7 +103,7 @@ class SimulatedLink:
         self._transfers.append(_Transfer(tile, start, float(self._size[tile])))
 
     def progress(self, tile: int) -> float:
-        """Return the share of a tile's bytes that were received."""
+        """Return the fraction of a requested tile's bytes that were received so far."""
         return 1 - self._transfer(tile).remaining / max(float(self._size[tile]), 1.0)
 
     def cancel(self, tile: int) -> int:

@@ -45,7 +45,7 @@ def format_table(simulations: Sequence[Simulation]) -> str:
 
 
 def write_plot(simulations: Sequence[Simulation], path: Path) -> None:
-    """Draw the share of wanted tiles that are loaded, and the bytes received, over time.
+    """Plot the share of needed tiles that are loaded, and the received bytes, over time.
 
     Args:
         simulations: A line each.

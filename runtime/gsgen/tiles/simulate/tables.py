@@ -52,11 +52,11 @@ def read_trace(path: Path) -> RateTrace:
 
 
 def _read_table(path: Path, columns: tuple[str, ...]) -> Float64[np.ndarray, "n c"]:
-    """Read the named columns of a CSV file as numbers; the first one, time, ascends."""
+    """Read named columns of a CSV file as numbers; the first column, time, must ascend."""
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise InputUnreadable(
-                f"{path.stat().st_size:,} bytes, expected {_MOST_BYTES:,} or fewer",
+                f"the file has {path.stat().st_size:,} bytes, expected {_MOST_BYTES:,} or fewer",
                 where=str(path),
                 hint="Split the table.",
             )

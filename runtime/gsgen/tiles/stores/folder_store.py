@@ -48,7 +48,7 @@ class FolderStore(Store):
             raise self._unreadable(path, error) from error
         if not inside:
             raise TilesetInvalid(
-                "a link that leads out of the folder",
+                "the path is a link that leads out of the folder",
                 location=f"{self.name}: {path}",
                 expected="a file within the folder of the tileset",
                 fault=Fault.URI,

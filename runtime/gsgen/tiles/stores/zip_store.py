@@ -67,7 +67,7 @@ class ZipStore(Store):
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
             raise self._damaged(f"the zip archive cannot be listed ({error})") from error
         if len(members) > _MOST_MEMBERS:
-            raise self._damaged(f"{len(members):,} members")
+            raise self._damaged(f"the archive has {len(members):,} files, over {_MOST_MEMBERS:,}")
         by_name = {member.filename: member for member in members}
         index = by_name.get(INDEX_NAME)
         if index is not None:
@@ -78,12 +78,12 @@ class ZipStore(Store):
         """Raise if the index of a .3tz archive and its zip directory disagree on offsets."""
         members = [member for name, member in by_name.items() if name != INDEX_NAME]
         if index.file_size != _RECORD.size * len(members):
-            raise self._damaged(f"an index of {index.file_size} bytes for {len(members)} members")
+            raise self._damaged(f"the index has {index.file_size} bytes for {len(members)} files")
         expected = {index_record(m.filename, m.header_offset) for m in members}
         data = self._member(index, 0, index.file_size)
         records = [data[offset : offset + 24] for offset in range(0, len(data), _RECORD.size)]
         if set(records) != expected:
-            raise self._damaged("an index that does not name the members of the archive")
+            raise self._damaged("the index does not list the files of the archive")
 
     def size(self, path: str) -> int:
         """Return the unpacked size of an archive member in bytes."""
@@ -106,10 +106,10 @@ class ZipStore(Store):
         return member
 
     def _member(self, member: zipfile.ZipInfo, start: int, count: int) -> bytes:
-        """Read an archive member by its local header, without trusting offsets of the directory."""
+        """Read an archive member by its local header; offsets in the zip directory may be wrong."""
         header = self._at(member.header_offset, _LOCAL.size)
         if len(header) < _LOCAL.size or header[:4] != _LOCAL_MAGIC:
-            raise self._damaged(f"no member at byte {member.header_offset}")
+            raise self._damaged(f"{member.filename} is not at byte {member.header_offset}")
         *_, name_length, extra_length = _LOCAL.unpack(header)
         first = member.header_offset + _LOCAL.size + name_length + extra_length
         if member.flag_bits & 1:
@@ -119,9 +119,9 @@ class ZipStore(Store):
         elif member.compress_type == _DEFLATED:
             data = self._inflated(first, member.compress_size, start + count)[start:]
         else:
-            raise self._damaged(f"compression method {member.compress_type}")
+            raise self._damaged(f"{member.filename} has compression method {member.compress_type}")
         if len(data) < count:
-            raise self._damaged(f"{member.filename} ends early")
+            raise self._damaged(f"{member.filename} is truncated")
         return data
 
     def _inflated(self, first: int, packed: int, count: int) -> bytes:
@@ -130,7 +130,7 @@ class ZipStore(Store):
         try:
             return unpacker.decompress(data, count) if count else b""
         except zlib.error as error:
-            raise self._damaged(f"a member cannot be unpacked ({error})") from error
+            raise self._damaged(f"an archived file cannot be unpacked ({error})") from error
 
     def _at(self, start: int, count: int) -> bytes:
         with self._lock:
@@ -138,7 +138,7 @@ class ZipStore(Store):
                 self._file.seek(start)
                 return self._file.read(count)
             except (OSError, ValueError, OverflowError) as error:
-                raise self._damaged(f"cannot be read ({error})") from error
+                raise self._damaged(f"the archive cannot be read ({error})") from error
 
     def _damaged(self, actual: str) -> TilesetInvalid:
         return TilesetInvalid(

@@ -10,7 +10,7 @@ class Clock(Protocol):
     """Protocol of clocks: the time of a streaming session."""
 
     def now(self) -> float:
-        """Return monotonic seconds since some moment."""
+        """Return the clock's time in seconds, which never decreases."""
         ...
 
 

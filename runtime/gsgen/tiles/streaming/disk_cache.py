@@ -43,7 +43,7 @@ class DiskCache:
         return self._total
 
     def get(self, store: str, path: str) -> bytes | None:
-        """Return a file of the disk cache if it is cached and complete.
+        """Return the content of a file in the disk cache; None if the file is absent or incomplete.
 
         Args:
             store: Name of the store.

@@ -125,7 +125,8 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputUnreadable(
-                f"is not an event ({error!r:.60})", where=f"{path}, line {number}"
+                f"the line is not a frame of an event log ({error!r:.60})",
+                where=f"{path}, line {number}",
             ) from error
 
 

@@ -19,7 +19,7 @@ OnBytes = Callable[[int], None]
 @final
 @dataclass(frozen=True, slots=True)
 class FetchResult(Generic[Decoded]):
-    """The answer to a request of a tile.
+    """The result of a tile request: the decoded content, or the error that prevented it.
 
     Attributes:
         tile: Key of the tile.

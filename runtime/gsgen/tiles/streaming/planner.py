@@ -35,7 +35,7 @@ class Link(Protocol):
         ...
 
     def progress(self, tile: int) -> float:
-        """Return the share of a tile's bytes that were received."""
+        """Return the fraction of a requested tile's bytes that were received so far."""
         ...
 
     def cancel(self, tile: int) -> int:

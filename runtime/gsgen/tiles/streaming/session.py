@@ -282,7 +282,7 @@ class TilesetSession:
         return cut
 
     def _upload(self, time: float, cut: Cut) -> tuple[tuple[int, ...], tuple[TileArrival, ...]]:
-        """Admit decoded tiles within the upload budget: seen ones first, coarse before fine."""
+        """Upload decoded tiles within a frame's budget: visible tiles first, coarse before fine."""
         level, error, seen = self.tree.level, cut.error, cut.seen
         order = sorted(self._pending, key=lambda t: (not seen[t], level[t], -error[t], t))
         evicted: list[int] = []

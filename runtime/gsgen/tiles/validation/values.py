@@ -173,8 +173,8 @@ def _check_unit(rotation: Float64[np.ndarray, "n 4"], location: str) -> None:
     if wrong.any():
         first = int(np.argmax(wrong))
         raise TilesetInvalid(
-            f"{np.count_nonzero(wrong)} of {len(length)} quaternions, the first (row {first}) "
-            f"of length {length[first]:g}",
+            f"{np.count_nonzero(wrong)} of {len(length)} quaternions are not unit, the first "
+            f"(row {first}) has length {length[first]:g}",
             location=f"{location}, attribute {NAME}:ROTATION",
             expected="length 1",
             fault=Fault.VALUES,

@@ -61,7 +61,7 @@ def _of_method(method: str, plugin: str, message: str) -> NotSupported:
 
 def _hint(plugin: str) -> str:
     if plugin in {point.name for point in registered_entry_points("gsgen.generators")}:
-        return f"`gsgen export {plugin} FOLDER` reads the folder of the training"
+        return f"`gsgen export {plugin} --checkpoint FOLDER -o OUT.onnx` exports the folder of the training"
     return f"no installed plugin reads it (it would be called {plugin})"
 
 

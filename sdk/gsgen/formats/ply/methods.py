@@ -38,7 +38,7 @@ def require_still_splats(names: Collection[str]) -> None:
             f"{listed(matches, limit=6)}: splats of {title}, which are more than their static part",
             where="element 'vertex'",
             expected="the properties of a 3DGS PLY",
-            hint=f"`gsgen export {plugin}` reads it"
+            hint=f"`gsgen export {plugin} --checkpoint FILE -o OUT.onnx` exports them"
             if is_installed
             else "no installed plugin reads them; bake one moment with the method's own code",
         )

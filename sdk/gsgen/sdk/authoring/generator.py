@@ -121,6 +121,8 @@ class GaussianGenerator(nn.Module, ABC):
         inputs: Frame inputs, from the functions of :mod:`gsgen.sdk.authoring.inputs`.
         space: Coordinate frame and matrix memory order.
         color_space: Colour space of the colours from SH or RGB.
+        color_range: Lowest and highest RGB of a method that clips the picture, not its splats;
+            [0, 1] if absent.
         antialias: How the model was trained: ``classic`` (0.3 px dilation) or ``mip``.
         depends_on: Input or role → whether outputs change with it; those not named do.
         count_semantics: ``upper-bound`` if rows before the count may have opacity 0.
@@ -135,6 +137,7 @@ class GaussianGenerator(nn.Module, ABC):
     inputs: Sequence[Input] = ()
     space: Space = Space()
     color_space: Literal["srgb", "linear"] = "srgb"
+    color_range: tuple[float, float] | None = None
     antialias: Literal["classic", "mip"] = "classic"
     depends_on: ClassVar[dict[str, bool]] = {}
     count_semantics: Literal["exact", "upper-bound"] = "exact"

@@ -342,7 +342,10 @@ def _manifest(
 ) -> GeneratorManifest:
     space: Literal["sh", "rgb"] = "rgb" if degree is None else "sh"
     color_name = APPEARANCE_RGB if degree is None else APPEARANCE_SH
-    appearance = AppearanceOutput(color_name, space, degree, generator.color_space)
+    color_range = generator.color_range if degree is None else None
+    appearance = AppearanceOutput(
+        color_name, space, degree, generator.color_space, range=color_range
+    )
     return GeneratorManifest(
         name=name,
         family=generator.family,

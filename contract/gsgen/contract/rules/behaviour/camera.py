@@ -94,7 +94,7 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017"),
 )
 def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
-    """Where another camera sees Gaussians in the middle of the view, something is drawn.
+    """Gaussians in mid-view that another camera sees are drawn, or other Gaussians replace them.
 
     Why:
         Models cull what their camera cannot see by setting its opacity to zero. Culling with a
@@ -137,7 +137,7 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _bare_share(hidden: Float[np.ndarray, "m 10"], drawn: Float[np.ndarray, "n 10"]) -> float:
-    """Return the fraction of hidden Gaussians that no visible Gaussian covers, of a sample."""
+    """Return the fraction of sampled hidden Gaussians that no visible Gaussian covers."""
     if not len(drawn):
         return 1.0
     size = np.square(_COVERED) * drawn[:, list(VARIANCES)].max(axis=1)
@@ -162,7 +162,7 @@ def _in_cone(
     needs=("GV025", "GO010", "GO011", "GV016"),
 )
 def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
-    """No camera that sees the declared bounds gets an empty scene, if other cameras do not.
+    """No camera that sees the declared bounds gets a row count of 0 if other cameras do not.
 
     Why:
         All probes look at the middle of the bounds. A count of zero for some of them is culling

@@ -73,7 +73,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GV054"),
 )
 def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
-    """Each input changes some output, unless `depends_on` declares that it does not.
+    """Each model input changes some output, unless `depends_on` declares that it does not.
 
     Why:
         An input without effect was usually turned into a constant when the model was traced: the
@@ -95,13 +95,13 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _inputs_of(subject: InspectedModel, key: str) -> list[Input]:
-    """Return the model inputs that a role or an input's name denotes."""
+    """Return the model inputs to which an input role or an input's name refers."""
     inputs = subject.manifest.inputs if subject.manifest else ()
     return [entry for entry in inputs if key in (entry.role, f"{INPUT_PREFIX}{entry.name}")]
 
 
 def _depends(behaviour: Behaviour, key: str) -> bool:
-    """Return whether outputs may change with any input of a role."""
+    """Return whether the model's outputs may change with any input of a role."""
     generator = behaviour.subject.generator
     entries = _inputs_of(behaviour.subject, key)
     return generator is None or any(map(generator.depends, entries))
@@ -116,7 +116,7 @@ def _location(key: str) -> str:
 
 
 def _zero_changes(behaviour: Behaviour, role: str) -> bool:
-    """Return whether all-zero inputs of a role change an output; zero cameras may cull nothing."""
+    """Return whether an output changes if all inputs of a role are set to zero."""
     zero_runs = [
         run
         for run in behaviour.visits("edges")

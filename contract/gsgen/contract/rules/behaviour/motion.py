@@ -129,7 +129,7 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GM010", "GI025", "GB003", "GI006"),
 )
 def frames_are_distinct(behaviour: Behaviour) -> Iterator[Violation]:
-    """Where frames are declared, most of those that were run show something else than the others.
+    """If the manifest declares frames, most frames differ from each other.
 
     Why:
         The manifest says how many distinct frames there are. A division of whole numbers, or a

@@ -87,7 +87,7 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
-    """Without ONNX Runtime's graph optimisations, outputs agree within the tolerances.
+    """Outputs with and without ONNX Runtime's graph optimisations agree within the tolerances.
 
     Why:
         Optimisers rewrite graphs, and some rewrites are wrong or amplify rounding. Every runtime
@@ -135,7 +135,7 @@ def _too_far(error: FieldError, emission: ModelOutputs) -> Violation:
 
 
 def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[Violation]:
-    """Compare an output that has no tolerance, relative to its largest value."""
+    """Compare an output without a declared tolerance, relative to its largest value."""
     peak = float(np.abs(value.astype(np.float64)).max(initial=0))
     least = 1.0 if value.dtype.kind in "iu" else 0.0
     largest = difference(value, unoptimised)
@@ -155,7 +155,7 @@ def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[
     kinds=KINDS,
 )
 def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
-    """The probes give the same bits when they are repeated in reverse order after all other runs.
+    """Test inputs repeated in reverse order after all other runs give the same output bits.
 
     Why:
         State that persists between runs may show only after a while.
@@ -185,7 +185,7 @@ def _input_bytes(probe: Probe) -> tuple[bytes, ...]:
     needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003"),
 )
 def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
-    """With an exact count, most rows before the count are not fully transparent.
+    """With an exact row count, most rows before the count are not fully transparent.
 
     Why:
         A renderer sorts and visits all rows before an exact count. If most are inert, the live ones
@@ -219,7 +219,7 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
-    """Every test vector names a probe, and the model reproduces the outputs of the vector.
+    """Every test vector names a known probe (test inputs), and the model reproduces its outputs.
 
     Why:
         A vector shows a user of the model that it runs as it did on the author's machine. The
@@ -240,7 +240,7 @@ def vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
-    """Return the digest of the model's outputs at a test vector's probe, or a violation."""
+    """Return the digest of the model's outputs for a test vector's inputs, or a violation."""
     manifest, plan = behaviour.subject.manifest, behaviour.trial.plan
     assert manifest is not None
     label, same_seed = vector_label(vector.inputs, vector.seed), vector.seed == plan.seed

@@ -1,4 +1,4 @@
-"""GB rules of root motion: a translation is added, and a rotation turns the body forwards."""
+"""GB rules of root motion: a translation is added to positions, and a rotation is not inverted."""
 
 from collections.abc import Iterator
 
@@ -25,7 +25,7 @@ _Pair = tuple[Probe, Probe, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
 
 
 def _pairs(behaviour: Behaviour, role: str) -> Iterator[_Pair]:
-    """Yield pairs of probes that differ in one input role, and the centres drawn in both."""
+    """Yield pairs of runs that differ in one input role, and the centres drawn in both runs."""
     declared = behaviour.subject.declared_gaussians
     runs = behaviour.variants(role)
     if declared is None or len(behaviour.subject.inputs_of(role)) != 1 or len(runs) < 2:
@@ -50,7 +50,7 @@ def _pairs(behaviour: Behaviour, role: str) -> Iterator[_Pair]:
     needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016"),
 )
 def root_translation_added(behaviour: Behaviour) -> Iterator[Violation]:
-    """A root translation that moves all rows alike moves them by itself, in local units.
+    """A root translation that moves all rows alike moves them by its own value, in local units.
 
     Why:
         It is added to the body after posing and rotating. A model that adds it before the rotation
@@ -91,7 +91,7 @@ def _vector(vector: Float[np.ndarray, "3"]) -> str:
     needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016", "GI015"),
 )
 def root_rotation_as_stored(behaviour: Behaviour) -> Iterator[Violation]:
-    """A root rotation that turns the body rigidly turns it forwards: M maps p to M p.
+    """A root rotation M that rotates the body rigidly maps each point p to M p, not to Mᵀ p.
 
     Why:
         A matrix that is multiplied from the wrong side, or read in the other memory order, is its
@@ -131,7 +131,7 @@ def _rotation(value: np.ndarray) -> Float[np.ndarray, "3 3"] | None:
 def _fitted_rotation(
     first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "3 3"] | None:
-    """Return the rotation between two clouds (Kabsch 1976); None unless it maps all points."""
+    """Return the rotation between two point sets (Kabsch 1976); None unless it maps all points."""
     a, b = first - first.mean(axis=0), second - second.mean(axis=0)
     left, sizes, right = np.linalg.svd(a.T @ b)
     if sizes[1] <= np.finfo(np.float32).eps * sizes[0]:

@@ -117,7 +117,7 @@ def predicted_quaternions_unit(probe_runs: ProbeRuns) -> Iterator[Violation]:
 def _values(
     probe_runs: ProbeRuns, *, with_zeros: bool = True
 ) -> Iterator[tuple[str, np.ndarray, str]]:
-    """Yield name, value and probe of both outputs at the probes of value rules."""
+    """Yield output name, array and test input label of both outputs of a trajectory predictor."""
     manifest = probe_runs.subject.manifest
     if not isinstance(manifest, TrajectoryManifest):
         return
@@ -142,7 +142,7 @@ def _values(
     kinds=(TRAJECTORY,),
 )
 def prediction_moves_along(behaviour: Behaviour) -> Iterator[Violation]:
-    """Moving all past cameras by an offset moves all predicted ones by the same.
+    """Moving all past cameras by an offset moves all predicted cameras by the same offset.
 
     Why:
         A world has no special place. A model that learned where people stood in one scene
@@ -173,7 +173,7 @@ def prediction_moves_along(behaviour: Behaviour) -> Iterator[Violation]:
     kinds=(TRAJECTORY,),
 )
 def rest_stays_at_rest(behaviour: Behaviour) -> Iterator[Violation]:
-    """A camera that has not moved is predicted to stay.
+    """A camera that has not moved in the past is predicted to stay at rest.
 
     Why:
         Most of the time viewers look around or stand still. A drift fetches tiles that are
@@ -203,7 +203,7 @@ def rest_stays_at_rest(behaviour: Behaviour) -> Iterator[Violation]:
     kinds=(TRAJECTORY,),
 )
 def quaternion_sign_ignored(behaviour: Behaviour) -> Iterator[Violation]:
-    """Quaternions q and −q in the history give the same prediction.
+    """Quaternions q and −q in the camera history give the same prediction.
 
     Why:
         Both are the same rotation, and trackers, engines and files give either. A model that
@@ -221,7 +221,7 @@ def quaternion_sign_ignored(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _future(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:
-    """Return the predicted states of a run in float64; None if they are not finite numbers."""
+    """Return the predicted camera states of a run in float64; None if they are not finite."""
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
     value = run.outputs.get(manifest.outputs.future.name)
@@ -233,7 +233,7 @@ def _future(behaviour: Behaviour, run: ProbeRun) -> np.ndarray | None:
 def _compare(
     behaviour: Behaviour, actual: np.ndarray, expected: np.ndarray, situation: str
 ) -> Iterator[Violation]:
-    """Yield a violation where states differ by more than rounding; q and −q are equal."""
+    """Yield a violation if predicted states differ beyond rounding; q and −q count as equal."""
     manifest = behaviour.subject.manifest
     assert isinstance(manifest, TrajectoryManifest)
     future = manifest.outputs.future

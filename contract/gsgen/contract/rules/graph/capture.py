@@ -29,7 +29,7 @@ def _of_cause(subject: InspectedModel, cause: Cause) -> list[Placement]:
 
 
 def _outcomes_text(placement: Placement) -> str:
-    """Return as text how each runtime release executes a node."""
+    """Return as text how each release of the target runtime executes a node."""
     runtimes_by_text = {
         FAILURES[outcome]: [
             r for r, runtime_outcome in placement.outcomes.items() if runtime_outcome == outcome
@@ -199,7 +199,7 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     limit=_CAPTURE,
 )
 def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
-    """Operators with a WebGPU kernel on the target are of an operator set that has the kernel.
+    """Operators with a WebGPU kernel on the target are of an operator set that the kernel supports.
 
     Why:
         ONNX Runtime matches a kernel only up to the last version of the operator that it was
@@ -226,7 +226,7 @@ def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
     limit=_CAPTURE,
 )
 def capture_foreseen(subject: InspectedModel) -> Iterator[Violation]:
-    """By the operator tables, the target's GPU provider captures every node of the graph.
+    """According to the operator tables, the target's GPU provider captures every node of the graph.
 
     Why:
         One node that is not captured makes the provider refuse capture for the whole model. This

@@ -25,7 +25,7 @@ _LOWEST, _HIGHEST = -(2.0**31), 2.0**31 - 1
     limit="graph_capture",
 )
 def int64_fits_32_bits(subject: InspectedModel) -> Iterator[Violation]:
-    """All int64 values that the frame computes stay within 32 bits.
+    """All int64 values that a frame computes stay within 32 bits.
 
     Why:
         Under graph capture the WebGPU provider computes int64 in 32 bits without saying so:

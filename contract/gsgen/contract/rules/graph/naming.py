@@ -23,7 +23,7 @@ _NOTHING = Tensor("", None, None)
     "GG012", "names-are-clean", Severity.ERROR, over="model", fixture="node_name_twice", kinds=KINDS
 )
 def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
-    """Names of nodes are unique, and names of inputs and outputs are plain words.
+    """Names of nodes are unique, and names of inputs and outputs are printable, without spaces.
 
     Why:
         ONNX Runtime refuses a model in which two nodes share a name, though ONNX's own checker takes

@@ -1,4 +1,4 @@
-"""GG rules of repeatability: every frame runs the same operators, without chance, on fixed shapes."""
+"""GG rules of repeatability: every frame runs the same operators on fixed shapes, not randomly."""
 
 from collections.abc import Iterator
 from itertools import chain
@@ -22,7 +22,7 @@ _TRAINING_FLAG = 2  # the input of Dropout that switches it on
 
 
 def _nodes(subject: InspectedModel) -> Iterator[NodeProto]:
-    """Yield the standard ONNX nodes that the outputs need, and those of subgraphs and functions."""
+    """Yield the standard ONNX nodes that the outputs need, in subgraphs and functions too."""
     graph = subject.graph
     needed = {id(node) for tensor in graph.outputs for node in graph.ancestors(tensor.name)[1]}
     idle = {id(node) for node in graph.nodes} - needed
@@ -72,7 +72,7 @@ def no_random_operators(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GG019",),
 )
 def inference_mode(subject: InspectedModel) -> Iterator[Violation]:
-    """No layer is in training mode: Dropout passes everything, and nothing is sampled.
+    """No layer is in training mode: Dropout passes its input on, and nothing is sampled.
 
     Why:
         Dropout in training sets random elements to zero and scales up the others, a Bernoulli
@@ -96,7 +96,7 @@ def inference_mode(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _true_constants(subject: InspectedModel) -> set[str]:
-    """Return the names of boolean constants that are true."""
+    """Return the names of boolean graph constants that are true."""
     weights = list(subject.file.proto.graph.initializer)
     for node in _nodes(subject):
         if node.op_type == "Constant" and node.output:
@@ -121,7 +121,7 @@ def _true_constants(subject: InspectedModel) -> set[str]:
     needs=(*MANIFEST_PARSED, *WELL_FORMED, "GG004"),
 )
 def promised_shapes_static(subject: InspectedModel) -> Iterator[Violation]:
-    """Where `static_shapes` is promised, no operator gives as many elements as values say.
+    """If the manifest promises `static_shapes`, no operator's output size depends on values.
 
     Why:
         A runtime that believes the promise records the kernels of one frame and replays them: the

@@ -31,7 +31,7 @@ def _node_location(node: NodeProto) -> str:
     settled_by=("GB014", "GB016", "GB011"),
 )
 def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
-    """Every output that varies is written by a computing operator, not by a view of a buffer.
+    """Every output that varies by frame is written by a computing operator, not by a buffer view.
 
     Why:
         Graph capture records kernels, not buffer copies. An output made by Reshape, Flatten,

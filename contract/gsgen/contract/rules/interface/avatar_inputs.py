@@ -23,7 +23,7 @@ _ARKIT = "arkit-52"
     needs=("GM004", "GI005"),
 )
 def joints_fit_pose(subject: InspectedModel) -> Iterator[Violation]:
-    """The joints of a pose are as many as its rows, have names, and come after their parents.
+    """A pose with joints declares one named joint for each row, every joint after its parent.
 
     Why:
         A tool that retargets motion walks the joints once, from the root outwards, and writes row
@@ -64,7 +64,7 @@ def _order_faults(entry: Input) -> Iterator[Violation]:
     needs=("GM004", "GI015"),
 )
 def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
-    """The range of ARKit's blend weights lies in [0, 1].
+    """The declared range of ARKit's blend weights lies in [0, 1].
 
     Why:
         Trackers send weights from 0 to 1. A model that expects percent does not move its face.
@@ -88,7 +88,7 @@ def blend_weights_in_unit_range(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM004", "GI015"),
 )
 def sound_described(subject: InspectedModel) -> Iterator[Violation]:
-    """Sound has a rate, and mel columns a window and a hop; no other input has them.
+    """Audio inputs declare a sample rate, mel inputs also window and hop; other inputs none.
 
     Why:
         A runtime that resamples a microphone to an assumed rate moves the lips at another speed.

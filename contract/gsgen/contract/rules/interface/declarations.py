@@ -58,7 +58,7 @@ def sh_declared_as_sh(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def color_space_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """The manifest declares colours as sRGB or linear.
+    """The manifest declares the colour space of the appearance: sRGB or linear.
 
     Why:
         Readers assume sRGB without a declaration, as trained scenes are. Linear colours shown so are
@@ -83,7 +83,7 @@ def color_space_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM004",),
 )
 def time_domain(subject: InspectedModel) -> Iterator[Violation]:
-    """The declared time range has a beginning and an end that differ.
+    """The declared time range has a beginning and an end, and they differ.
 
     Why:
         A viewer's timeline runs from one end of the range to the other; without one it guesses, and
@@ -173,7 +173,7 @@ def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
-    """`depends_on` names only declared inputs and their roles.
+    """`depends_on` names only declared inputs and their input roles.
 
     Why:
         A misspelt name says nothing of the one that was meant, which then counts as one that the
@@ -208,7 +208,7 @@ def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def reference_images_present(subject: InspectedModel) -> Iterator[Violation]:
-    """Every declared reference image is a PNG in the model's folder or below it, as it was drawn.
+    """Every declared reference image is an unchanged PNG in the model's folder or below it.
 
     Why:
         A picture that was not shipped compares nothing, and a path that leads out of the folder
@@ -226,7 +226,7 @@ def reference_images_present(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _image_fault(folder: Path, image: ReferenceImage) -> tuple[str, str] | None:
-    """Return the fault of a reference image's file and the expected state; None if valid."""
+    """Return what is wrong with a reference image's file and what is expected; None if valid."""
     expected = "a PNG in the model's folder or below it"
     windows = PureWindowsPath(image.path)
     if "\0" in image.path or PurePosixPath(image.path).is_absolute() or windows.anchor:

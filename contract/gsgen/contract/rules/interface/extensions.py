@@ -1,4 +1,4 @@
-"""GM rules of what a reader must know and run: extensions, operator profiles, costs, units."""
+"""GM rules of what a reader must support: extensions, operator profiles, costs, units."""
 
 from collections.abc import Iterator
 
@@ -30,7 +30,7 @@ _MOST_NAMED = 5
     needs=MANIFEST_PARSED,
 )
 def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
-    """Every extension in `extensions_required` also stands in `extensions_used`.
+    """Every extension in `extensions_required` is also listed in `extensions_used`.
 
     Why:
         A tool lists what a collection of models uses by the second field alone.
@@ -56,7 +56,7 @@ def required_extensions_used(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM030",),
 )
 def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
-    """Every required extension is registered.
+    """Every required manifest extension is registered.
 
     Why:
         A reader refuses a model that requires what it does not know; an extension that nobody else
@@ -82,7 +82,7 @@ def required_extensions_known(subject: InspectedModel) -> Iterator[Violation]:
     needs=(*MANIFEST_PARSED, "GG019"),
 )
 def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
-    """The graph has only operators and operator sets of the declared profile.
+    """The graph has only operators and operator sets of the declared operator profile.
 
     Why:
         A runtime with the operators of a profile accepts the model for its word, and fails at
@@ -121,7 +121,7 @@ def operator_profile_holds(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM005",),
 )
 def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
-    """A declared memory holds at least one frame of packed rows.
+    """The declared memory of a frame is at least the size of the packed rows of one frame.
 
     Why:
         A scheduler that plans by a number that is too small runs out of memory.
@@ -148,7 +148,7 @@ def cost_plausible(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def manifest_keys_agree(subject: InspectedModel) -> Iterator[Violation]:
-    """A model with both metadata keys has the same manifest under each.
+    """Manifests stored under both ONNX metadata keys of a model are the same.
 
     Why:
         One reader looks under one key, the next under the other: the same file is two models.
@@ -172,7 +172,7 @@ def manifest_keys_agree(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def unit_agrees_with_scale(subject: InspectedModel) -> Iterator[Violation]:
-    """The unit `metre` is one metre long.
+    """A coordinate frame in the unit `metre` has one metre per unit.
 
     Why:
         One reader takes the unit, the next the length: the scene is placed at two sizes.

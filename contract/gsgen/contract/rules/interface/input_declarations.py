@@ -34,12 +34,12 @@ def _place(entry: Input) -> str:
 
 
 def declared_inputs(subject: InspectedModel) -> tuple[Input, ...]:
-    """Return the inputs that the manifest declares."""
+    """Return the model inputs that the manifest declares."""
     return subject.manifest.inputs if subject.manifest else ()
 
 
 def shape_of(subject: InspectedModel, entry: Input) -> tuple[int, ...] | None:
-    """Return the size of every axis of an input, from the graph or else from the manifest."""
+    """Return the size of every axis of a model input, from the graph or else the manifest."""
     tensor = subject.graph.input(entry.name)
     dims = static_dims(tensor) if tensor else None
     return entry.shape if dims is None else tuple(int(dim) for dim in dims)
@@ -105,7 +105,7 @@ def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _misfit(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
-    """Return what is wrong with a default value and the expectation, or None if it fits."""
+    """Return the fault of an input's default value, and the expected value; None if it fits."""
     default = entry.default
     turns = entry.role == "pose" and shape[-1:] == (_QUATERNION,)
     if default == "identity" and not (shape in _SQUARE or turns):
@@ -143,7 +143,7 @@ def _numbers(entry: Input) -> tuple[float, ...]:
     kinds=KINDS,
 )
 def input_convention_known(subject: InspectedModel) -> Iterator[Violation]:
-    """A declared input convention is one of the role's, and fits the input's shape.
+    """A declared input convention is one that the input's role has, and fits the input's shape.
 
     Why:
         A runtime that drives an avatar writes rotations as the convention says. It cannot follow
@@ -177,7 +177,8 @@ def _holds(entry: Input, shape: tuple[int, ...]) -> bool:
         return shape == (3, 3)
     if convention == "quaternion-wxyz":
         return shape[-1:] == (_QUATERNION,)
-    return shape[-1:] == (_AXIS_ANGLE,) and shape != (3, 3)
+    # [3, 3] is three joints of a pose, but a matrix of a root.
+    return shape[-1:] == (_AXIS_ANGLE,) and (entry.role != "root_rotation" or len(shape) == 1)
 
 
 @rule(
@@ -221,7 +222,7 @@ def timing_belongs_to_time(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM004", "GI013"),
 )
 def frames_fit_range(subject: InspectedModel) -> Iterator[Violation]:
-    """A frame index has at least as many numbers in its range as there are frames.
+    """The range of a frame index input has at least as many numbers as there are frames.
 
     Why:
         A runtime steps through the whole numbers of the range. Frames beyond them are never shown,
@@ -278,7 +279,7 @@ def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def input_has_a_start(subject: InspectedModel) -> Iterator[Violation]:
-    """An input whose value no runtime can know has a default.
+    """An input that no runtime can fill by itself, such as a pose, declares a default value.
 
     Why:
         Cameras, clocks and windows are known everywhere; a pose or a body shape is not. Without a

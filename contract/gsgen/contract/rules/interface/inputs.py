@@ -171,7 +171,7 @@ def _feedable(tensor: Tensor, role: str, kind: str) -> Iterator[Violation]:
 
 
 def _is_open_image(tensor: Tensor, role: str) -> bool:
-    """Return whether only the height and the width of an image are open."""
+    """Return whether only height and width of an image are symbolic dimensions."""
     if tensor.dims is None:
         return False
     sizes = {"H", "W"}
@@ -194,7 +194,7 @@ def _is_open_image(tensor: Tensor, role: str) -> bool:
     needs=("GV025",),
 )
 def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
-    """With all inputs zero, every output is finite.
+    """If all model inputs are zero, every output is finite.
 
     Why:
         Viewers run the model once on zeroed buffers before the first camera arrives; a NaN there
@@ -256,7 +256,7 @@ def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
-    """No weight is listed among the graph inputs.
+    """No weight (initialiser) is listed among the graph inputs.
 
     Why:
         Old exporters list them, which lets a runtime feed other numbers: so no optimiser folds

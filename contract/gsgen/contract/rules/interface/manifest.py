@@ -37,7 +37,7 @@ def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _misplaced_manifest(subject: InspectedModel) -> str:
-    """Return another location of a text that looks like a manifest; empty if there is none."""
+    """Return where else in the model a text looks like a manifest; empty if nowhere."""
     proto = subject.file.proto
     for key, value in subject.file.metadata.items():
         if key.lower() == MANIFEST_KEY:
@@ -265,7 +265,7 @@ def coordinate_frame_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """The manifest declares the bounding box that the Gaussians stay in.
+    """The manifest declares the bounding box that contains the Gaussians at all times.
 
     Why:
         Without it a viewer cannot frame the model, cull it, or choose near and far planes; the

@@ -25,7 +25,7 @@ def _digest(path: Path) -> str:
 
 
 def _fault(folder: Path, location: str, sha256: str) -> tuple[str, str] | None:
-    """Return the fault of a file beside the model and the expected state; None if valid."""
+    """Return what is wrong with a file beside the model and what is expected; None if valid."""
     path = folder / location
     if "\0" in location or not path.resolve().is_relative_to(folder.resolve()):
         return "leads out of the model's folder", "a file in it or below"
@@ -45,7 +45,7 @@ def _fault(folder: Path, location: str, sha256: str) -> tuple[str, str] | None:
     needs=("GM004",),
 )
 def vector_files_whole(subject: InspectedModel) -> Iterator[Violation]:
-    """The files of a test vector hold all its inputs, lie beside the model, and have their digests.
+    """The files of a test vector hold all model inputs, lie beside the model, and match digests.
 
     Why:
         A reader in another language feeds these files: with a missing or another one it computes
@@ -81,7 +81,7 @@ def _check_files(where: str, files: tuple[VectorFile, ...], folder: Path) -> Ite
     needs=(*MANIFEST_PARSED, "GS001"),
 )
 def external_data_unchanged(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """Files of external data have the digests that the manifest declares, and the model uses them.
+    """External data files have the digests that the manifest declares, and the model uses them.
 
     Why:
         A model and its weights travel as two files. With the weights of another export the model

@@ -1,1 +1,1 @@
-"""Do the declared outputs have the names, types, shapes and counts of the contract?"""
+"""Do the declared outputs have the names, types, shapes and counts that the contract requires?"""

@@ -1,4 +1,4 @@
-"""Rules of size (GO, GL): capacity, padding, frame bytes and frame rate."""
+"""Rules of size (GO, GL): capacity, padding rows, bytes per frame, and frame rate."""
 
 from collections.abc import Iterator
 
@@ -33,7 +33,7 @@ def _wasteful(most: int, capacity: int) -> bool:
     needs=COUNTED_ROWS[:-1],
 )
 def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]:
-    """A constant count equals the capacity, up to rounding to whole workgroups.
+    """A constant row count equals the capacity, up to rounding to whole workgroups.
 
     Why:
         Rows behind a constant count are never used, but computed, bound and often drawn: the
@@ -61,7 +61,7 @@ def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]
     needs=COUNTED_ROWS,
 )
 def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
-    """At some probe the row count reaches half of the capacity.
+    """At some probe (set of test inputs), the row count reaches half of the capacity.
 
     Why:
         Every row of the capacity is computed, kept in memory and visited every frame, regardless of
@@ -122,7 +122,7 @@ def frame_is_small(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GV025", "GM004"),
 )
 def keeps_frame_rate(behaviour: Behaviour) -> Iterator[Violation]:
-    """With a declared frame rate, the median run takes no longer than a frame.
+    """With a declared frame rate, the median run takes no longer than the time of one frame.
 
     Why:
         The declared rate is what a viewer plans for. Here the model runs on a CPU, so this is a

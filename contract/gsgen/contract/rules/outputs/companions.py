@@ -54,7 +54,7 @@ def _image(
 
 
 def _sizes_agree(input_image: Tensor, output_image: Tensor) -> bool:
-    """Return whether known image sizes agree, and the output has 3 or 4 channels."""
+    """Return whether known sizes of input and output image agree, and channels are 3 or 4."""
     if input_image.dims is None or output_image.dims is None:
         return True
     if len(input_image.dims) != len(output_image.dims) or len(output_image.dims) != 4:

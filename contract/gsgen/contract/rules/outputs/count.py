@@ -1,4 +1,4 @@
-"""Rules of the count (GO): the output with the number of live rows."""
+"""Rules of the row count (GO): the output with the number of live rows."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Rules of graph outputs (GO): each is computed, distinct and declared."""
+"""Rules of graph outputs (GO): each output is computed, distinct and declared."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from gsgen.contract.validation.rule import rule
     needs=("GG019",),
 )
 def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
-    """Every output but a constant count is made by an operator, and is not a weight itself.
+    """Every output except a constant row count is computed by an operator, and is not a weight.
 
     Why:
         Exporters and optimisers rename weights: the output's name is lost, and has been repaired by

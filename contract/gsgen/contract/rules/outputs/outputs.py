@@ -75,7 +75,7 @@ def gaussian_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _likely_columns(tensor: Tensor) -> str:
-    """Return the usual columns of packed rows with another width, as text; empty if unknown."""
+    """Return the likely meaning of packed rows that are not ten wide, as text; empty if unknown."""
     columns = _dim(tensor, -1)
     if _dim(tensor, 0) == ROW:
         return "; this one is transposed, channels first"
@@ -117,7 +117,7 @@ def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO001", "GO003"),
 )
 def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
-    """The sizes of the rows and of the appearance are positive numbers in the graph, not symbols.
+    """The sizes of the packed rows and of the appearance are positive numbers, not symbols.
 
     Why:
         Viewers allocate buffers from it before the first frame: a symbol becomes NaN bytes. Graph
@@ -171,7 +171,7 @@ def appearance_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO005",),
 )
 def appearance_channels_known(subject: InspectedModel) -> Iterator[Violation]:
-    """The appearance is [N, C] with a channel count C that the declared colour space allows.
+    """The appearance is [N, C] with a channel count C that the declared colour format allows.
 
     Why:
         Readers step through the buffer by C: 3 or 4 for RGB, 3, 12, 27 or 48 for SH. Any other
@@ -275,7 +275,7 @@ def output_dtypes_match(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO002", "GO006", "GO008"),
 )
 def rows_fill_words(subject: InspectedModel) -> Iterator[Violation]:
-    """A row of each output fills a whole number of 4-byte words.
+    """A row of each output takes a whole number of 4-byte words.
 
     Why:
         Shaders read storage buffers in words. A float16 row of three colours is six bytes, so

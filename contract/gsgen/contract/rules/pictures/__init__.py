@@ -1,1 +1,1 @@
-"""Do valid output values draw what the author meant, as far as statistics tell?"""
+"""Do statistics of valid output values suggest that the picture is not what was intended?"""

@@ -1,4 +1,4 @@
-"""GV rules of colour: constant terms of SH that were converted wrongly, and colours not loaded."""
+"""GV rules of colour: SH of degree 0 that were converted wrongly, and colours not loaded."""
 
 from collections.abc import Iterator
 
@@ -35,7 +35,7 @@ _BYTES = 20.0
     needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"),
 )
 def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
-    """The constant terms of SH do not look like RGB that was converted wrongly.
+    """The degree-0 SH coefficients do not look like RGB that was converted wrongly.
 
     Why:
         Viewers show 0.5 + 0.2821 · f_dc. RGB stored as f_dc shows no colour darker than grey; the
@@ -61,7 +61,7 @@ def sh_constant_converted(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _mistake(constant: Float[np.ndarray, "e 3"]) -> str:
-    """Return the wrong conversion that the constant SH terms look like; empty if none."""
+    """Return the wrong RGB-to-SH conversion that degree-0 coefficients look like; empty if none."""
     low, high = float(constant.min()), float(constant.max())
     shown = SH_OFFSET + SH_DC * constant
     bright = float((shown > 1).mean())
@@ -90,7 +90,7 @@ def _mistake(constant: Float[np.ndarray, "e 3"]) -> str:
     needs=(*VALID_ROWS, *COLORED_ROWS),
 )
 def colors_loaded(sample: DrawnSample) -> Iterator[Violation]:
-    """Not every number of the appearance is zero.
+    """The colours of the Gaussians are not all zero.
 
     Why:
         All-zero SH show every Gaussian in the same grey, and all-zero RGB in black: the colours
@@ -124,7 +124,7 @@ _KEYS = {"opacity": OPACITY, "x": 0, "y": 1, "z": 2}
     needs=(*VALID_ROWS, *COLORED_ROWS),
 )
 def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
-    """Colours stand in the order of the rows they belong to.
+    """The rows of colours are in the order of the Gaussians to which they belong.
 
     Why:
         Rows and colours are matched by position. If one of them was sorted or filtered alone, every
@@ -160,7 +160,7 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _roughness(sample: DrawnSample, color: Float[np.ndarray, "n 3"]) -> float:
-    """Return the ratio of neighbours' mean squared colour difference to that of random pairs."""
+    """Return the mean squared colour difference of neighbours, relative to that of random pairs."""
     variance = color.var(axis=0).sum()
     nearest = color[sample.neighbours[:, 0]] - color[sample.inner]
     return float(np.square(nearest).sum(axis=1).mean() / (2 * variance)) if variance > 0 else 0.0

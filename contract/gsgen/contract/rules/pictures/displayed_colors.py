@@ -1,4 +1,4 @@
-"""Colours of a sample as a viewer shows them, without their view-dependent part."""
+"""Colours of sampled Gaussians as a viewer shows them, without the view-dependent part."""
 
 __all__ = ["SH_OFFSET", "displayed_colors"]
 

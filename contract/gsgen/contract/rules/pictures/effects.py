@@ -1,4 +1,4 @@
-"""GB rules of effects: inputs whose effect cannot be seen, comes at the end alone, or is erratic."""
+"""GB rules of effects: inputs whose effect is invisible, erratic, or only at range ends."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -39,7 +39,7 @@ _NEAR = (0.005, 0.02)
     needs=(*REPRODUCIBLE, "GB003", "GI006", "GO001", "GO002"),
 )
 def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
-    """Each input that changes an output changes it enough to be seen, in rows that are drawn.
+    """Each input that changes an output changes visible Gaussians by a visible amount.
 
     Why:
         An effect below the tolerances is rounding: the network behind it was not trained, its
@@ -75,7 +75,7 @@ def effect_is_visible(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GB003", "GI006", "GM010", "GB032"),
 )
 def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
-    """Time changes the picture within its range, not only at the ends.
+    """Time changes the picture within its declared range, not only at the ends.
 
     Why:
         A model that takes whole frames shows its first frame for all of the range 0 to 1: only the
@@ -109,7 +109,7 @@ def effect_throughout_range(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GB003", "GI006", "GM010"),
 )
 def motion_is_smooth(behaviour: Behaviour) -> Iterator[Violation]:
-    """A hundredth of a time from 0 to 1 moves Gaussians less far than the whole of it.
+    """A hundredth of a time range from 0 to 1 moves Gaussians less than the whole range does.
 
     Why:
         Where it moves them as far, the scene swings back and forth tens of times, and no frame

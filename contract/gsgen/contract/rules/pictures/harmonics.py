@@ -28,7 +28,7 @@ _SH1 = 12
     needs=(*VALID_ROWS, *COLORED_ROWS, "GV014"),
 )
 def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
-    """Red, green and blue of a view-dependent SH coefficient stand side by side.
+    """Red, green and blue of each view-dependent SH coefficient are in adjacent columns.
 
     Why:
         A 3DGS PLY has f_dc first and then f_rest channel by channel: all red coefficients, all
@@ -55,7 +55,7 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _correlation(detail: Float[np.ndarray, "e k 3"]) -> float:
-    """Return the mean correlation of colour channels over SH coefficients; 0 if constant."""
+    """Return the mean correlation of the colour channels of SH coefficients; 0 if constant."""
     centred = detail - detail.mean(axis=0)
     deviation = np.sqrt(np.square(centred).mean(axis=0))
     unit = centred / np.where(deviation > 0, deviation, 1)

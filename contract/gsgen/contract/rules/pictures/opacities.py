@@ -1,4 +1,4 @@
-"""GV rules of opacity: an activation that is applied twice, and colours multiplied by opacity."""
+"""GV rules of opacity: a sigmoid that is applied twice, and colours multiplied by opacity."""
 
 from collections.abc import Iterator
 
@@ -36,7 +36,7 @@ _BLACK = 1e-3
     needs=VALID_ROWS,
 )
 def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
-    """Opacities are not all between 0.5 and 0.7311, where a second sigmoid leaves them.
+    """Opacities do not all lie in [0.5, 0.7311], the range of a sigmoid that is applied twice.
 
     Why:
         A sigmoid of an opacity lies between sigmoid(0) = 0.5 and sigmoid(1) = 0.7311: nothing is
@@ -65,7 +65,7 @@ def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
     needs=(*VALID_ROWS, *COLORED_ROWS, "GV012"),
 )
 def colors_without_opacity(sample: DrawnSample) -> Iterator[Violation]:
-    """Colours are not multiplied by opacity.
+    """Colours are not premultiplied by opacity.
 
     Why:
         Renderers multiply by opacity when they blend. A premultiplied colour is multiplied twice,

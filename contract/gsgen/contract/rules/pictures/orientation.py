@@ -1,4 +1,4 @@
-"""GV rules of orientation: covariances against the surface or strand that neighbours form."""
+"""GV rules of orientation: do Gaussians align with the surface or strand of their neighbours?"""
 
 from collections.abc import Iterator
 from itertools import permutations, product
@@ -37,7 +37,7 @@ _ALIGNED = 0.99
     needs=(*VALID_ROWS, "GV042"),
 )
 def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
-    """On surfaces and strands, flat Gaussians lie in the plane of their neighbours, thin ones along.
+    """Flat Gaussians lie in the surface of their neighbours, and thin ones along their strand.
 
     Why:
         The thinnest axis of a disc is the normal of its surface, and the longest axis of a needle
@@ -62,7 +62,7 @@ def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _deviation(sample: DrawnSample) -> tuple[float, int, str] | None:
-    """Return how well Gaussians align with their neighbours; None without surface or strand."""
+    """Return how far Gaussians' axes deviate from their neighbours' surface or strand, or None."""
     scatter = sample.scatter_eigenvalues
     discs, needles = _shapes(sample)
     if _is_enough(discs) and (limit := scatter[discs, 0].mean()) < PLANAR:
@@ -109,7 +109,7 @@ def _explaining_axes(sample: DrawnSample, axis: int) -> str:
     needs=VALID_ROWS,
 )
 def covariance_is_rotated(sample: DrawnSample) -> Iterator[Violation]:
-    """Long Gaussians are not all aligned with x, y and z, unless their neighbours are, too.
+    """Long Gaussians are not all aligned with x, y and z, unless lines of neighbours are, too.
 
     Why:
         Off-diagonal entries that are exactly 0 in all rows mean that the rotation was left out: the

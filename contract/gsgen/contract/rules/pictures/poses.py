@@ -1,4 +1,4 @@
-"""GB rules of poses: covariances turn with positions, and positions turn as the pose says."""
+"""GB rules of poses: do covariances rotate with positions, and limbs as the pose declares?"""
 
 from collections.abc import Callable, Iterator
 
@@ -47,7 +47,7 @@ _LEAST_MOTION = 1e-4
     needs=(*REPRODUCIBLE, *VALID_ROWS),
 )
 def covariances_follow_motion(behaviour: Behaviour) -> Iterator[Violation]:
-    """Where neighbours turn rigidly between two runs, covariances turn with them.
+    """Where neighbouring Gaussians rotate rigidly between two runs, covariances rotate as well.
 
     Why:
         A limb that turns takes its Gaussians along. Covariances that stay in the rest pose, or turn
@@ -133,7 +133,7 @@ def _motions(
     needs=(*REPRODUCIBLE, *VALID_ROWS, "GI016"),
 )
 def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
-    """Limbs turn by the angles and about the axes that the pose declares.
+    """Limbs rotate by the angles and about the axes that the pose input declares.
 
     Why:
         The same numbers are another rotation in degrees, in another order of the quaternion, or
@@ -160,7 +160,7 @@ def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _reading(entry: Input, base: np.ndarray, value: np.ndarray, motion: LocalRotations) -> str:
-    """Return the wrong reading of a pose that explains the motion, such as degrees; or empty."""
+    """Return the wrong interpretation of a pose that explains the motion (e.g. degrees), or ""."""
     rigid = motion.is_rigid
     if np.count_nonzero(rigid) < _FEWEST_ROWS or base.shape == (3, 3):
         return ""
@@ -225,7 +225,7 @@ def _angles(matrices: Float[np.ndarray, "... 3 3"]) -> Float[np.ndarray, "..."]:
 
 
 def _explained(motion: LocalRotations, joints: Float[np.ndarray, "j 3 3"]) -> float:
-    """Return the fraction of rigid neighbourhoods of Gaussians that turn as some joint does."""
+    """Return the fraction of rigid neighbourhoods of Gaussians that rotate like some joint."""
     rotation = motion.rotation[motion.is_rigid]
     difference = _angles(rotation[:, None] @ joints.transpose(0, 2, 1)[None])
     return float((difference.min(axis=1) < _FITTING).mean())

@@ -36,7 +36,7 @@ _FEWEST_NUMBERS = 64
     needs=(*VALID_ROWS, "GV009"),
 )
 def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
-    """Positions of turned Gaussians do not lie on a lattice coarser than the Gaussians are thin.
+    """Positions of rotated Gaussians do not lie on a lattice coarser than the Gaussians' thickness.
 
     Why:
         Positions that were trained or stored in bfloat16, cast to integers or quantised to few bits
@@ -63,7 +63,7 @@ def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _lattice_step(values: Float[np.ndarray, " n"]) -> float:
-    """Return the step of the lattice on which all values lie; 0 if the values lie on none."""
+    """Return the step of the regular grid on which all values lie; 0 if there is no such grid."""
     distinct = np.unique(values)
     if len(distinct) < _AXES + 1:
         return 0.0
@@ -83,7 +83,7 @@ def _lattice_step(values: Float[np.ndarray, " n"]) -> float:
     needs=DECLARED,
 )
 def range_resolved(subject: InspectedModel) -> Iterator[Violation]:
-    """float32 has enough numbers within the declared range of a float32 input.
+    """The declared range of a float32 input contains enough float32 numbers.
 
     Why:
         Float32 has steps of 128 at 1.7 billion, the seconds since 1970. A range of ten seconds

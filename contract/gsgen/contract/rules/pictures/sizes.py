@@ -97,7 +97,7 @@ def _mistake(sample: DrawnSample, ratio: float) -> str:
 
 
 def _may_be_roots(sample: DrawnSample) -> bool:
-    """Return whether Gaussians have the shapes of discs or needles after a square root."""
+    """Return whether Gaussians would have the shapes of discs or needles if sizes were squared."""
     thickness = float(np.median(sample.sigma[:, 0] / sample.sigma[:, 2]))
     is_thick = _THICK[0] <= thickness <= _THICK[1] and (sample.is_planar or sample.is_linear)
     is_aligned = not sample.rows[:, [5, 6, 8]].any()

@@ -1,4 +1,4 @@
-"""GB rules of a camera that turns about its own centre, where nothing but culling may change."""
+"""GB rules of a camera that rotates about its own centre: nothing may change except culling."""
 
 from collections.abc import Iterator
 
@@ -31,7 +31,7 @@ _CHANGED = 0.01
     needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002"),
 )
 def turning_in_place_changes_nothing(behaviour: Behaviour) -> Iterator[Violation]:
-    """A camera that turns about its own centre changes no colour and no covariance of drawn rows.
+    """Rotating the camera about its centre changes no colour and no covariance of drawn Gaussians.
 
     Why:
         The direction from the camera to a Gaussian does not depend on where the camera looks. A
@@ -99,7 +99,7 @@ def _drawn(outputs: ModelOutputs) -> Bool[np.ndarray, " n"]:
 
 
 def _drawn_twice(first: ModelOutputs, second: ModelOutputs) -> Bool[np.ndarray, " n"]:
-    """Return the mask of Gaussians that are drawn at the same place in two model runs."""
+    """Return the mask of Gaussians that are drawn at the same position in two model runs."""
     a, b = first.gaussians, second.gaussians
     assert a is not None
     assert b is not None

@@ -1,1 +1,1 @@
-"""Does the model fit a target: buffer limits, and the Visionary web viewer?"""
+"""Does a model fit a target: GPU buffer limits, and the Visionary web viewer?"""

@@ -1,4 +1,4 @@
-"""Rules of buffers (GL): outputs and weights fit the limits of the target."""
+"""Rules of buffers (GL): outputs and weights fit the target's GPU buffer limits."""
 
 from collections.abc import Iterator
 
@@ -39,7 +39,7 @@ def _mib(size: int) -> str:
 
 
 def _larger(subject: InspectedModel, limit: int) -> Iterator[Violation]:
-    """Report every output, weight and unpacked weight of more than ``limit`` bytes."""
+    """Yield a violation for each output, weight or unpacked weight of more than ``limit`` bytes."""
     for location, size in _buffers(subject):
         if size > limit:
             yield Violation.at(location, _mib(size), f"{_mib(limit)} at most")
@@ -56,7 +56,7 @@ def _larger(subject: InspectedModel, limit: int) -> Iterator[Violation]:
     needs=("GL002",),
 )
 def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
-    """Every output and weight fits one storage buffer binding of the target.
+    """Every output and weight fits one storage buffer binding of the target's GPU.
 
     Why:
         WebGPU guarantees 128 MiB a binding. Beyond it onnxruntime-web 1.22 returns zeros; newer
@@ -80,7 +80,7 @@ def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
     limit="buffer_bytes",
 )
 def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
-    """Every output and weight fits one buffer of the target.
+    """Every output and weight fits one buffer of the target's GPU.
 
     Why:
         WebGPU guarantees buffers of 256 MiB; creating a larger one fails on many devices. A tensor
@@ -102,7 +102,7 @@ def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
     limit="workgroups",
 )
 def fits_dispatch(subject: InspectedModel) -> Iterator[Violation]:
-    """One GPU dispatch can visit every packed row.
+    """One GPU compute dispatch can process every packed row.
 
     Why:
         WebGPU launches at most 65,535 workgroups along an axis. With 256 rows a workgroup, rows

@@ -33,7 +33,7 @@ _FADED = 0.5
     needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
 )
 def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
-    """A capacity that includes padding is a multiple of 256.
+    """A capacity with padding rows is a multiple of 256, the size of a workgroup.
 
     Why:
         The viewer draws with workgroups of 256 and does not stop at the end of the buffer. The values
@@ -114,7 +114,7 @@ def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GV025", "GO001", "GO002", "GO008", "GM009"),
 )
 def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
-    """Most Gaussians are so large that Visionary's low-pass filter does not fade them.
+    """Most Gaussians are so large that Visionary's low-pass filter does not make them transparent.
 
     Why:
         The viewer always compensates for its filter, regardless of the manifest: a Gaussian

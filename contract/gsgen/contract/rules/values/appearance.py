@@ -1,4 +1,4 @@
-"""Rules of appearance (GV): colour range, and order and magnitude of SH coefficients."""
+"""Rules of appearance (GV): range of RGB, and order and magnitude of SH coefficients."""
 
 from collections.abc import Iterator
 
@@ -27,7 +27,7 @@ _LARGE_SHARE = 0.01
 
 @rule("GV012", "rgb-range", Severity.ERROR, over="rows", fixture="rgb_in_bytes", needs=COLORED_ROWS)
 def rgb_range(rows: Rows) -> Iterator[Violation]:
-    """Raw RGB lies in [0, 1] in every drawn row.
+    """Raw RGB lies in [0, 1], or in the declared range, in every drawn row.
 
     Why:
         Values up to 255 are bytes that were not divided, and show as white. Values around zero
@@ -36,16 +36,18 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
 
     Hint:
         Divide bytes by 255; turn [-1, 1] into (x + 1) / 2, and the SH constant term into colour as
-        0.5 + 0.28209479 · f_dc; clamp what a network gives beyond 1.
+        0.5 + 0.28209479 · f_dc; clamp what a network gives beyond 1. Where the method itself clips
+        the picture alone, declare the colours' `range`.
     """
     declared, color = rows.emission.declared, rows.color
     if declared is None or declared.space != "rgb" or color is None:
         return
     rgb = color[:, :3].astype(np.float32)
-    in_range = ((rgb >= -_COLOR_SLACK) & (rgb <= 1 + _COLOR_SLACK)).all(axis=1)
+    low, high = declared.range or (0.0, 1.0)
+    in_range = ((rgb >= low - _COLOR_SLACK) & (rgb <= high + _COLOR_SLACK)).all(axis=1)
     guessed = rows.emission.subject.candidate is not None
     invalid = rows.drawn & ~in_range
-    expected = "0 <= rgb <= 1"
+    expected = f"{low:g} <= rgb <= {high:g}"
     if invalid.any():
         expected += f"; {diagnose_rgb(rgb[rows.drawn])}"
     yield Violation.rows(
@@ -96,7 +98,7 @@ def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
 
 
 def _orders(size: int) -> dict[str, np.ndarray]:
-    """Return for each storage order the slot of SH coefficient k and channel c, as [K, 3]."""
+    """Return the column of SH coefficient k and channel c in each storage order, as [K, 3]."""
     k = size // 3
     flat = np.arange(size)
     twice = (flat % k) * 3 + flat // k  # interleaved a second time
@@ -123,7 +125,7 @@ def _mean_degree(energy: Float[np.ndarray, "k 3"]) -> float:
     needs=APPEARANCE,
 )
 def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
-    """SH coefficients above degree 0 are not far larger than colours can use.
+    """SH coefficients above degree 0 are not far larger than visible colours allow.
 
     Why:
         A coefficient of 3 alone moves a colour from black to white within a turn of the camera.

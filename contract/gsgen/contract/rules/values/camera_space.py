@@ -1,4 +1,4 @@
-"""GV rules of camera conventions: rows lie in local space, and the camera looks along +z."""
+"""GV rules of camera conventions: positions are in local space, and the camera looks along +z."""
 
 import math
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ _FEW = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Seen:
-    """The Gaussians that are visible for one camera.
+    """The Gaussians that a model shows to one camera.
 
     Attributes:
         view: The matrix from local to camera space.
@@ -95,7 +95,7 @@ def _isolated_views(probe_runs: ProbeRuns) -> list[_Seen]:
     needs=(MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002", "GO010", "GO011", "GI001", "GM006"),
 )
 def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """Centres are given in local space: they do not follow the camera.
+    """Gaussian centres are given in local space: they do not move with the camera.
 
     Why:
         A renderer applies the view matrix to the rows. Rows that are in camera or clip space
@@ -120,7 +120,7 @@ def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 
 def _follows(first: _Seen, second: _Seen, drawn: Bool[np.ndarray, " n"], space: str) -> bool:
-    """Return whether two runs' centres agree only after the camera's motion is undone."""
+    """Return whether the centres of two runs agree only in camera space."""
     undone = [_undone(seen, space) for seen in (first, second)]
     if undone[0] is None or undone[1] is None:
         return False
@@ -156,7 +156,7 @@ def _undone(seen: _Seen, space: str) -> Float[np.ndarray, "n 3"] | None:
     needs=(MODEL_RUNS, *NOT_RANDOM, "GO001", "GO002", "GO010", "GO011", "GI001", "GM006"),
 )
 def camera_looks_along_z(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """Culling keeps what is in front of the camera, along +z.
+    """Culling keeps the Gaussians in front of the camera, along +z.
 
     Why:
         All probes look at the middle of the bounds. A model that culls as if the camera looked

@@ -1,4 +1,4 @@
-"""Rules of cells (GM, GO, GV): declarations, sizes and values for weighted sums."""
+"""Rules of cells for weighted blending (GM, GO, GV): declarations, sizes and values."""
 
 import json
 from collections.abc import Iterator
@@ -121,7 +121,7 @@ def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO020", "GO002", "GO004"),
 )
 def cells_hold_all_rows(subject: InspectedModel) -> Iterator[Violation]:
-    """The number of cells times `per_cell` is the number of packed rows.
+    """The number of cells times the rows of each, `per_cell`, is the number of packed rows.
 
     Why:
         Row r belongs to cell r // per_cell, and to no other. With too few cells the last rows
@@ -155,7 +155,7 @@ def _per_cell(emission: ModelOutputs) -> int:
 
 
 def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
-    """Return the mask of the cells that have a row before the count."""
+    """Return the mask of the cells that contain a live row, i.e. a row before the row count."""
     assert emission.cells is not None
     first = np.arange(len(emission.cells)) * _per_cell(emission)
     return np.asarray(first < emission.count)
@@ -163,7 +163,7 @@ def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
 
 @rule("GV026", "cells-finite", Severity.ERROR, over="emission", fixture="nan_cell", needs=CELLS)
 def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
-    """Every value of every cell is finite, and below float16's maximum in float16 cells.
+    """Every value of the cells output is finite, and below float16's maximum if it is float16.
 
     Why:
         Renderers sort cells: a NaN sorts anywhere, and takes all Gaussians of the cell along.
@@ -291,7 +291,7 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     needs=(*CELLS, "GO010", "GO011"),
 )
 def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
-    """The visibility of every cell without a row before the count is 0.
+    """The visibility of every cell without a live row (a row before the row count) is 0.
 
     Why:
         Renderers sort all cells that are visible, and look for their Gaussians in every tile that

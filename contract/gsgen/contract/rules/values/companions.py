@@ -1,4 +1,4 @@
-"""GV rules of post-process models: images are finite, keep their size and lie in their range."""
+"""GV rules of post-process models: images are finite, keep their size and declared range."""
 
 from collections.abc import Iterator
 
@@ -18,7 +18,7 @@ _OUTLIERS = 0.01
 
 
 def _outputs(probe_runs: ProbeRuns, name: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the label of each value probe, except the all-zero one, and its output ``name``."""
+    """Yield label and output ``name`` of each test run, except for all-zero inputs."""
     for run in probe_runs.execution.runs[: probe_runs.plan.values]:
         probe = probe_runs.plan.probes[run.probe]
         value = probe_runs.execution.samples[run.sample].outputs.get(name)
@@ -36,7 +36,7 @@ def _outputs(probe_runs: ProbeRuns, name: str) -> Iterator[tuple[str, np.ndarray
     kinds=(POST_PROCESS,),
 )
 def image_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """Every value of the image is finite.
+    """Every value of the output image is finite.
 
     Why:
         A picture with NaN shows black or white holes.
@@ -63,7 +63,7 @@ def image_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
     kinds=(POST_PROCESS,),
 )
 def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """The image that comes out has the height and the width of the one that goes in.
+    """The output image has the height and the width of the input image.
 
     Why:
         The result is drawn over the pixels of the rendered image. Where sizes are open in the
@@ -99,7 +99,7 @@ def image_keeps_size(probe_runs: ProbeRuns) -> Iterator[Violation]:
     kinds=(POST_PROCESS,),
 )
 def image_within_range(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """The values of the image lie about the declared black and white.
+    """Nearly all values of the output image lie in the declared range, with some margin.
 
     Why:
         A runtime clips the image to its range: bytes declared as [0, 1] are all white, and signed

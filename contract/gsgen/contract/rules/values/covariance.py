@@ -96,7 +96,7 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
 
 
 def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
-    """Return the mask of rows that clearly pass Sylvester's criterion on Σ + slack·tr(Σ)·I."""
+    """Return the mask of rows whose covariance clearly passes Sylvester's criterion, with slack."""
     xx, xy, xz, yy, yz, zz = rows.covariance
     lift = np.float32(slack) * rows.trace
     a, b, c = xx + lift, yy + lift, zz + lift

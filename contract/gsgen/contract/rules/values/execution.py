@@ -53,7 +53,7 @@ def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
     needs=(*RUNNABLE, "GS004"),
 )
 def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """ONNX Runtime loads the model and runs it at every probe.
+    """ONNX Runtime loads the model, and runs it with every probe (set of test inputs).
 
     Why:
         A model that does not run here, on the CPU with the reference kernels, runs nowhere.
@@ -81,7 +81,7 @@ def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
     needs=("GV025", "GO004", "GO010", "GO011", "GV054"),
 )
 def something_is_drawn(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """The row count is above 0 at some probe.
+    """The row count is above 0 at some probe (set of test inputs).
 
     Why:
         A generator without a live row at any time, camera or pose draws nothing, and a viewer

@@ -1,4 +1,4 @@
-"""Rules of extent (GV): field order, size, position, and float16 resolution."""
+"""Rules of extent (GV): column order, size and position of Gaussians, float16 resolution."""
 
 from collections.abc import Iterator
 
@@ -63,7 +63,7 @@ def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     limit="subnormal_permille",
 )
 def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
-    """Float16 variances are not so small that a shader may flush them to zero.
+    """Float16 variances are not so small that shaders may flush them to zero.
 
     Why:
         WGSL lets a device flush numbers below 2⁻¹⁴ to zero. A Gaussian whose largest variance is
@@ -93,7 +93,7 @@ def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
     needs=ORDERED_ROWS,
 )
 def position_resolution(rows: Rows) -> Iterator[Violation]:
-    """The step between numbers at a Gaussian's position does not exceed the Gaussian's size.
+    """The spacing of float numbers at a Gaussian's position does not exceed the Gaussian's size.
 
     Why:
         Float16 has steps of 0.0078 at 8 and of 0.5 at 512, float32 of 0.5 at 5,000,000, where UTM
@@ -170,7 +170,7 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     needs=(*ORDERED_ROWS, "GM009", "GM019", "GV059"),
 )
 def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
-    """The declared bounds contain the centres of 99.9 % of the drawn rows, at every probe.
+    """At every probe, the declared bounds contain the centres of 99.9 % of the drawn rows.
 
     Why:
         Viewers frame the camera, cull the whole model and choose near and far planes by the bounds:

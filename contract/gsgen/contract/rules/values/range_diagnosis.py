@@ -1,4 +1,4 @@
-"""Diagnoses the usual mistake behind opacities or colours outside [0, 1]."""
+"""Diagnoses the usual mistakes behind opacities or colours outside [0, 1]."""
 
 __all__ = ["diagnose_opacity", "diagnose_rgb", "diagnose_variances"]
 
@@ -57,7 +57,7 @@ def diagnose_rgb(values: Float[np.ndarray, "n 3"]) -> str:
 
 
 def diagnose_variances(values: Float[np.ndarray, "n 3"]) -> str:
-    """Return the likely cause of negative variances, to be appended; empty if unclear.
+    """Return the likely cause of negative variances, for a message; empty if unclear.
 
     Args:
         values: Finite xx, yy, zz of drawn rows, [n, 3].

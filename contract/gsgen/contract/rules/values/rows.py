@@ -1,4 +1,4 @@
-"""Rules of packed rows (GV): finite values, opacity, saturation, count and padding.
+"""Rules of packed rows (GV): finite values, opacity, saturation, row count and padding rows.
 
 NaN fails every comparison. Rows that are not finite are reported by GV001 and GV002 alone, so
 that one cause gives one finding.
@@ -27,7 +27,7 @@ _OPACITY_SLACK = 1e-3
 
 
 def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iterator[Violation]:
-    """Report the selected rows with a value that is NaN or infinite, output by output."""
+    """Yield a violation for each output with NaN or infinity in the selected rows."""
     if not checked:
         return
     packed = ~np.isfinite(rows.wide).all(axis=0) & among
@@ -52,7 +52,7 @@ def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iter
 
 @rule("GV001", "rows-finite", Severity.ERROR, over="rows", fixture="nan_row", needs=PACKED_ROWS)
 def rows_finite(rows: Rows) -> Iterator[Violation]:
-    """Every value of every live row is finite.
+    """Every value of every live row (before the row count) is finite.
 
     Why:
         NaN passes every cull test, since all comparisons with it are false: the Gaussian is drawn
@@ -69,7 +69,7 @@ def rows_finite(rows: Rows) -> Iterator[Violation]:
     "GV002", "padding-finite", Severity.ERROR, over="rows", fixture="nan_padding", needs=PACKED_ROWS
 )
 def padding_finite(rows: Rows) -> Iterator[Violation]:
-    """Every value of the rows behind the count is finite.
+    """Every value of the padding rows (after the row count) is finite.
 
     Why:
         Some viewers draw all rows regardless of the count, and NaN is then drawn on top.
@@ -216,7 +216,7 @@ def count_range(emission: ModelOutputs) -> Iterator[Violation]:
     needs=(*ORDERED_ROWS, "GV032"),
 )
 def padding_inert(rows: Rows) -> Iterator[Violation]:
-    """Opacity is 0 in every row behind the count.
+    """Opacity is 0 in every padding row (after the row count).
 
     Why:
         Some viewers ignore the count and draw all rows: a visible row there is seen.
@@ -240,7 +240,7 @@ def padding_inert(rows: Rows) -> Iterator[Violation]:
 
 
 def _diagnose_padding(emission: ModelOutputs) -> str:
-    """Return why rows behind the count are visible, to be appended; empty if unclear."""
+    """Return the likely cause of visible padding rows, for a message; empty if unclear."""
     if emission.gaussians is None:
         return ""
     visible = emission.gaussians[:, OPACITY] != 0

@@ -1,4 +1,4 @@
-"""Lists the slots of a pool that may be seen, so that only their Gaussians are projected."""
+"""Lists the slots of the splat pool that may be in view, to project only their Gaussians."""
 
 __all__ = ["CullSlots", "seen_reference"]
 
@@ -20,7 +20,7 @@ CULL_MARGIN: Final = JACOBIAN_MARGIN / 2
 
 @final
 class CullSlots:
-    """The kernel ``cull_slots.wgsl``, which lists the slots of a pool that a camera may see.
+    """The kernel ``cull_slots.wgsl``, which lists the splat pool's slots that a camera may see.
 
     Args:
         device: Device of the kernel.
@@ -44,7 +44,7 @@ class CullSlots:
     def step(
         self, frame: Buffer, keys: Buffer, lows: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> Step:
-        """Return the dispatch that lists the visible slots of a pool's page."""
+        """Return the dispatch that lists the visible pool slots of a GPU page."""
         assert page.slots is not None
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (
@@ -57,7 +57,7 @@ class CullSlots:
 def seen_reference(
     slots: Shaped[np.ndarray, " s"], frame: Shaped[np.ndarray, ""], page: Shaped[np.ndarray, ""]
 ) -> Bool[np.ndarray, " s"]:
-    """Return which slots may be seen by a pinhole camera: the reference of ``cull_slots.wgsl``.
+    """Return the mask of pool slots in view of a pinhole camera: ``cull_slots.wgsl`` in NumPy.
 
     All eight corners of a box are tested against each side of the image and the near plane, which
     is another way to the same result as the shader's extents.

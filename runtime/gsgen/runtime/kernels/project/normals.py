@@ -37,7 +37,7 @@ class NormalsKernel:
         )
 
     def step(self, keys: Buffer, normals: Buffer, uniform: Buffer, slot: int, page: Page) -> Step:
-        """Return the dispatch that computes the normals of a page's Gaussians."""
+        """Return the dispatch that computes the normals of the Gaussians of a GPU page."""
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         further = () if page.slots is None else (page.appearance, page.slots.table)
         binds = (
@@ -50,7 +50,7 @@ class NormalsKernel:
 def normals_reference(
     covariance: Float[np.ndarray, "n 3 3"], position: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Return the normals of Gaussians in camera space, for covariances other than balls.
+    """Return the normals of Gaussians in camera space; covariances of balls are excluded.
 
     This is the reference of ``normals.wgsl``; arguments are in camera space, too.
     """

@@ -226,7 +226,7 @@ class ProjectKernel:
     def step(
         self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *cells: Buffer
     ) -> Step:
-        """Return the dispatch that projects the Gaussians of a page.
+        """Return the dispatch that projects the Gaussians of a GPU page.
 
         Args:
             outputs: Resources of bind group 0 of the shader, in order.
@@ -346,7 +346,7 @@ def depth_reference(
 def _straight(
     position: np.ndarray, linear: np.ndarray, frame: Shaped[np.ndarray, ""], *, flat: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return depths, slopes and their Jacobians for pinhole and orthographic cameras."""
+    """Project points to a plane (pinhole, orthographic): depths, slopes and Jacobians."""
     divisor = np.ones((len(position), 1)) if flat else position[:, 2:]
     slope = position[:, :2] / divisor
     bent = np.clip(slope, frame["slope_low"], frame["slope_high"]) * (not flat)
@@ -357,7 +357,7 @@ def _straight(
 def _unrolled(
     position: np.ndarray, linear: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return distances, longitudes with latitudes, and their Jacobians for panoramas."""
+    """Project points to a panorama: distances, longitudes and latitudes, and Jacobians."""
     distance, level = (np.linalg.norm(position, axis=1), np.hypot(position[:, 0], position[:, 2]))
     angles = np.stack(
         [np.arctan2(position[:, 0], position[:, 2]), np.arctan2(position[:, 1], level)], 1

@@ -40,7 +40,7 @@ DEPTHS: Final = "depth32float"
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MeshesStep:
-    """A recorded render pass that draws all meshes of a frame.
+    """A recorded render pass that draws all meshes of a frame with the rasterisation hardware.
 
     Attributes:
         pipeline: The render pipeline.
@@ -72,7 +72,7 @@ class MeshesStep:
         background: Float[np.ndarray, "3"],
         stamps: PassTimestamps | None = None,
     ) -> None:
-        """Encode the drawing of the meshes over ``background``, and the copies for layers."""
+        """Encode a render pass of the meshes over ``background``, and copies to an image layer."""
         targets = [
             _cleared(self.color, (*background.tolist(), 0.0)),
             _cleared(self.surface, (0.0, 0.0, 0.0, 0.0)),
@@ -129,7 +129,7 @@ def _pipeline(device: Device, **parts: object) -> RenderPipeline:
 
 @final
 class DrawMeshes:
-    """Draws meshes (``draw_meshes.wgsl``) and copies them to a layer (``lay_meshes.wgsl``).
+    """Draws meshes (``draw_meshes.wgsl``) and copies them to an image layer (``lay_meshes.wgsl``).
 
     Raises:
         DeviceUnavailable: The device cannot render to textures of 32-bit floats.
@@ -241,7 +241,7 @@ class DrawMeshes:
     def _laid(
         self, size: tuple[int, int], row: int, copies: tuple[Buffer, ...], layers: Layers
     ) -> tuple[Step, ...]:
-        """Return the steps that copy the drawn meshes to the last image layer."""
+        """Return the compute steps that copy the drawn meshes to the last image layer."""
         shape = self._device.uniform("mesh layer", 16)
         first = (layers.count - 1) * size[0] * size[1]
         self._device.write(shape, np.array([*size, row, first], np.uint32))
@@ -313,7 +313,7 @@ def _beside_reference(
 def _direction_reference(
     uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """Return the direction of each pixel's ray, scaled so that depths are its factors."""
+    """Return each pixel's ray direction of depth 1, so that depth × direction is a point."""
     (x, z), (y, level) = _angles(uniform, rays)
     if uniform["period"]:
         return np.stack(np.broadcast_arrays(x * level, y, z * level), -1)
@@ -324,7 +324,7 @@ def _direction_reference(
 def _angles(
     uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "2 1 w"], Float[np.ndarray, "2 h 1"]]:
-    """Split ray directions into those of pixel columns and those of pixel rows."""
+    """Split the angles of rays into those of the pixel columns and those of the pixel rows."""
     width, angles = int(uniform["size"][0]), rays.T.astype(np.float64)
     return angles[:, None, :width], angles[:, width:, None]
 

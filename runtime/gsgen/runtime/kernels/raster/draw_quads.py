@@ -1,4 +1,4 @@
-"""Draws splats as quads with the hardware's rasteriser instead of tiles."""
+"""Draws splats as quads with the rasterisation hardware instead of by image tiles."""
 
 __all__ = ["DrawQuads", "QuadsStep"]
 
@@ -61,7 +61,7 @@ class QuadsStep:
         background: Float[np.ndarray, "3"],
         stamps: PassTimestamps | None = None,
     ) -> None:
-        """Encode the drawing over ``background`` or the meshes, and the copy to the image buffer."""
+        """Encode a render pass of quads over ``background`` or meshes, and a copy of its image."""
         target = {
             "view": self.view,
             "clear_value": (*background.tolist(), 0.0),

@@ -1,4 +1,4 @@
-"""Computes the uniforms of drawn meshes, and the rays of the image's pixels."""
+"""Computes the uniforms of drawn meshes, and the rays through the pixels of the image."""
 
 __all__ = ["MESH_UNIFORM", "TO_LINEAR", "TO_SRGB", "PlacedMesh", "mesh_rays", "mesh_uniform"]
 

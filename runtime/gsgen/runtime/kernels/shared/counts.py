@@ -1,4 +1,4 @@
-"""The counters of a frame in GPU memory, including the arguments of indirect dispatches.
+"""The counters of a frame in a GPU buffer, including arguments of indirect dispatches.
 
 Kernels get their indices as constants of the same names.
 """
@@ -13,7 +13,7 @@ from jaxtyping import UInt32
 
 
 class Counts(IntEnum):
-    """Index of each counter of a frame, in words of four bytes.
+    """Index of each counter of a frame in the GPU buffer of counters, in words of four bytes.
 
     A name that ends in ``_GROUPS`` begins three words: the arguments of an indirect dispatch.
     """

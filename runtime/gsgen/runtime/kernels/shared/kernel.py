@@ -1,4 +1,4 @@
-"""Compute kernels: shader entry points with their bind groups, and their dispatches."""
+"""Compute kernels: WGSL entry points with their bind groups and dispatches."""
 
 __all__ = ["THREADS", "VEC4", "Dispatch", "Kernel", "Step", "run"]
 

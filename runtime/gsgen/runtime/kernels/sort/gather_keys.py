@@ -29,7 +29,7 @@ class GatherKeys:
         )
 
     def step(self, counts: Buffer, keys: Buffer, order: Buffer, keys_out: Buffer) -> Step:
-        """Return the dispatch that writes the key of each visible splat of ``order``."""
+        """Return the dispatch that writes the second key of each visible splat, in sorted order."""
         bind = self.kernel.bind(counts, keys, order, keys_out)
         return Step(self.kernel, (bind,), (counts, 4 * Counts.SORT_VISIBLE_GROUPS))
 
@@ -37,5 +37,5 @@ class GatherKeys:
 def gather_reference(
     keys: UInt32[np.ndarray, " m"], order: UInt32[np.ndarray, " n"]
 ) -> UInt32[np.ndarray, " n"]:
-    """Return the keys of sorted splats: the reference of ``gather_keys.wgsl``."""
+    """Return the second keys of splats in sorted order: the reference of ``gather_keys.wgsl``."""
     return np.asarray(keys[order])

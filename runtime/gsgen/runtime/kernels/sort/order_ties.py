@@ -1,4 +1,4 @@
-"""Sorts splats of equal depth keys by their depth remainders, then by their sets."""
+"""Sorts splats of equal depth keys by their depth remainders, then by their splat sets."""
 
 __all__ = ["MOST_TIED", "OrderTies", "order_ties_reference"]
 
@@ -76,5 +76,5 @@ def order_ties_reference(
     origins: UInt32[np.ndarray, " m"],
     order: UInt32[np.ndarray, " n"],
 ) -> UInt32[np.ndarray, " n"]:
-    """Sort splats by key, remainder and set: the reference of ``order_ties.wgsl``."""
+    """Sort splats by key, remainder and splat set: the reference of ``order_ties.wgsl``."""
     return order[np.lexsort((origins[order], lows[order], keys))]

@@ -30,7 +30,7 @@ class Columns(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True)
 class SortConfig:
-    """How a radix sort and the binning are divided among invocations.
+    """How a radix sort and the listing of tiles are divided among GPU invocations.
 
     Attributes:
         threads: Invocations of a workgroup of the sort.
@@ -51,7 +51,7 @@ class SortConfig:
 
 
 def cut_for(device: Device) -> SortConfig:
-    """Return the sort configuration of a device: long runs on a CPU, many invocations on a GPU."""
+    """Return the sort settings of a device: many keys per invocation on a CPU, few on a GPU."""
     return SortConfig(8, 512, 8, 64) if device.software else SortConfig(256, 16, 4, 4)
 
 
@@ -92,7 +92,7 @@ class RadixSort:
         compacting: int | None = None,
         first_keys: Buffer | None = None,
     ) -> tuple[list[Step], int]:
-        """Return the dispatches of a radix sort, and the index in ``columns`` of the result.
+        """Return the dispatches of a radix sort, and the index of the buffers with the result.
 
         Args:
             counts: The frame's counts.

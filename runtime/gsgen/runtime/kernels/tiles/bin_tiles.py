@@ -19,7 +19,7 @@ _BINDINGS = {"bin_tiles": "urrrwwwrr", "bin_cells": "urrrwww"}
 
 @final
 class BinTiles:
-    """The kernels of ``bin_tiles.wgsl``, or of ``bin_cells.wgsl`` for cells.
+    """The kernels of ``bin_tiles.wgsl`` (splats) or ``bin_cells.wgsl``, which list touched tiles.
 
     Args:
         device: Device of the kernels.
@@ -40,7 +40,7 @@ class BinTiles:
         )
 
     def steps(self, counts: Buffer, resources: tuple[Buffer, ...]) -> tuple[Step, Step]:
-        """Return the dispatches that count and list tiles; the counts are scanned between them.
+        """Return the two dispatches that count and list touched tiles, with a prefix sum between.
 
         Args:
             counts: The frame's counts, or those of its cells.
@@ -60,7 +60,7 @@ def touched_reference(
     size: tuple[int, int],
     period: float = 0.0,
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Return the mask of tiles with a pixel that a splat reaches.
+    """Return the mask of image tiles that have a pixel which a splat reaches.
 
     Args:
         mean: Centre of the splat, in pixels.

@@ -1,4 +1,4 @@
-"""Blends the cells of each tile front to back by weighted sums of their Gaussians."""
+"""Blends the cells of each image tile front to back, by weighted sums of their Gaussians."""
 
 __all__ = ["BlendWsr", "blend_wsr_reference"]
 

@@ -20,7 +20,7 @@ RANGE_BLOCK: Final = _THREADS * _RUN
 
 @final
 class TileRanges:
-    """The kernel ``tile_ranges.wgsl``, which finds the pairs of each tile."""
+    """The kernel ``tile_ranges.wgsl``, which finds the splat-tile pairs of each image tile."""
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(
@@ -28,7 +28,7 @@ class TileRanges:
         )
 
     def step(self, counts: Buffer, tiles: Buffer, ranges: Buffer) -> Step:
-        """Return the dispatch that writes the first and last pair of each tile.
+        """Return the dispatch that writes the first and the last splat-tile pair of each tile.
 
         Args:
             counts: The frame's counts.
@@ -40,7 +40,7 @@ class TileRanges:
 
 
 def ranges_reference(tiles: UInt32[np.ndarray, " n"], count: int) -> UInt32[np.ndarray, "t 2"]:
-    """Return the range of pairs of each tile: the reference of ``tile_ranges.wgsl``."""
+    """Return the range of splat-tile pairs of each tile: the reference of ``tile_ranges.wgsl``."""
     tile_ids = np.arange(count)
     ends = [np.searchsorted(tiles, tile_ids, side) for side in ("left", "right")]
     bounds = np.stack(ends, axis=1)

@@ -1,1 +1,1 @@
-"""Where do the tasks of a build run? No byte of the result depends on the engine."""
+"""Where do the tasks of a tileset build run: in this process, workers or a cluster?"""

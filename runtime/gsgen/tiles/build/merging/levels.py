@@ -91,19 +91,19 @@ def merge_level(mixture: Mixture, depth: int, most: int) -> Level:
 
 
 def _starts(cells: UInt64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
-    """Return the first row of each run of equal cells."""
+    """Return the index of the first row of each grid cell, in rows sorted by cell."""
     return np.concatenate([np.zeros(1, np.int64), np.flatnonzero(cells[1:] != cells[:-1]) + 1])
 
 
 def _cell_numbers(starts: Int64[np.ndarray, " m"], count: int) -> Int64[np.ndarray, " n"]:
-    """Return the number of the cell of each row."""
+    """Return the number of the grid cell that each row is in, from 0."""
     return np.repeat(np.arange(len(starts)), np.diff(starts, append=count))
 
 
 def _largest(
     mass: Float64[np.ndarray, " n"], starts: Int64[np.ndarray, " m"], count: int
 ) -> Bool[np.ndarray, " n"]:
-    """Return the mask of the largest splats that may stay, so that a level has ``count`` splats.
+    """Return the mask of the largest splats to keep unmerged, so that a level has ``count``.
 
     A splat that stays adds one to the level, except the last of its cell.
 

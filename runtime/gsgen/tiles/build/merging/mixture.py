@@ -46,7 +46,7 @@ class Mixture:
         return np.asarray(self.opacity * surface_area(self.scale))
 
     def rows(self, index: "np.ndarray | slice") -> "Mixture":
-        """Return the selected Gaussians, by their numbers."""
+        """Return the Gaussians at the given row indices."""
         return Mixture(**{name: getattr(self, name)[index] for name in self.__slots__})
 
 

@@ -47,7 +47,7 @@ def merge_clusters(
     spread: float = SPREAD,
     widen: float = WIDEN,
 ) -> Mixture:
-    """Merge each run of Gaussians with the same cluster into one Gaussian by moment matching.
+    """Merge the Gaussians of each cluster, which are consecutive, into one by moment matching.
 
     A cluster without mass (nothing in it can be seen) vanishes; where all do, the first
     Gaussian stays, so that the result is never empty.

@@ -1,4 +1,4 @@
-"""Morton codes of positions in the root cube, and the octree cells that codes name.
+"""Morton codes of positions in a cube, and the octree cells that prefixes of codes name.
 
 G. M. Morton 1966, "A computer oriented geodetic data base": the bits of the coordinates,
 interleaved. A cell at depth d of the octree is the first 3d bits of the codes of its points, so

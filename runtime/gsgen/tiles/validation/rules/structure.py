@@ -26,7 +26,7 @@ _RELATIVE: Final = 1e-6
     kinds=(TILESET,),
 )
 def tileset_schema(inspected: InspectedTileset) -> Iterator[Violation]:
-    """Every index follows the schema of 3D Tiles 1.1, and requires only supported extensions.
+    """Every ``tileset.json`` follows the 3D Tiles 1.1 schema; required extensions are supported.
 
     Why:
         A viewer reads as far as it can: a tile with a wrong member is left out without a word,

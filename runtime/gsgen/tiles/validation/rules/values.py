@@ -61,7 +61,7 @@ def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
     level=Level.VALUES,
 )
 def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
-    """If children replace a tile, the centre of each of its splats lies in one of them.
+    """If children replace a tile, the centre of each splat of the tile lies in a child.
 
     Why:
         Replacing takes the parent away: a part that no child covers is a hole that opens when the

@@ -1,0 +1,73 @@
+"""Writes synthetic checkpoints of SpacetimeGaussians, as its training code does.
+
+The Gaussians are a torus knot. Each swings around its place, appears and fades.
+"""
+
+__all__ = ["write_spacetime"]
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from gsgen.formats.shared.quantities import SH_C0
+from gsgen.reference_plugins.synthetic.knot import torus_knot
+from gsgen.reference_plugins.synthetic.run_files import write_cfg_args, write_columns
+
+_ITERATION = 25_000
+
+
+def write_spacetime(
+    folder: Path, *, count: int = 64, full: bool = False, sway: float = 0.5, seed: int = 0
+) -> Path:
+    """Write a synthetic checkpoint of SpacetimeGaussians, and return the folder.
+
+    ``full`` adds features and their decoder; ``sway`` is the approximate movement, of a knot that
+    is three units wide.
+    """
+    rng = np.random.default_rng(seed)
+    knot = torus_knot(count, degree=0, seed=seed)
+    color = 0.5 + SH_C0 * knot.sh[:, 0]
+    # Splats appear one after another along the knot. Each fourth lasts as long as the scene.
+    centre = np.linspace(0, 1, count)[:, None]
+    log_duration = np.where(np.arange(count)[:, None] % 4, rng.normal(-1.2, 0.2, (count, 1)), 1.0)
+    columns = dict(zip("xyz", knot.position.T, strict=True))
+    columns |= {"trbf_center": centre[:, 0], "trbf_scale": log_duration[:, 0]}
+    columns |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(count))
+    columns |= _numbered("motion", _motion(knot.position, sway))
+    features = [color, rng.normal(0, 0.5, (count, 3))] if full else [color]
+    columns |= _numbered("f_dc", np.concatenate(features, axis=1))
+    columns |= {"opacity": knot.logit_opacity}
+    columns |= _numbered("scale", knot.log_scale) | _numbered("rot", knot.rotation)
+    columns |= _numbered("omega", rng.normal(0, 1, (count, 4)))
+    if full:
+        columns |= _numbered("f_t", rng.normal(0, 0.5, (count, 3)))
+    variant = "ours_full" if full else "ours_lite"
+    function = "sandwich" if full else "rgbv1"
+    write_cfg_args(folder, {"model": variant, "rgbfunction": function, "duration": 50})
+    cloud = folder / f"point_cloud/iteration_{_ITERATION}/point_cloud.ply"
+    write_columns(cloud, columns)
+    if full:
+        noise = torch.Generator().manual_seed(seed)
+        state = {
+            "mlp1.weight": torch.randn((6, 12, 1, 1), generator=noise) / 12**0.5,
+            "mlp2.weight": torch.randn((3, 6, 1, 1), generator=noise) / 6**0.5,
+        }
+        torch.save(state, cloud.with_suffix(".pt"))
+    return folder
+
+
+def _motion(position: Float[np.ndarray, "n 3"], sway: float) -> Float[np.ndarray, "n 9"]:
+    """Return the coefficients of a motion that lifts points and turns them around the axis y."""
+    x, _, z = position.T
+    phase = np.arctan2(z, x)
+    linear = np.stack([z, np.sin(2 * phase), -x], axis=1)
+    quadratic = np.stack([-x, np.cos(3 * phase), -z], axis=1)
+    cubic = -0.5 * linear
+    return sway * np.concatenate([linear, quadratic, cubic], axis=1)
+
+
+def _numbered(name: str, table: Float[np.ndarray, "n k"]) -> dict[str, Float[np.ndarray, " n"]]:
+    """Return the columns of a table by name, numbered from 0."""
+    return {f"{name}_{index}": column for index, column in enumerate(table.T)}

@@ -1,0 +1,101 @@
+/** Cameras in the OpenCV convention: +x right, +y down, +z forward. */
+
+import { cross, linearPart, normalized, plus, times, transposed } from "./matrices.js";
+
+/**
+ * @typedef {object} Camera
+ * @property {number[]} view World → camera, 4×4 row by row.
+ * @property {number} fx Focal length in pixels; of a panorama pixels per radian.
+ * @property {number} fy
+ * @property {number} cx Principal point, in pixels.
+ * @property {number} cy
+ * @property {number} width
+ * @property {number} height
+ * @property {number} near
+ * @property {"pinhole" | "orthographic" | "panorama"} [kind]
+ */
+
+export const DEFAULT_NEAR = 0.01;
+export const DEFAULT_UP = Object.freeze([0, -1, 0]);
+
+/** Return the camera centre −Rᵀt. @param {Camera} camera */
+export function eyeOf(camera) {
+  const { view } = camera;
+  return times(transposed(linearPart(view)), [view[3], view[7], view[11]]).map((x) => -x);
+}
+
+/** Return the pixels of a full turn of a panorama; 0 for other cameras. @param {Camera} camera */
+export function periodOf(camera) {
+  return camera.kind === "panorama" ? 2 * Math.PI * camera.fx : 0;
+}
+
+/**
+ * Return the matrix world → camera of a rotation (3×3) and a camera centre.
+ * @param {number[]} turn
+ * @param {number[]} eye
+ */
+export function viewOf(turn, eye) {
+  const [x, y, z] = times(turn, eye);
+  const [a, b, c, d, e, f, g, h, i] = turn;
+  return [a, b, c, -x, d, e, f, -y, g, h, i, -z, 0, 0, 0, 1];
+}
+
+/**
+ * Return the rotation world → camera of a camera that looks along `forward`.
+ * @param {number[]} forward
+ * @param {readonly number[]} up
+ */
+export function turnTowards(forward, up) {
+  const ahead = normalized(forward);
+  let right = cross(ahead, [...up]);
+  if (Math.hypot(...right) <= 1e-9 * Math.hypot(...up)) {
+    const sizes = ahead.map(Math.abs);
+    const least = sizes.indexOf(Math.min(...sizes));
+    right = cross(ahead, [0, 1, 2].map((index) => Number(index === least)));
+  }
+  right = normalized(right);
+  return [...right, ...cross(ahead, right), ...ahead];
+}
+
+/**
+ * Return the pinhole camera at `eye` that looks at `target`.
+ * @param {number[]} eye
+ * @param {number[]} target
+ * @param {{up?: readonly number[], width: number, height: number, fovY?: number, near?: number}} lens
+ *     The vertical field of view is in degrees.
+ * @returns {Camera}
+ */
+export function lookAt(eye, target, { up = DEFAULT_UP, width, height, fovY = 50, near = DEFAULT_NEAR }) {
+  const focal = height / 2 / Math.tan((fovY * Math.PI) / 360);
+  return {
+    view: viewOf(turnTowards(plus(target, -1, eye), up), eye),
+    fx: focal,
+    fy: focal,
+    cx: width / 2,
+    cy: height / 2,
+    width,
+    height,
+    near,
+    kind: "pinhole",
+  };
+}
+
+/**
+ * Return the world position at a pixel and a depth of a camera's image.
+ * @param {Camera} camera
+ * @param {number} x
+ * @param {number} y
+ * @param {number} depth
+ */
+export function unproject(camera, x, y, depth) {
+  const across = (x - camera.cx) / camera.fx;
+  const down = (y - camera.cy) / camera.fy;
+  let local = [across * depth, down * depth, depth];
+  if (camera.kind === "orthographic") local = [across, down, depth];
+  if (camera.kind === "panorama") {
+    const level = Math.cos(down);
+    const toward = [Math.sin(across) * level, Math.sin(down), Math.cos(across) * level];
+    local = toward.map((part) => depth * part);
+  }
+  return plus(eyeOf(camera), 1, times(transposed(linearPart(camera.view)), local));
+}

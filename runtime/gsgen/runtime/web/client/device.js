@@ -1,0 +1,62 @@
+/** The graphics device of a page, which all elements share. */
+
+import { GsgenError } from "./errors.js";
+
+const WANTED_LIMITS = [
+  "maxStorageBufferBindingSize",
+  "maxBufferSize",
+  "maxStorageBuffersPerShaderStage",
+  "maxComputeWorkgroupStorageSize",
+  "maxComputeInvocationsPerWorkgroup",
+  "maxComputeWorkgroupSizeX",
+  "maxComputeWorkgroupSizeY",
+  "maxComputeWorkgroupSizeZ",
+];
+const WANTED_FEATURES = ["shader-f16"]; // for generators; no kernel of the renderer needs it
+
+/** @type {Promise<GPUDevice> | null} */
+let shared = null;
+
+/**
+ * Open a device with the adapter's own limits.
+ * @returns {Promise<GPUDevice>}
+ */
+export async function openDevice() {
+  if (!navigator.gpu) {
+    throw new GsgenError("this browser has no WebGPU", {
+      hint: "Use a current Chrome, Edge, Safari or Firefox, over https or on localhost.",
+    });
+  }
+  const adapter = await navigator.gpu.requestAdapter({ powerPreference: "high-performance" });
+  if (!adapter) {
+    throw new GsgenError("the browser found no graphics adapter", {
+      hint: "Switch hardware acceleration on, or update the graphics driver.",
+    });
+  }
+  const requiredLimits = Object.fromEntries(
+    WANTED_LIMITS.map((name) => [name, adapter.limits[name]]),
+  );
+  const requiredFeatures = WANTED_FEATURES.filter((name) => adapter.features.has(name));
+  return adapter.requestDevice({ label: "gsgen", requiredLimits, requiredFeatures });
+}
+
+/**
+ * Return the page's device; after a loss the next call opens another one.
+ * @returns {Promise<GPUDevice>}
+ */
+export function sharedDevice() {
+  if (!shared) {
+    const opening = openDevice();
+    shared = opening;
+    opening.then(
+      (device) =>
+        device.lost.then(() => {
+          if (shared === opening) shared = null;
+        }),
+      () => {
+        shared = null;
+      },
+    );
+  }
+  return shared;
+}

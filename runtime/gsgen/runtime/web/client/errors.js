@@ -1,0 +1,16 @@
+/** Errors that a visitor of a page can act on. */
+
+/** What is wrong with a model, a file or the browser: where, the problem, and what helps. */
+export class GsgenError extends Error {
+  /**
+   * @param {string} message The problem, with the actual and the expected value.
+   * @param {{where?: string, hint?: string, rule?: string}} [details]
+   */
+  constructor(message, { where = "", hint = "", rule = "" } = {}) {
+    super(where ? `${where}: ${message}` : message);
+    this.name = "GsgenError";
+    this.where = where;
+    this.hint = hint;
+    this.rule = rule;
+  }
+}

@@ -1,0 +1,276 @@
+/**
+ * Executes frame plans on a GPU device.
+ *
+ * Pipelines are compiled once per device, and all at once. Buffers and bind groups belong to one
+ * drawing; a change of a size makes only those anew whose formulas have another value.
+ */
+
+import { GsgenError } from "./errors.js";
+import { choosePlan, evaluate } from "./plan.js";
+
+const BINDING_TYPES = { u: "uniform", r: "read-only-storage", w: "storage" };
+
+/**
+ * Consecutive Gaussians in GPU buffers.
+ * @typedef {object} Page
+ * @property {string} kind How the appearance is stored, as plans name it.
+ * @property {number} capacity Number of rows.
+ * @property {GPUBuffer} rows
+ * @property {number} rowsOffset Bytes before the page's first row.
+ * @property {GPUBuffer} appearance
+ * @property {number} appearanceOffset
+ */
+/**
+ * @typedef {object} Drawing
+ * @property {string[]} outputs
+ * @property {boolean} panorama
+ * @property {boolean} deep
+ * @property {number} width
+ * @property {number} height
+ * @property {number} pairs Most pairs of a splat and a tile.
+ * @property {Page[]} pages
+ */
+
+/** The compiled kernels of a device. */
+export class KernelCache {
+  /**
+   * @param {GPUDevice} device
+   * @param {import("./plan.js").PlanDocument} plans
+   */
+  constructor(device, plans) {
+    this.device = device;
+    this.plans = plans;
+    /** @type {Map<number, GPUShaderModule>} */
+    this._modules = new Map();
+    /** @type {Map<string, GPUBindGroupLayout>} */
+    this._layouts = new Map();
+    /** @type {Map<number, Promise<GPUComputePipeline>>} */
+    this._pipelines = new Map();
+  }
+
+  /** @param {number} row */
+  module(row) {
+    let module = this._modules.get(row);
+    if (!module) {
+      const { label, constants, text } = this.plans.modules[row];
+      module = this.device.createShaderModule({ label, code: constants + this.plans.texts[text] });
+      this._modules.set(row, module);
+    }
+    return module;
+  }
+
+  /** @param {string} kinds One letter per binding. */
+  layout(kinds) {
+    let layout = this._layouts.get(kinds);
+    if (!layout) {
+      const entries = [...kinds].map((kind, binding) => ({
+        binding,
+        visibility: GPUShaderStage.COMPUTE,
+        buffer: { type: BINDING_TYPES[kind] },
+      }));
+      layout = this.device.createBindGroupLayout({ label: kinds, entries });
+      this._layouts.set(kinds, layout);
+    }
+    return layout;
+  }
+
+  /**
+   * @param {number} row
+   * @returns {Promise<GPUComputePipeline>}
+   */
+  pipeline(row) {
+    let pipeline = this._pipelines.get(row);
+    if (!pipeline) {
+      const { label, module, entry, groups } = this.plans.pipelines[row];
+      pipeline = this.device.createComputePipelineAsync({
+        label,
+        layout: this.device.createPipelineLayout({
+          bindGroupLayouts: groups.map((kinds) => this.layout(kinds)),
+        }),
+        compute: { module: this.module(module), entryPoint: entry },
+      });
+      this._pipelines.set(row, pipeline);
+    }
+    return pipeline;
+  }
+}
+
+/** The buffers, bind groups and commands of a drawing. */
+export class PlanHost {
+  /** @param {KernelCache} kernels */
+  constructor(kernels) {
+    this.kernels = kernels;
+    this.device = kernels.device;
+    this.plans = kernels.plans;
+    /** @type {Map<number, GPUBuffer>} */
+    this._buffers = new Map();
+    /** @type {Map<string, {resources: any[], group: GPUBindGroup}>} */
+    this._groups = new Map();
+    /** @type {{label: string, steps: any[]}[]} */
+    this._passes = [];
+    /** @type {import("./plan.js").Plan | null} */
+    this.plan = null;
+  }
+
+  /**
+   * Prepare all that a drawing needs; frames can be encoded when the promise resolves.
+   * @param {Drawing} drawing
+   */
+  async configure(drawing) {
+    const sizes = {
+      width: drawing.width,
+      height: drawing.height,
+      pairs: drawing.pairs,
+      pages: drawing.pages.length,
+      gaussians: drawing.pages.reduce((sum, page) => sum + page.capacity, 0),
+    };
+    const plan = choosePlan(this.plans, drawing, sizes);
+    const stages = Object.entries(plan.stages).map(([label, entries]) => ({
+      label,
+      steps: entries.flatMap((entry) => this._stepsOf(entry, drawing.pages)),
+    }));
+    const rows = stages.flatMap(({ steps }) => steps.map(({ step }) => step.pipeline));
+    /** @type {Map<number, GPUComputePipeline>} */
+    const pipelines = new Map();
+    await Promise.all(
+      [...new Set(rows)].map(async (row) => pipelines.set(row, await this.kernels.pipeline(row))),
+    );
+    this._allocate(plan, stages, sizes);
+    const used = new Set();
+    this._passes = stages.map(({ label, steps }) => ({
+      label,
+      steps: steps.map(({ step, page, slot }) => {
+        const all = { ...sizes, slot, capacity: page ? page.capacity : 0 };
+        return {
+          pipeline: pipelines.get(step.pipeline),
+          groups: step.binds.map((row) => this._group(row, page, slot, all, used)),
+          counts: step.groups && step.groups.map((count) => evaluate(count, all)),
+          indirect: step.indirect && [this._buffer(step.indirect[0]), step.indirect[1]],
+        };
+      }),
+    }));
+    for (const key of this._groups.keys()) if (!used.has(key)) this._groups.delete(key);
+    this.plan = plan;
+    this.sizes = sizes;
+  }
+
+  /** Return the steps of a stage's entry: one, or one of each page. */
+  _stepsOf(entry, pages) {
+    if (typeof entry === "number") return [{ step: this.plans.steps[entry], page: null, slot: 0 }];
+    return pages.map((page, slot) => ({ step: this.plans.steps[entry[page.kind]], page, slot }));
+  }
+
+  /** Make the buffers whose size changed, and release those that no step binds. */
+  _allocate(plan, stages, sizes) {
+    const rows = new Set([...Object.values(plan.images), ...Object.values(plan.inputs)]);
+    for (const [row] of plan.clears) rows.add(row);
+    for (const { steps } of stages) {
+      for (const { step } of steps) {
+        if (step.indirect) rows.add(step.indirect[0]);
+        for (const bind of step.binds) {
+          for (const [row] of this.plans.binds[bind].entries) {
+            if (typeof row === "number") rows.add(row);
+          }
+        }
+      }
+    }
+    for (const [row, buffer] of this._buffers) {
+      if (!rows.has(row) || buffer.size !== evaluate(this.plans.buffers[row].size, sizes)) {
+        buffer.destroy();
+        this._buffers.delete(row);
+      }
+    }
+    for (const row of rows) {
+      const { label, size, usage, data, sizes: words = [] } = this.plans.buffers[row];
+      const isNew = !this._buffers.has(row);
+      if (isNew) this._buffers.set(row, this._create(label, evaluate(size, sizes), usage));
+      if (data && (isNew || words.length)) {
+        const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+        const view = new DataView(bytes.buffer);
+        for (const [offset, name] of words) view.setUint32(offset, sizes[name], true);
+        this.device.queue.writeBuffer(this._buffer(row), 0, bytes);
+      }
+    }
+  }
+
+  /** @returns {GPUBuffer} */
+  _create(label, size, usage) {
+    const { maxStorageBufferBindingSize, maxBufferSize } = this.device.limits;
+    const most = Math.min(maxStorageBufferBindingSize, maxBufferSize);
+    if (size > most) {
+      throw new GsgenError(`would take ${size} bytes; this device binds at most ${most}`, {
+        where: label,
+        hint: "Show fewer Gaussians or a smaller image.",
+      });
+    }
+    return this.device.createBuffer({ label, size, usage });
+  }
+
+  /** @returns {GPUBuffer} */
+  _buffer(row) {
+    return /** @type {GPUBuffer} */ (this._buffers.get(row));
+  }
+
+  /** Return a bind group of a table row, made anew if one of its buffers was. */
+  _group(row, page, slot, sizes, used) {
+    const key = page ? `${row}/${slot}` : `${row}`;
+    used.add(key);
+    const { kinds, entries } = this.plans.binds[row];
+    const resources = entries.map(([name, offset, size]) => {
+      const first = typeof name === "string" ? page[`${name}Offset`] : 0;
+      const buffer = typeof name === "string" ? page[name] : this._buffer(name);
+      const bytes = size === null ? buffer.size : evaluate(size, sizes);
+      return { buffer, offset: first + evaluate(offset, sizes), size: bytes };
+    });
+    const known = this._groups.get(key);
+    const isSame = (resource, index) => {
+      const other = known.resources[index];
+      return ["buffer", "offset", "size"].every((name) => resource[name] === other[name]);
+    };
+    if (known && resources.every(isSame)) return known.group;
+    const group = this.device.createBindGroup({
+      label: key,
+      layout: this.kernels.layout(kinds),
+      entries: resources.map((resource, binding) => ({ binding, resource })),
+    });
+    this._groups.set(key, { resources, group });
+    return group;
+  }
+
+  /**
+   * Encode all passes of a frame.
+   * @param {GPUCommandEncoder} encoder
+   */
+  encode(encoder) {
+    for (const [row, offset, size] of this.plan.clears) {
+      encoder.clearBuffer(this._buffer(row), offset, size ?? undefined);
+    }
+    for (const { label, steps } of this._passes) {
+      const pass = encoder.beginComputePass({ label });
+      for (const { pipeline, groups, counts, indirect } of steps) {
+        pass.setPipeline(pipeline);
+        groups.forEach((group, index) => pass.setBindGroup(index, group));
+        if (indirect) pass.dispatchWorkgroupsIndirect(indirect[0], indirect[1]);
+        else pass.dispatchWorkgroups(...counts);
+      }
+      pass.end();
+    }
+  }
+
+  /** @param {string} output @returns {GPUBuffer} */
+  image(output) {
+    return this._buffer(this.plan.images[output]);
+  }
+
+  /** @param {string} name @returns {GPUBuffer} */
+  input(name) {
+    return this._buffer(this.plan.inputs[name]);
+  }
+
+  /** Release all buffers. */
+  destroy() {
+    for (const buffer of this._buffers.values()) buffer.destroy();
+    this._buffers.clear();
+    this._groups.clear();
+  }
+}

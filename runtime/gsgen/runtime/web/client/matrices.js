@@ -1,0 +1,119 @@
+/** Small matrices in float64: 4×4 and 3×3 arrays, row by row, that act on column vectors. */
+
+/** @typedef {number[]} Matrix */
+
+/** @param {Matrix} a @param {number[]} x */
+export function times(a, x) {
+  return [0, 1, 2].map((i) => a[3 * i] * x[0] + a[3 * i + 1] * x[1] + a[3 * i + 2] * x[2]);
+}
+
+/** Return the product of two 3×3 matrices. @param {Matrix} a @param {Matrix} b @returns {Matrix} */
+export function product(a, b) {
+  const result = [];
+  for (let i = 0; i < 3; i++) {
+    for (let j = 0; j < 3; j++) {
+      result.push(a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]);
+    }
+  }
+  return result;
+}
+
+/** @param {Matrix} a @returns {Matrix} */
+export function transposed(a) {
+  return [a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]];
+}
+
+/** Return the upper left 3×3 part of a 4×4 matrix. @param {Matrix} m @returns {Matrix} */
+export function linearPart(m) {
+  return [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
+}
+
+/**
+ * Solve a x = b by elimination with row pivots.
+ * @param {Matrix} a 3×3
+ * @param {number[]} b
+ */
+export function solve(a, b) {
+  const rows = [0, 1, 2].map((i) => [a[3 * i], a[3 * i + 1], a[3 * i + 2], b[i]]);
+  for (let k = 0; k < 3; k++) {
+    let pivot = k;
+    for (let i = k + 1; i < 3; i++) if (Math.abs(rows[i][k]) > Math.abs(rows[pivot][k])) pivot = i;
+    [rows[k], rows[pivot]] = [rows[pivot], rows[k]];
+    for (let i = k + 1; i < 3; i++) {
+      const factor = rows[i][k] / rows[k][k];
+      for (let j = k; j < 4; j++) rows[i][j] -= factor * rows[k][j];
+    }
+  }
+  const x = [0, 0, 0];
+  for (let i = 2; i >= 0; i--) {
+    let rest = rows[i][3];
+    for (let j = i + 1; j < 3; j++) rest -= rows[i][j] * x[j];
+    x[i] = rest / rows[i][i];
+  }
+  return x;
+}
+
+/**
+ * Return the stretch of a 3×3 matrix A = Q S (polar decomposition), over its largest eigenvalue.
+ *
+ * S² = AᵀA; its eigenvectors are found by Jacobi rotations.
+ * @param {Matrix} a
+ * @returns {Matrix}
+ */
+export function relativeStretch(a) {
+  const square = product(transposed(a), a);
+  let vectors = [1, 0, 0, 0, 1, 0, 0, 0, 1];
+  for (let sweep = 0; sweep < 30; sweep++) {
+    for (const [p, q] of [[0, 1], [0, 2], [1, 2]]) {
+      const off = square[3 * p + q];
+      if (off === 0) continue;
+      const theta = (square[4 * q] - square[4 * p]) / (2 * off);
+      const t = (theta < 0 ? -1 : 1) / (Math.abs(theta) + Math.hypot(theta, 1));
+      const c = 1 / Math.hypot(t, 1);
+      const turn = [1, 0, 0, 0, 1, 0, 0, 0, 1];
+      turn[4 * p] = turn[4 * q] = c;
+      turn[3 * p + q] = t * c;
+      turn[3 * q + p] = -t * c;
+      square.splice(0, 9, ...product(product(transposed(turn), square), turn));
+      square[3 * p + q] = square[3 * q + p] = 0;
+      vectors = product(vectors, turn);
+    }
+  }
+  const lengths = [0, 4, 8].map((i) => Math.sqrt(Math.max(square[i], 0)));
+  const largest = Math.max(...lengths);
+  const [x, y, z] = lengths.map((length) => length / largest);
+  return product(product(vectors, [x, 0, 0, 0, y, 0, 0, 0, z]), transposed(vectors));
+}
+
+/** @param {number[]} a @param {number[]} b */
+export function dot(a, b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/** @param {number[]} a @param {number[]} b */
+export function cross(a, b) {
+  return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+}
+
+/** @param {number[]} a */
+export function normalized(a) {
+  const length = Math.hypot(a[0], a[1], a[2]);
+  return [a[0] / length, a[1] / length, a[2] / length];
+}
+
+/** Return a + s b. @param {number[]} a @param {number} s @param {number[]} b */
+export function plus(a, s, b) {
+  return [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
+}
+
+/** Return the rotation about a unit axis (Rodrigues' formula). @returns {Matrix} */
+export function rotation([x, y, z], angle) {
+  const [c, s, d] = [Math.cos(angle), Math.sin(angle), 1 - Math.cos(angle)];
+  return [
+    c + d * x * x, d * x * y - s * z, d * x * z + s * y,
+    d * y * x + s * z, c + d * y * y, d * y * z - s * x,
+    d * z * x - s * y, d * z * y + s * x, c + d * z * z,
+  ];
+}
+
+export const IDENTITY = Object.freeze([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);

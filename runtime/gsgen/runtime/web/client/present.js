@@ -1,0 +1,97 @@
+/** Shows an image in GPU memory on a canvas. */
+
+import { showingUniform } from "./uniforms.js";
+
+/** @type {WeakMap<GPUDevice, Promise<GPURenderPipeline>>} */
+const pipelines = new WeakMap();
+
+/**
+ * @param {import("./host.js").KernelCache} kernels
+ * @param {GPUTextureFormat} format The format that the browser prefers: one for all canvases.
+ */
+function pipelineOf(kernels, format) {
+  const { device, plans } = kernels;
+  let pipeline = pipelines.get(device);
+  if (!pipeline) {
+    const { vertex, fragment } = plans.present;
+    const module = kernels.module(plans.present.module);
+    pipeline = device.createRenderPipelineAsync({
+      label: "present",
+      layout: "auto",
+      vertex: { module, entryPoint: vertex },
+      fragment: { module, entryPoint: fragment, targets: [{ format }] },
+      primitive: { topology: "triangle-list" },
+    });
+    pipelines.set(device, pipeline);
+  }
+  return pipeline;
+}
+
+/** Shows images on one canvas. */
+export class Presenter {
+  /**
+   * @param {import("./host.js").KernelCache} kernels
+   * @param {HTMLCanvasElement} canvas
+   */
+  constructor(kernels, canvas) {
+    this.device = kernels.device;
+    this.plans = kernels.plans;
+    this._kernels = kernels;
+    this._format = navigator.gpu.getPreferredCanvasFormat();
+    this._context = /** @type {GPUCanvasContext} */ (canvas.getContext("webgpu"));
+    const { device } = this;
+    this._context.configure({ device, format: this._format, alphaMode: "opaque" });
+    this._canvas = canvas;
+    this._uniform = device.createBuffer({
+      label: "showing",
+      size: this.plans.uniforms.showing.size,
+      usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST,
+    });
+    /** @type {{image: GPUBuffer, group: GPUBindGroup} | null} */
+    this._bound = null;
+  }
+
+  /** Compile the pipeline. */
+  async prepare() {
+    this._pipeline = await pipelineOf(this._kernels, this._format);
+  }
+
+  /**
+   * @param {GPUBuffer} image
+   * @param {import("./camera.js").Camera} camera The camera that drew the image.
+   * @param {{mode?: string, depths?: [number, number], isLinear?: boolean}} [look]
+   */
+  show(image, camera, { mode = "color", depths = [0, 1], isLinear = false } = {}) {
+    const { device, plans, _canvas: canvas } = this;
+    const number = plans.present.modes[mode === "color" ? mode : `MODE_${mode.toUpperCase()}`];
+    const look = { mode: number, depths, isLinear };
+    const bytes = showingUniform(plans, camera, [canvas.width, canvas.height], look);
+    device.queue.writeBuffer(this._uniform, 0, bytes);
+    if (this._bound?.image !== image) {
+      const entries = [this._uniform, image].map((buffer, binding) => ({
+        binding,
+        resource: { buffer },
+      }));
+      const layout = this._pipeline.getBindGroupLayout(0);
+      this._bound = { image, group: device.createBindGroup({ label: "present", layout, entries }) };
+    }
+    const encoder = device.createCommandEncoder({ label: "present" });
+    const view = this._context.getCurrentTexture().createView();
+    const pass = encoder.beginRenderPass({
+      label: "present",
+      colorAttachments: [{ view, loadOp: "clear", storeOp: "store", clearValue: [0, 0, 0, 1] }],
+    });
+    pass.setPipeline(this._pipeline);
+    pass.setBindGroup(0, this._bound.group);
+    pass.draw(3);
+    pass.end();
+    device.queue.submit([encoder.finish()]);
+  }
+
+  /** Release the canvas and the buffers. */
+  destroy() {
+    this._context.unconfigure();
+    this._uniform.destroy();
+    this._bound = null;
+  }
+}

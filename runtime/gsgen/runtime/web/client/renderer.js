@@ -1,0 +1,197 @@
+/** Draws sets of Gaussians from a camera into an image in GPU memory. */
+
+import { GsgenError } from "./errors.js";
+import { PlanHost } from "./host.js";
+import { frameUniform, pageUniforms } from "./uniforms.js";
+
+const READERS = 2; // copies of the counts that may be in flight
+
+/**
+ * A set of Gaussians in a scene.
+ * @typedef {object} PlacedSet
+ * @property {any} buffers Pages, capacity, count and degree (splat_buffers.js, generator.js).
+ * @property {number[]} transform
+ * @property {number} [opacityScale]
+ * @property {number | null} [degree] SH degree to draw; that of the Gaussians if absent.
+ * @property {"classic" | "mip"} [antialias]
+ * @property {{low: number[], high: number[]} | null} [clip]
+ */
+
+/** Draws one scene; several renderers may share the kernels of a device. */
+export class Renderer {
+  /**
+   * @param {import("./host.js").KernelCache} kernels
+   * @param {{onStale?: () => void}} [callbacks] `onStale`: the last frame has to be drawn again.
+   */
+  constructor(kernels, { onStale = () => {} } = {}) {
+    this.device = kernels.device;
+    this.plans = kernels.plans;
+    this.host = new PlanHost(kernels);
+    this._onStale = onStale;
+    /** @type {PlacedSet[]} */
+    this._sets = [];
+    this._pairs = this.plans.pairs.first;
+    this._deep = false;
+    this._key = "";
+    this._version = 0;
+    /** @type {{buffer: GPUBuffer, busy: boolean, done: Promise<void>}[]} */
+    this._readers = [];
+    /** @type {Record<string, number>} Counts of the last frame that was read. */
+    this.counts = {};
+  }
+
+  /** @param {PlacedSet[]} sets */
+  setScene(sets) {
+    this._sets = sets;
+    this._deep = false;
+    this._version += 1;
+  }
+
+  /**
+   * Draw a frame; the promise resolves when it is submitted, not when it is drawn.
+   * @param {import("./camera.js").Camera} camera
+   * @param {{outputs?: string[], background?: readonly number[]}} [options]
+   */
+  async draw(camera, { outputs = ["color"], background = [0, 0, 0] } = {}) {
+    await this._configure(camera, outputs);
+    const { device, host, plans } = this;
+    const placed = this._placed();
+    const { queue } = device;
+    queue.writeBuffer(host.input("frame"), 0, frameUniform(plans, camera, background));
+    queue.writeBuffer(host.input("bare frame"), 0, frameUniform(plans, camera, [0, 0, 0]));
+    if (placed.length) {
+      queue.writeBuffer(host.input("pages"), 0, pageUniforms(plans, placed, camera));
+    }
+    const encoder = device.createCommandEncoder({ label: "frame" });
+    placed.forEach(({ liveCount }, slot) => {
+      if (!liveCount) return;
+      const { size, fields } = plans.uniforms.page;
+      const offset = slot * size + fields.count[2];
+      encoder.copyBufferToBuffer(liveCount, 0, host.input("pages"), offset, 4);
+    });
+    host.encode(encoder);
+    const reader = this._freeReader();
+    if (reader) {
+      encoder.copyBufferToBuffer(host.input("counts"), 0, reader.buffer, 0, plans.counts.BYTES);
+    }
+    queue.submit([encoder.finish()]);
+    if (reader) this._read(reader);
+  }
+
+  /** Draw until nothing that a frame found too small remains. @returns {Promise<void>} */
+  async drawWhole(camera, options = {}) {
+    for (let attempt = 0; attempt < 8; attempt++) {
+      const before = [this._pairs, this._deep].join();
+      await Promise.all(this._readers.map((reader) => reader.done));
+      await this.draw(camera, options);
+      await Promise.all(this._readers.map((reader) => reader.done));
+      if (before === [this._pairs, this._deep].join()) return;
+    }
+  }
+
+  async _configure(camera, outputs) {
+    const { width, height } = camera;
+    const panorama = camera.kind === "panorama";
+    const [deep, pairs] = [this._deep, this._pairs];
+    const key = JSON.stringify([outputs, panorama, deep, width, height, pairs, this._version]);
+    if (key === this._key) return;
+    this._key = "";
+    const pages = this._sets.flatMap((set) => set.buffers.pages);
+    await this.host.configure({ outputs, panorama, deep, width, height, pairs, pages });
+    this._key = key;
+  }
+
+  _placed() {
+    let base = 0;
+    return this._sets.flatMap(({ buffers, ...own }) => {
+      const set = { degree: buffers.degree, antialias: buffers.antialias, ...own };
+      let first = 0;
+      return buffers.pages.map(({ capacity }) => {
+        const count = Math.min(Math.max(buffers.count - first, 0), capacity);
+        const page = { set, base, capacity, count, liveCount: buffers.liveCount };
+        base += capacity;
+        first += capacity;
+        return page;
+      });
+    });
+  }
+
+  _freeReader() {
+    const free = this._readers.find((reader) => !reader.busy);
+    if (free || this._readers.length === READERS) return free;
+    const usage = GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST;
+    const buffer = this.device.createBuffer({
+      label: "read counts",
+      size: this.plans.counts.BYTES,
+      usage,
+    });
+    const reader = { buffer, busy: false, done: Promise.resolve() };
+    this._readers.push(reader);
+    return reader;
+  }
+
+  /** Read the counts of a frame some time later, and grow what was too small for it. */
+  _read(reader) {
+    const pairs = this._pairs;
+    reader.busy = true;
+    reader.done = reader.buffer
+      .mapAsync(GPUMapMode.READ)
+      .then(() => {
+        const words = new Uint32Array(reader.buffer.getMappedRange().slice(0));
+        reader.buffer.unmap();
+        this._judge(words, pairs);
+      })
+      .catch((error) => {
+        // A lost device, or a renderer that was destroyed, reads nothing.
+        if (!(error instanceof DOMException)) throw error;
+      })
+      .finally(() => {
+        reader.busy = false;
+      });
+  }
+
+  _judge(words, pairs) {
+    const { plans } = this;
+    const count = (name) => words[plans.counts[name]];
+    this.counts = { visible: count("VISIBLE"), pairs: count("WANTED_PAIRS") };
+    const { room, most } = plans.pairs;
+    if (count("WANTED_PAIRS") > pairs && pairs < most) {
+      this._pairs = Math.max(this._pairs, Math.min(Math.floor(count("WANTED_PAIRS") * room), most));
+      this._onStale();
+    }
+    if (count("UNSORTED") && !this._deep) {
+      this._deep = true;
+      this._onStale();
+    }
+  }
+
+  /**
+   * Read an image back: four numbers per pixel, row by row.
+   * @param {string} output
+   * @returns {Promise<Float32Array>}
+   */
+  async readImage(output) {
+    const image = this.host.image(output);
+    const usage = GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST;
+    const copy = this.device.createBuffer({ label: "read image", size: image.size, usage });
+    const encoder = this.device.createCommandEncoder();
+    encoder.copyBufferToBuffer(image, 0, copy, 0, image.size);
+    this.device.queue.submit([encoder.finish()]);
+    try {
+      await copy.mapAsync(GPUMapMode.READ);
+      return new Float32Array(copy.getMappedRange().slice(0));
+    } catch (error) {
+      throw new GsgenError(`cannot be read: ${error.message}`, { where: `image ${output}` });
+    } finally {
+      copy.destroy();
+    }
+  }
+
+  /** Release all buffers but those of the sets. */
+  destroy() {
+    this.host.destroy();
+    for (const { buffer } of this._readers) buffer.destroy();
+    this._readers = [];
+    this._key = "";
+  }
+}

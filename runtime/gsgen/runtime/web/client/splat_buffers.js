@@ -1,0 +1,114 @@
+/** Gaussians in GPU memory: pages of rows and appearance, as frame plans bind them. */
+
+import { GsgenError } from "./errors.js";
+
+/**
+ * Gaussians in the contract's packed rows.
+ * @typedef {object} Splats
+ * @property {Float32Array} rows x y z opacity xx xy xz yy yz zz, ten numbers each.
+ * @property {Float32Array | Uint16Array} appearance SH or RGB; float16 as the bits of each number.
+ * @property {number} channels Numbers of appearance per Gaussian.
+ * @property {"sh" | "rgb"} space
+ * @property {number} count Number of live rows, which are the first.
+ * @property {"classic" | "mip"} [antialias]
+ * @property {"srgb" | "linear"} [colorSpace]
+ */
+
+const ROW_BYTES = 40;
+const USAGE = () => GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
+
+/** Return the SH degree of an appearance; null for RGB. */
+export function degreeOf(channels, space) {
+  return space === "rgb" ? null : Math.sqrt(channels / 3) - 1;
+}
+
+/**
+ * Return how the appearance of `channels` numbers is stored.
+ * @param {import("./plan.js").PlanDocument} plans
+ * @param {number} channels
+ * @param {"float16" | "float32"} dtype
+ * @returns {{kind: string, bytes: number}}
+ */
+export function appearanceKind(plans, channels, dtype) {
+  const found = plans.appearances.find(
+    (entry) => entry.dtype === dtype && entry.channels >= channels,
+  );
+  if (!found) {
+    throw new GsgenError(`has ${channels} channels; at most 48 can be drawn`, {
+      where: "appearance",
+      hint: "Drop harmonics above degree 3.",
+    });
+  }
+  return found;
+}
+
+/**
+ * Cut rows in GPU buffers into pages.
+ * @param {import("./plan.js").PlanDocument} plans
+ * @param {{kind: string, bytes: number}} storage
+ * @param {GPUBuffer} rows
+ * @param {GPUBuffer} appearance
+ * @param {number} capacity Number of rows.
+ * @returns {import("./host.js").Page[]}
+ */
+export function pagesOf(plans, storage, rows, appearance, capacity) {
+  const pages = [];
+  for (let first = 0; first < capacity; first += plans.constants.PAGE_ROWS) {
+    pages.push({
+      kind: storage.kind,
+      capacity: Math.min(plans.constants.PAGE_ROWS, capacity - first),
+      rows,
+      rowsOffset: first * ROW_BYTES,
+      appearance,
+      appearanceOffset: first * storage.bytes,
+    });
+  }
+  return pages;
+}
+
+/** Gaussians of a file in GPU memory. */
+export class SplatBuffers {
+  /**
+   * @param {GPUDevice} device
+   * @param {import("./plan.js").PlanDocument} plans
+   * @param {Splats} splats
+   */
+  constructor(device, plans, splats) {
+    const { rows, appearance, channels, space, count } = splats;
+    const isHalf = appearance instanceof Uint16Array;
+    const storage = appearanceKind(plans, channels, isHalf ? "float16" : "float32");
+    this.count = count;
+    this.capacity = rows.length / 10;
+    this.degree = degreeOf(channels, space);
+    this.antialias = splats.antialias ?? "classic";
+    this.isLinear = splats.colorSpace === "linear";
+    /** @type {GPUBuffer | null} Number of live rows, where only the GPU knows it. */
+    this.liveCount = null;
+    const size = (bytes) => Math.max(16, Math.ceil(bytes / 16) * 16);
+    const [rowBytes, bytes] = [ROW_BYTES, storage.bytes].map((each) => size(each * this.capacity));
+    this._rows = device.createBuffer({ label: "rows", size: rowBytes, usage: USAGE() });
+    this._appearance = device.createBuffer({ label: "appearance", size: bytes, usage: USAGE() });
+    device.queue.writeBuffer(this._rows, 0, rows.buffer, rows.byteOffset, rows.byteLength);
+    const padded = paddedRows(appearance, channels, storage.bytes / appearance.BYTES_PER_ELEMENT);
+    device.queue.writeBuffer(this._appearance, 0, padded.buffer, padded.byteOffset, padded.byteLength);
+    this.pages = pagesOf(plans, storage, this._rows, this._appearance, this.capacity);
+  }
+
+  /** Release the buffers. */
+  destroy() {
+    this._rows.destroy();
+    this._appearance.destroy();
+  }
+}
+
+/** Return rows of numbers, each filled up with zeros to a length. */
+function paddedRows(numbers, channels, length) {
+  if (channels === length) return numbers;
+  const count = numbers.length / channels;
+  const Numbers = /** @type {any} */ (numbers.constructor);
+  const padded = new Numbers(count * length);
+  for (let row = 0; row < count; row++) {
+    padded.set(numbers.subarray(row * channels, (row + 1) * channels), row * length);
+  }
+  return padded;
+}

@@ -1,0 +1,137 @@
+/**
+ * The uniforms of a frame and of its pages, computed in float64 as Python computes them.
+ *
+ * Offsets and types of the fields come from the plans' document.
+ */
+
+import { eyeOf, periodOf } from "./camera.js";
+import { linearPart, product, relativeStretch, solve, times, transposed } from "./matrices.js";
+
+const INFINITE_BOX = { low: [-Infinity, -Infinity, -Infinity], high: [Infinity, Infinity, Infinity] };
+
+/**
+ * A set of Gaussians as it is drawn.
+ * @typedef {object} SplatSet
+ * @property {number[]} transform Local → world, 4×4 row by row.
+ * @property {number | null} degree SH degree to draw; null for RGB.
+ * @property {number} [opacityScale]
+ * @property {"classic" | "mip"} [antialias]
+ * @property {{low: number[], high: number[]} | null} [clip]
+ */
+/** @typedef {{set: SplatSet, base: number, capacity: number, count: number}} PlacedPage */
+
+/** Writes fields of a uniform by their name. */
+class UniformWriter {
+  constructor(structure, count = 1) {
+    this.bytes = new ArrayBuffer(structure.size * count);
+    this._view = new DataView(this.bytes);
+    this._structure = structure;
+  }
+
+  /** @param {string} name @param {number | readonly number[]} values @param {number} [index] */
+  set(name, values, index = 0) {
+    const [type, , offset] = this._structure.fields[name];
+    const first = index * this._structure.size + offset;
+    const list = typeof values === "number" ? [values] : values;
+    list.forEach((value, i) => {
+      if (type === "f4") this._view.setFloat32(first + 4 * i, value, true);
+      else this._view.setUint32(first + 4 * i, value, true);
+    });
+  }
+}
+
+/**
+ * Return the bytes of the uniform `Frame`.
+ * @param {import("./plan.js").PlanDocument} plans
+ * @param {import("./camera.js").Camera} camera
+ * @param {readonly number[]} background Red, green, blue, multiplied by alpha.
+ */
+export function frameUniform(plans, camera, background) {
+  const { TILE, JACOBIAN_MARGIN } = plans.constants;
+  const uniform = new UniformWriter(plans.uniforms.frame);
+  const focal = [camera.fx, camera.fy];
+  const center = [camera.cx, camera.cy];
+  const size = [camera.width, camera.height];
+  const both = (formula) => [0, 1].map(formula);
+  const margin = both((i) => (JACOBIAN_MARGIN * size[i]) / 2);
+  const origin = both((i) => Math.min(Math.max(Math.floor(center[i]), 0), size[i]));
+  uniform.set("focal", focal);
+  uniform.set("center", both((i) => center[i] - origin[i]));
+  uniform.set("origin", origin);
+  uniform.set("slope_low", both((i) => -(center[i] + margin[i]) / focal[i]));
+  uniform.set("slope_high", both((i) => (size[i] - center[i] + margin[i]) / focal[i]));
+  uniform.set("near", camera.near);
+  uniform.set("size", size);
+  uniform.set("tiles", both((i) => Math.ceil(size[i] / TILE)));
+  uniform.set("period", periodOf(camera));
+  uniform.set("background", background.slice(0, 3));
+  return uniform.bytes;
+}
+
+/** Return the nine numbers of a 3×3 matrix as the columns of a WGSL matrix. */
+function columns(matrix) {
+  const m = transposed(matrix);
+  return [m[0], m[1], m[2], 0, m[3], m[4], m[5], 0, m[6], m[7], m[8], 0];
+}
+
+const rest = (numbers) => numbers.map((number) => number - Math.fround(number));
+
+/**
+ * Return the bytes of the uniforms `Page` of all pages.
+ * @param {import("./plan.js").PlanDocument} plans
+ * @param {PlacedPage[]} pages
+ * @param {import("./camera.js").Camera} camera
+ */
+export function pageUniforms(plans, pages, camera) {
+  const uniform = new UniformWriter(plans.uniforms.page, pages.length);
+  const turn = linearPart(camera.view);
+  const worldEye = eyeOf(camera);
+  pages.forEach(({ set, base, capacity, count }, index) => {
+    const write = (name, values) => uniform.set(name, values, index);
+    const { transform } = set;
+    const linear = linearPart(transform);
+    const turned = product(turn, linear);
+    const eye = solve(linear, worldEye.map((x, i) => x - transform[4 * i + 3]));
+    const eyeRest = rest(eye);
+    const eyeAt = times(turned, eyeRest).map((x) => -x);
+    const { low, high } = set.clip ?? INFINITE_BOX;
+    write("linear", columns(turned));
+    write("linear_rest", rest(columns(turned)));
+    write("local_to_sh", columns(relativeStretch(linear)));
+    write("eye", eye);
+    write("eye_rest", eyeRest);
+    write("eye_at", eyeAt);
+    write("eye_at_rest", rest(eyeAt));
+    if (camera.kind === "orthographic") write("forward", solve(linear, turn.slice(6)));
+    write("clip_low", low);
+    write("clip_high", high);
+    write("opacity_scale", set.opacityScale ?? 1);
+    write("mip", Number(set.antialias === "mip"));
+    write("degree", set.degree ?? plans.constants.NO_HARMONICS);
+    write("base", base);
+    write("capacity", capacity);
+    write("count", count);
+  });
+  return uniform.bytes;
+}
+
+/**
+ * Return the bytes of the uniform that shows an image on a canvas.
+ * @param {import("./plan.js").PlanDocument} plans
+ * @param {import("./camera.js").Camera} camera
+ * @param {[number, number]} surface Width and height of the canvas, in pixels.
+ * @param {{mode: number, depths: [number, number], isLinear: boolean}} look
+ */
+export function showingUniform(plans, camera, surface, look) {
+  const uniform = new UniformWriter(plans.uniforms.showing);
+  const [a, b, c, d, e, f, g, h, i] = linearPart(camera.view);
+  uniform.set("turn", [a, b, c, 0, d, e, f, 0, g, h, i, 0]); // rows of world → camera
+  uniform.set("size", [camera.width, camera.height]);
+  uniform.set("scale", [camera.width / surface[0], camera.height / surface[1]]);
+  uniform.set("row", camera.width);
+  uniform.set("mode", look.mode);
+  uniform.set("near", look.depths[0]);
+  uniform.set("far", look.depths[1]);
+  uniform.set("is_linear", Number(look.isLinear));
+  return uniform.bytes;
+}

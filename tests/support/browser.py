@@ -1,0 +1,93 @@
+"""Debian's chromium, headless, for tests that run a page."""
+
+import os
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+INSTALL = "as root: apt-get update && apt-get install -y chromium"
+
+GPU_FLAGS = (
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--enable-unsafe-webgpu",
+    "--enable-features=Vulkan,WebGPU",
+    "--use-webgpu-adapter=swiftshader",
+    "--use-angle=swiftshader",
+    "--use-vulkan=swiftshader",
+    "--ignore-gpu-blocklist",
+)
+"""WebGPU on SwiftShader, which Debian's chromium brings."""
+
+
+def require_chromium() -> str:
+    """Return the path of chromium; without it fail the test in CI, and skip it elsewhere."""
+    path = which("chromium")
+    missing = [] if path else [f"chromium on the PATH ({INSTALL})"]
+    missing += [] if find_spec("playwright") else ["playwright (pip install playwright)"]
+    if path is None or missing:
+        message = f"missing: {' and '.join(missing)}"
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+    return path
+
+
+class Handler(SimpleHTTPRequestHandler):
+    """Serves folders by the first part of the path, and bytes by their whole path."""
+
+    def __init__(
+        self,
+        *words: object,
+        folders: Mapping[str, Path],
+        contents: Mapping[str, bytes],
+        requests: list[str],
+    ) -> None:
+        self._folders, self._contents, self._requests = folders, contents, requests
+        super().__init__(*words)  # type: ignore[arg-type]
+
+    def translate_path(self, path: str) -> str:
+        first, _, rest = unquote(urlsplit(path).path).lstrip("/").partition("/")
+        return str(self._folders.get(first, Path("/nowhere")) / rest)
+
+    def do_GET(self) -> None:
+        path = unquote(urlsplit(self.path).path)
+        self._requests.append(path)
+        if path not in self._contents:
+            super().do_GET()
+            return
+        body = self._contents[path]
+        self.send_response(200)
+        self.send_header("Content-Type", self.guess_type(path))
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *words: object) -> None:
+        pass
+
+
+@contextmanager
+def serving(
+    folders: Mapping[str, Path], contents: Mapping[str, bytes], requests: list[str] | None = None
+) -> Iterator[str]:
+    """Serve folders and bytes on a free port, and yield the address."""
+    handler = partial(
+        Handler, folders=folders, contents=contents, requests=[] if requests is None else requests
+    )
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}"
+        finally:
+            server.shutdown()
+            thread.join()

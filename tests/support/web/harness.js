@@ -1,0 +1,108 @@
+// What tests call in a page: functions of plain values; arrays are base64.
+
+import { lookAt } from "/client/camera.js";
+import { openDevice } from "/client/device.js";
+import { KernelCache } from "/client/host.js";
+import { choosePlan, evaluate, loadPlans } from "/client/plan.js";
+import { Renderer } from "/client/renderer.js";
+import { readSplats } from "/client/splat_files.js";
+import { SplatBuffers } from "/client/splat_buffers.js";
+import * as uniforms from "/client/uniforms.js";
+
+export { lookAt };
+
+let opened = null;
+
+function opening() {
+  opened ??= (async () => {
+    const plans = await loadPlans("/client/plans.json");
+    const device = await openDevice();
+    const errors = [];
+    device.addEventListener("uncapturederror", (event) => errors.push(event.error.message));
+    return { plans, device, errors, kernels: new KernelCache(device, plans) };
+  })();
+  return opened;
+}
+
+export const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+
+export function textOf(array) {
+  const bytes = new Uint8Array(array.buffer ?? array);
+  let text = "";
+  for (let i = 0; i < bytes.length; i += 8192) {
+    text += String.fromCharCode(...bytes.subarray(i, i + 8192));
+  }
+  return btoa(text);
+}
+
+/** Compile every module, and return all messages of the compiler, by module. */
+export async function compile() {
+  const { plans, device } = await opening();
+  const messages = {};
+  for (const [row, { label, constants, text }] of plans.modules.entries()) {
+    const module = device.createShaderModule({ label, code: constants + plans.texts[text] });
+    const { messages: list } = await module.getCompilationInfo();
+    if (list.length) messages[`${label} ${row}`] = list.map((m) => `${m.type}: ${m.message}`);
+  }
+  return { messages, count: plans.modules.length };
+}
+
+/** Return values of formulas: [formula, sizes] each. */
+export function evaluateAll(cases) {
+  return cases.map(([formula, sizes]) => evaluate(formula, sizes));
+}
+
+/** Return the bytes of uniforms: [{camera, background, pages}] each. */
+export async function uniformsOf(cases) {
+  const plans = await loadPlans("/client/plans.json");
+  return cases.map(({ camera, background, pages }) => [
+    textOf(uniforms.frameUniform(plans, camera, background)),
+    textOf(uniforms.pageUniforms(plans, pages, camera)),
+  ]);
+}
+
+function splatsOf({ rows, appearance, half, ...rest }) {
+  const numbers = bytesOf(appearance).buffer;
+  return {
+    ...rest,
+    rows: new Float32Array(bytesOf(rows).buffer),
+    appearance: half ? new Uint16Array(numbers) : new Float32Array(numbers),
+  };
+}
+
+/** Draw sets from cameras, and return the images with the counts of each. */
+export async function draw({ sets, cameras, outputs, background, pairs }) {
+  const { plans, device, errors, kernels } = await opening();
+  const renderer = new Renderer(kernels);
+  if (pairs) renderer._pairs = pairs;
+  const placed = sets.map(({ splats, ...rest }) => {
+    return { buffers: new SplatBuffers(device, plans, splatsOf(splats)), ...rest };
+  });
+  renderer.setScene(placed);
+  const frames = [];
+  for (const camera of cameras) {
+    await renderer.drawWhole(camera, { outputs, background });
+    const images = {};
+    for (const output of outputs) images[output] = textOf(await renderer.readImage(output));
+    frames.push({ images, counts: renderer.counts, deep: renderer.host.plan.deep });
+  }
+  renderer.destroy();
+  for (const { buffers } of placed) buffers.destroy();
+  return { frames, errors: errors.splice(0) };
+}
+
+/** Return the first plan of a shape at given sizes. */
+export async function choose(shape, sizes) {
+  return choosePlan(await loadPlans("/client/plans.json"), shape, sizes);
+}
+
+/** Read a served splat file; an error is returned with its hint. */
+export async function splatFile(path) {
+  const data = await (await fetch(path)).arrayBuffer();
+  try {
+    const { rows, appearance, ...rest } = await readSplats(data, path);
+    return { ...rest, rows: textOf(rows), appearance: textOf(appearance) };
+  } catch (error) {
+    return { error: error.message, hint: error.hint };
+  }
+}

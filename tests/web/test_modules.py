@@ -1,0 +1,194 @@
+"""Single modules of the browser client, by vectors that Python computes."""
+
+import math
+import random
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.kernels.project.project import FRAME, PAGE, frame_uniform, page_uniforms
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Box, SplatSet
+from gsgen.runtime.web.formulas import evaluate
+from gsgen.runtime.web.plans import plans_document
+from support.rendering.splat_scenes import cloud, turned
+from support.web.pages import CLIENT, WebSite, unpacked
+from support.web.scenes import camera_of, set_of
+
+
+def test_every_shader_module_compiles_without_a_message(site: WebSite) -> None:
+    result = site.call("compile")
+    assert result["count"] > 20
+    unreachable = {"warning: code is unreachable"}
+    messages = {name: set(texts) - unreachable for name, texts in result["messages"].items()}
+    assert {name: texts for name, texts in messages.items() if texts} == {}
+
+
+def formulas_of(value: Any) -> list[Any]:
+    """Return all formulas within a JSON value: lists that start with an operator's name."""
+    if isinstance(value, dict):
+        return [formula for part in value.values() for formula in formulas_of(part)]
+    if not isinstance(value, list):
+        return []
+    inner = [formula for part in value for formula in formulas_of(part)]
+    is_formula = bool(value) and isinstance(value[0], str) and not isinstance(value[-1], str)
+    return [value, *inner] if is_formula and len(value) in (2, 3) else inner
+
+
+OPERATORS = {"add", "sub", "mul", "floor_div", "ceil_div", "mod", "neg", "abs", "bits", "le"}
+
+
+def test_formulas_have_the_values_of_python(site: WebSite) -> None:
+    """Every formula of the plans at random sizes, and every operator at random operands."""
+    rng = random.Random(0)
+    names = ("width", "height", "pairs", "gaussians", "pages", "capacity", "slot")
+    document = plans_document()
+    formulas = [
+        formula
+        for table in ("buffers", "binds", "steps", "plans")
+        for formula in formulas_of(document[table])
+        if formula[0] in OPERATORS
+    ]
+    unique = list({repr(formula): formula for formula in formulas}.values())
+    assert len(unique) > 30
+    cases = [
+        (formula, {name: rng.randint(0, 1 << 24) for name in names})
+        for formula in unique
+        for _ in range(5)
+    ]
+    binary = ("add", "sub", "mul", "floor_div", "ceil_div", "mod",
+              "lt", "le", "gt", "ge", "eq", "ne")  # fmt: skip
+    for name in binary:
+        pairs = [(rng.randint(-99, 99), rng.choice([-7, -1, 1, 2, 64])) for _ in range(40)]
+        cases += [([name, a, b], {}) for a, b in pairs]
+    for name in ("neg", "abs", "bits"):
+        cases += [([name, a], {}) for a in (0, 1, -5, 255, 256, (1 << 40) + 1)]
+    assert site.call("evaluateAll", cases) == [evaluate(*case) for case in cases]
+
+
+def random_camera(rng: random.Random, number: int) -> Camera:
+    width, height = rng.randint(1, 4000), rng.randint(1, 4000)
+    far = 10 ** rng.uniform(-1, 6)
+    eye = [far * rng.uniform(-1, 1) for _ in range(3)]
+    target = [x + rng.uniform(-3, 3) for x in eye]
+    camera = Camera.look_at(eye, target, up=(0.1, -1, 0.2), width=width, height=height,
+                            fov_y=rng.uniform(5, 150), near=10 ** rng.uniform(-3, 1))  # fmt: skip
+    if number % 3 == 1:
+        return camera.flattened(rng.uniform(0.5, 20))
+    return camera.all_around(width, height) if number % 3 == 2 else camera
+
+
+def random_set(rng: random.Random, number: int) -> SplatSet:
+    scale: Any = rng.uniform(0.1, 10)
+    if number % 4 == 3:
+        scale = [rng.choice([-1, 1]) * rng.uniform(0.3, 3) for _ in range(3)]
+    transform = turned(rng.uniform(-3, 3), (1, rng.uniform(-1, 1), rng.uniform(-1, 1)), scale)
+    transform[:3, 3] = [rng.uniform(-1, 1) * 10 ** rng.uniform(-1, 5) for _ in range(3)]
+    if number % 5 == 4:
+        transform[0, 1] += rng.uniform(-0.5, 0.5)
+    clip = Box((-1, -2, -3), (4, 5, 6)) if number % 2 else None
+    return SplatSet(
+        cloud(3, number, degree=(None, 0, 1, 2, 3)[number % 5]),
+        transform if number else np.eye(4),
+        opacity_scale=rng.uniform(0.1, 2),
+        antialias="mip" if number % 3 else "classic",
+        clip=clip,
+    )
+
+
+def test_uniforms_are_those_of_python(site: WebSite) -> None:
+    """Of 240 cameras with a set each: 1 ulp, or 1e-7 of the largest number of a matrix."""
+    rng = random.Random(1)
+    cases, expected = [], []
+    for number in range(240):
+        camera, splat_set = random_camera(rng, number), random_set(rng, number)
+        background = [rng.random() for _ in range(3)]
+        numbers = {"base": 7 * number, "capacity": 3, "count": number % 4}
+        page = {"set": set_of(splat_set), **numbers}
+        page["set"].pop("splats")
+        cases.append({"camera": camera_of(camera), "background": background, "pages": [page] * 2})
+        pages = [(splat_set, *numbers.values())] * 2
+        expected.append((frame_uniform(camera, np.array(background)), page_uniforms(pages, camera)))
+    for (frame, page), texts in zip(expected, site.call("uniformsOf", cases), strict=True):
+        same_fields(unpacked(texts[0], np.uint8).view(FRAME), frame.reshape(1), FRAME)
+        same_fields(unpacked(texts[1], np.uint8).view(PAGE), page, PAGE)
+
+
+_EXTENT_OF = {"linear_rest": "linear", "eye_rest": "eye", "eye_at": "eye", "eye_at_rest": "eye"}
+"""Rounding errors are as exact as the numbers that they belong to."""
+
+
+def same_fields(actual: np.ndarray, expected: np.ndarray, dtype: np.dtype[np.void]) -> None:
+    assert dtype.names is not None
+    for name in dtype.names:
+        field, other = actual[name], expected[name]
+        if field.dtype.kind == "u":
+            np.testing.assert_array_equal(field, other, err_msg=name)
+            continue
+        # float64 has 29 bits more than float32: rests of numbers agree to as many, less a few.
+        extent = np.abs(expected[_EXTENT_OF[name]]).max() * 1e-13 if name in _EXTENT_OF else 0.0
+        if name in ("local_to_sh", "linear", "forward") or name == "eye":
+            extent = 1e-7 * np.abs(other).max()
+        np.testing.assert_allclose(field, other, rtol=1.2e-7, atol=float(extent), err_msg=name)
+
+
+def test_no_kernel_is_written_in_javascript() -> None:
+    """Stages, kernels, buffers and workgroup sizes stand in plans.json alone."""
+    document = plans_document()
+    names = {stage for plan in document["plans"] for stage in plan["stages"]}
+    names |= {row["label"] for row in document["modules"]}
+    names |= {row["entry"] for row in document["pipelines"]}
+    names |= {re.sub(r" \d+$", "", row["label"]) for row in document["buffers"]}
+    # Words that name inputs and outputs of a plan, or of a page, rather than a kernel's own.
+    names -= {
+        "frame",
+        "pages",
+        "counts",
+        "color",
+        "depth",
+        "normal",
+        "present",
+        "count",
+        "scan",
+        "sort",
+    }
+    texts = {path.name: path.read_text("utf-8") for path in CLIENT.rglob("*.js")}
+    assert "host.js" in texts
+    for file, text in texts.items():
+        strings = set(re.findall(r'"([^"\n]*)"', text))
+        assert strings & names == set(), file
+        assert "@compute" not in text, file
+        assert "workgroup_size" not in text, file
+        assert not re.search(r"dispatchWorkgroups\(\s*\d", text), file
+
+
+def test_cameras_are_those_of_python(site: WebSite) -> None:
+    rng = random.Random(2)
+    for _ in range(20):
+        eye = [rng.uniform(-5, 5) for _ in range(3)]
+        target = [rng.uniform(-5, 5) for _ in range(3)]
+        lens: dict[str, Any] = {"width": rng.randint(1, 900), "height": rng.randint(1, 900)}
+        fov = rng.uniform(10, 120)
+        camera = Camera.look_at(eye, target, up=(0, 0, 1), fov_y=fov, near=0.1, **lens)
+        options = {"up": [0, 0, 1], "fovY": fov, "near": 0.1, **lens}
+        result = site.call("lookAt", eye, target, options)
+        expected = camera_of(camera)
+        assert result.keys() == expected.keys()
+        np.testing.assert_allclose(result.pop("view"), expected.pop("view"), atol=1e-12)
+        assert result.pop("kind") == expected.pop("kind")
+        for name, value in expected.items():
+            assert math.isclose(result[name], value, rel_tol=1e-12), name
+
+
+def test_a_camera_that_looks_along_up_is_the_same(site: WebSite) -> None:
+    camera = Camera.look_at((0, 3, 0), (0, 0, 0), width=8, height=6)
+    result = site.call("lookAt", [0, 3, 0], [0, 0, 0], {"width": 8, "height": 6})
+    np.testing.assert_allclose(result["view"], camera.view.ravel(), atol=1e-12)
+
+
+def test_a_plan_that_no_guard_allows_is_an_error(site: WebSite) -> None:
+    with pytest.raises(Exception, match="no frame plan draws color at 70000×70000"):
+        site.call("choose", {"outputs": ["color"], "panorama": False, "deep": False},
+                  {"width": 70_000, "height": 70_000})  # fmt: skip

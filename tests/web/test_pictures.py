@@ -1,0 +1,108 @@
+"""Pictures that chromium draws by the recorded plans, beside those that Python draws."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import Output
+from gsgen.runtime.scene.scene import Scene
+from support.rendering.near_ties import NEAR_TIES
+from support.rendering.splat_scenes import SCENES, cloud
+from support.web.pages import WebSite, unpacked
+from support.web.scenes import camera_of, set_of
+
+_TOLERANCE = 1e-5
+
+
+def drawn(site: WebSite, scene: Scene, camera: Camera, **options: Any) -> dict[str, Any]:
+    """Draw a scene in the page, and return its images by output."""
+    options = {"outputs": ["color"], "background": [0, 0, 0], **options}
+    result = site.call(
+        "draw",
+        {
+            "sets": [set_of(splat_set) for splat_set in scene.sets],
+            "cameras": [camera_of(camera)],
+            **options,
+        },
+    )
+    assert result["errors"] == []
+    [frame] = result["frames"]
+    shape = (camera.height, camera.width, 4)
+    images = {
+        name: unpacked(text, np.float32).reshape(shape) for name, text in frame["images"].items()
+    }
+    return images | {"visible": frame["counts"]["visible"], "deep": frame["deep"]}
+
+
+def expected(
+    renderer: Renderer, scene: Scene, camera: Camera, output: Output = "color", **options: Any
+) -> tuple[np.ndarray, int]:
+    """Return an image as the kernels leave it in Python's renderer, and the visible Gaussians."""
+    drawing = renderer.draw(scene, camera, output=output, **options)
+    count = camera.width * camera.height * 4
+    words = renderer.device.read(drawing.image, np.float32, count)
+    return words.reshape(camera.height, camera.width, 4), drawing.visible
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_looks_as_in_python(name: str, site: WebSite, renderer: Renderer) -> None:
+    scene, camera = SCENES[name]()
+    image, visible = expected(renderer, scene, camera, background=(0.1, 0.2, 0.3, 1))
+    result = drawn(site, scene, camera, background=[0.1, 0.2, 0.3])
+    assert result["visible"] == visible
+    np.testing.assert_allclose(result["color"], image, atol=_TOLERANCE, rtol=_TOLERANCE)
+
+
+@pytest.mark.parametrize("output", ["depth", "normal"])
+def test_other_outputs_are_those_of_python(
+    output: Output, site: WebSite, renderer: Renderer
+) -> None:
+    scene, camera = SCENES["seen_from_elsewhere"]()
+    image, _ = expected(renderer, scene, camera, output)
+    result = drawn(site, scene, camera, outputs=[output])[output]
+    if output == "depth":  # the third word of a pixel is an id: an integer, not a number
+        np.testing.assert_array_equal(result[..., 2].view(np.uint32), image[..., 2].view(np.uint32))
+        result, image = np.delete(result, 2, axis=2), np.delete(image, 2, axis=2)
+    # Normals come from eigenvalues by cosines, which SwiftShader rounds to some 1e-4.
+    tolerance = 2e-4 if output == "normal" else _TOLERANCE
+    np.testing.assert_allclose(result, image, atol=tolerance, rtol=tolerance)
+
+
+def test_colours_and_depths_are_drawn_together(site: WebSite, renderer: Renderer) -> None:
+    scene, camera = SCENES["many"]()
+    color, _ = expected(renderer, scene, camera)
+    depth, _ = expected(renderer, scene, camera, "depth")
+    result = drawn(site, scene, camera, outputs=["color", "depth"])
+    np.testing.assert_allclose(result["color"], color, atol=_TOLERANCE)
+    np.testing.assert_allclose(result["depth"][..., :2], depth[..., :2], atol=_TOLERANCE, rtol=1e-5)
+
+
+def test_a_frame_that_needs_more_pairs_is_drawn_again(site: WebSite, renderer: Renderer) -> None:
+    scene, camera = SCENES["huge"]()
+    image, _ = expected(renderer, scene, camera)
+    result = drawn(site, scene, camera, pairs=16)
+    np.testing.assert_allclose(result["color"], image, atol=_TOLERANCE)
+
+
+def test_long_ties_take_the_deep_sort(site: WebSite, renderer: Renderer) -> None:
+    """Depths that differ by less than their keys resolve are drawn in their order."""
+    scene, camera = NEAR_TIES["tilted_less"]()
+    image, _ = expected(renderer, scene, camera)
+    result = drawn(site, scene, camera)
+    assert result["deep"]
+    np.testing.assert_allclose(result["color"], image, atol=_TOLERANCE)
+
+
+@pytest.mark.parametrize("size", [(300, 200), (1030, 17)])
+def test_images_of_all_sizes_sort_their_tiles(
+    size: tuple[int, int], site: WebSite, renderer: Renderer
+) -> None:
+    """Sixteen tiles are sorted in one pass, 256 in two, more in three."""
+    scene = Scene([cloud(200, 3, degree=1)])
+    camera = SCENES["many"]()[1].scaled(*size)
+    image, _ = expected(renderer, scene, camera)
+    result = drawn(site, scene, camera)
+    np.testing.assert_allclose(result["color"], image, atol=_TOLERANCE)
