@@ -177,7 +177,9 @@ def test_a_third_party_s_tests_run_by_pytest_alone(acme: Acme) -> None:
     assert "acme/AC001 (Acme draws three.)" in known
     assert "PASSED check_acme.py::test_the_rule_s_example_breaks_it_and_no_other" in own.stdout
     assert "FAILED" not in own.stdout
-    strict = acme("pytest", "check_acme.py", "-W", "error::pytest.PytestAssertRewriteWarning", *quiet)
+    strict = acme(
+        "pytest", "check_acme.py", "-W", "error::pytest.PytestAssertRewriteWarning", *quiet
+    )
     assert strict.returncode == 0, strict.stderr
     model = acme("pytest", "--gsgen", "long.onnx", "--gsgen-target", "acme", *quiet)
     assert model.returncode == 1

@@ -24,7 +24,9 @@ def project(tmp_path: Path) -> Path:
         text = (tmp_path / name).read_text("utf-8")
         (tmp_path / name).write_text(text.replace("OWNER/gsgen", "acme/gsgen"), "utf-8")
     version = check_release.project_version(tmp_path)
-    change(tmp_path / "CHANGELOG.md", "## Unreleased", f"## Unreleased\n\n## {version} - 2026-12-01")
+    change(
+        tmp_path / "CHANGELOG.md", "## Unreleased", f"## Unreleased\n\n## {version} - 2026-12-01"
+    )
     git(tmp_path, "init", "-q")
     git(tmp_path, "add", "-A")
     git(tmp_path, "commit", "-qm", "Release")
