@@ -70,7 +70,7 @@ def view(
     rasteriser: options.RasteriserName = "auto",
     compact: options.Compact = False,
     post: options.Post = None,
-    size: options.Sizes = None,
+    size: options.ImageSizes = None,
     provider: options.Provider = "cpu",
     pictures: Pictures = Path(),
     streaming: StreamSettings = StreamSettings(),  # noqa: B008
@@ -88,6 +88,7 @@ def view(
     from gsgen.runtime.scene.colors import color_of
     from gsgen.runtime.viewer import surface_renderer, viewer, window
 
+    symbols, width, height = options.split_image_size(size, width, height)
     _require_display(scenes)
     files = list(read_scene_files(scenes).values())
     viewpoint = scene_viewpoint(
@@ -98,7 +99,7 @@ def view(
     option_color = None if background is None else color_of(background, "--background")
     color = first_setting([option_color, *(file.background for file in files)])
     with open_scenes(
-        scenes, post, provider=provider, size=size, streaming=replace(streaming, wait=0)
+        scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=0)
     ) as (sources, models):
         tracks, pose_fps = options.read_tracks(pose, inputs, sources)
         playback = LivePlayback(
