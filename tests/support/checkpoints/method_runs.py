@@ -12,6 +12,7 @@ from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplan
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
+from gsgen.reference_plugins.spacetime.rotor_checkpoint import read_rotor
 from gsgen.reference_plugins.spacetime.spacetime_checkpoint import read_spacetime
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
@@ -24,6 +25,7 @@ from gsgen.reference_plugins.synthetic import (
     write_lhm,
     write_octree,
     write_r3,
+    write_rotor,
     write_scaffold,
     write_spacetime,
 )
@@ -38,6 +40,7 @@ METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "duplex-gs": (lambda f: write_duplex(f, UNITED), read_cells),
     "hexplane-4dgs": (lambda f: write_hexplane(f, HexPlaneOptions(count=4)), read_hexplanes),
     "deformable-3dgs": (lambda f: write_deformable(f, count=4), read_deformation),
+    "rotor-4dgs": (lambda f: write_rotor(f, count=4), read_rotor),
     "spacetime-gaussians": (lambda f: write_spacetime(f, count=4, full=True), read_spacetime),
     "gauhuman": (lambda f: write_gauhuman(f, PERSON), read_gauhuman),
     "lhm": (lambda f: write_lhm(f, PERSON), read_lhm),

@@ -82,7 +82,9 @@ def _tensors(data: bytearray) -> dict[str, Tensor]:
 
 def _tensor(data: bytearray, start: int, name: str, entry: Any) -> Tensor:
     if entry["dtype"] not in _DTYPES:
-        message = f"{name} has the dtype {entry['dtype']}; expected one of {', '.join(_DTYPES)}"
+        message = (
+            f"tensor {name} has the dtype {entry['dtype']}; expected one of {', '.join(_DTYPES)}"
+        )
         raise ValueError(message)
     dtype, shape = _DTYPES[entry["dtype"]], [int(size) for size in entry["shape"]]
     begin, end = (int(offset) for offset in entry["data_offsets"])

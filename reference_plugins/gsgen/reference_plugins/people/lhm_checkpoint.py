@@ -71,7 +71,7 @@ class Face:
 
 
 def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
-    """Read an avatar of LHM from a file of its inference code.
+    """Read an LHM avatar from a file that LHM's inference code saved.
 
     ``folder`` holds the ``.pth`` and ``pretrained_models``, or is the ``.pth`` beside them. Without
     ``body``, the SMPL-X file is searched there.

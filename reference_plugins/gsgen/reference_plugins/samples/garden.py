@@ -32,7 +32,7 @@ _OPACITY = 3.5  # logit
 
 
 def garden(count: int = 60_000, *, seed: int = 0) -> Splats:
-    """Return a garden of about ``count`` splats, five metres around; y is down, as in captures."""
+    """Return a garden of about ``count`` splats, five metres around, with y down as in captures."""
     rng = np.random.default_rng(seed)
     unit = count / 60_000
     cloud = join([*_ground(unit, rng), *_table(unit, rng), *_plants(unit, rng)])
@@ -40,7 +40,7 @@ def garden(count: int = 60_000, *, seed: int = 0) -> Splats:
 
 
 def lit(cloud: Cloud, *, shadows: bool = True) -> Splats:
-    """Return splats of degree 0 in the light of the sun and the sky; y is turned down.
+    """Shade Gaussians by sun and sky, and convert them to splats of SH degree 0, with y down.
 
     ``shadows`` casts those of the garden's table and trees.
     """

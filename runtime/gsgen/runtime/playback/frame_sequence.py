@@ -97,7 +97,7 @@ class FrameSequence(Playback):
         return map(self.frame_request, range(self.frames))
 
     def draw(self, number: int) -> Frame:
-        """Draw frame ``number``, from 0."""
+        """Draw the frame ``number`` of the sequence, from 0."""
         self._last = self.player.render(self.frame_request(number))
         return self._last
 
@@ -140,7 +140,7 @@ class FrameSequence(Playback):
                 on_frame(number + 2)
 
     def _pictures(self, on_frame: Callable[[int], None]) -> Iterator[np.ndarray]:
-        """Yield each frame as an image of bytes; the first frame's depths scale all greys."""
+        """Yield each frame as an 8-bit image; the first frame's depths scale all grey images."""
         depths: tuple[float, float] | None = None
         for frame in self._drawn(on_frame):
             if depths is None and "depth" in self._mode:

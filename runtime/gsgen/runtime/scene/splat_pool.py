@@ -59,8 +59,10 @@ class SplatPool:
 
     def __init__(self, rows: int, channels: int, *, slot_rows: int = SLOT_ROWS) -> None:
         if rows < 1 or slot_rows < 64 or slot_rows % 64:
-            message = f"has {rows} rows in slots of {slot_rows}"
-            raise SceneInvalid(f"{message}, expected a multiple of 64 rows a slot", where="pool")
+            raise SceneInvalid(
+                f"has {rows} rows and {slot_rows} rows a slot, expected a multiple of 64 a slot",
+                where="pool",
+            )
         if channels not in layout.APPEARANCE_CHANNELS["sh"]:
             allowed = ", ".join(map(str, layout.APPEARANCE_CHANNELS["sh"]))
             raise SceneInvalid(
@@ -182,7 +184,7 @@ class SplatPool:
         for tile, slots in self._slots_of.items():
             if slot in slots and offset < self.live[slot]:
                 return tile, slots.index(slot) * self.slot_rows + offset
-        raise IndexError(f"no tile holds row {row} of the pool")
+        raise IndexError(f"no tile holds row {row} of the splat pool")
 
 
 @final

@@ -83,7 +83,7 @@ class TilesSource(Source):
             )
 
     def _take(self, frustum: Frustum) -> SessionFrame:
-        """Upload and evict tiles in the renderer's pool, as the streaming session decides."""
+        """Upload and evict tiles in the renderer's splat pool, as the streaming session decides."""
         frame = self._session.frame(frustum)
         for tile in frame.evicted:
             self._pool.evict(tile)
@@ -136,7 +136,7 @@ class TilesSource(Source):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return an empty set of Gaussians, since the tiles' Gaussians are in the pool."""
+        """Return an empty splat set, since the tiles' Gaussians are in the splat pool."""
         return SplatSet(self.data)
 
     def shape(self, name: str) -> tuple[int, ...]:

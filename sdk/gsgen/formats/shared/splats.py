@@ -1,4 +1,4 @@
-"""The classes of splats, points and packed rows that readers return and writers take."""
+"""The data classes of splats, points and packed rows that readers and writers share."""
 
 import math
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ SH_COUNTS = (1, 4, 9, 16, 25)
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Splats:
-    """Gaussians as 3DGS training stores them: before activation and normalisation.
+    """Gaussian splats as 3DGS training stores them: before activation and normalisation.
 
     Coordinates are those of a 3DGS PLY file (x right, y down, z forward). The parameters and
     their activations are those of Kerbl et al. 2023, "3D Gaussian Splatting for
@@ -56,7 +56,7 @@ class Splats:
         _require("sh", self.sh, ("float32",), (rows, "k", 3))
         if self.sh.shape[1] not in SH_COUNTS:
             raise ValueInvalid(
-                f"{self.sh.shape[1]} SH coefficients",
+                f"the splats have {self.sh.shape[1]} SH coefficients",
                 where="sh",
                 expected="1, 4, 9, 16 or 25 (degree 0 to 4)",
             )
@@ -116,7 +116,7 @@ class PointCloud:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedRows:
-    """One frame of a generator: the two packed tensors of the contract.
+    """One frame of a generator: packed Gaussians and their appearance.
 
     The validator checks the values, and that both data types agree.
 
@@ -143,10 +143,10 @@ class PackedRows:
 def _require(
     name: str, array: object, dtypes: tuple[str, ...], shape: tuple[int | str, ...]
 ) -> None:
-    """Raise ValueInvalid unless an array has the dtype and shape; letters stand for any size."""
+    """Raise ValueInvalid unless an array has the dtype and shape; letters in it match any size."""
     expected = f"{' or '.join(dtypes)} {_bracketed(shape)}"
     if not isinstance(array, np.ndarray):
-        raise ValueInvalid(f"a {type(array).__name__}", where=name, expected=expected)
+        raise ValueInvalid(f"the value is a {type(array).__name__}", where=name, expected=expected)
     sizes = zip(array.shape, shape, strict=False)
     fits = (
         array.ndim == len(shape)
@@ -154,7 +154,7 @@ def _require(
         and all(length == size or isinstance(size, str) for length, size in sizes)
     )
     if not fits:
-        actual = f"{array.dtype} {_bracketed(array.shape)}"
+        actual = f"the array is {array.dtype} {_bracketed(array.shape)}"
         raise ValueInvalid(actual, where=name, expected=expected)
 
 

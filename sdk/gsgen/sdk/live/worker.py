@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gsgen.contract.probing.sandbox_worker import Emit, keep_outputs, read_inputs, serve
+from gsgen.contract.probing.sandbox_worker import Emit, input_reader, keep_outputs, serve
 from gsgen.contract.process.limits import limit_memory
 from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.sdk.binding.bound_session import BoundSession
@@ -152,10 +152,11 @@ class _Frames:
         return True
 
     def _frames(self, phase: str) -> Iterator[dict[str, np.ndarray]]:
-        for index, names in enumerate(self.job["probes"]):
+        inputs_of = input_reader(self.folder, self.job)
+        for index in range(len(self.job["probes"])):
             self.index = index
             self.emit("begin", phase=phase, probe=index)
-            yield read_inputs(self.folder / f"probe_{self.index}.npz", names)
+            yield inputs_of(index)
 
     def _keep(self, phase: str, outputs: dict[str, np.ndarray]) -> None:
         sample = keep_outputs(self.folder, outputs, self.known, self.emit)
