@@ -110,7 +110,7 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
     assert finished.err == "gsgen: nowhere.ply: cannot be read: No such file or directory\n"
     finished = gsgen("render", find("drift").write(tmp_path), "-o", "a.png", "--time", "7")
     assert finished.code == 2
-    assert "drift.onnx, frame 0, input time: is 7, expected 0 … 1" in finished.err
+    assert "drift.onnx, frame 0, input time: the value is 7, expected 0 … 1" in finished.err
     assert "Traceback" not in finished.err
     assert not list(tmp_path.glob("a.*"))
 
@@ -139,7 +139,11 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
             "expected a gaussian-generator\n  Run post-process models on the drawn frames with `--post`",
         ),
         (("MODEL", "--size", "J=2"), 2, "--size: unknown open dimension 'J'"),
-        (("MODEL", "--size", "J"), 2, "--size: is 'J', expected SYMBOL=SIZE, such as J=24"),
+        (
+            ("MODEL", "--size", "J"),
+            2,
+            "--size: the value is 'J', expected SYMBOL=SIZE, such as J=24",
+        ),
         (("OPEN",), 2, "Give its size: `--size J=24`"),
         (("MODEL", "--input", "tme=1"), 2, "unknown input 'tme'\n  Did you mean 'time'?"),
         (("MODEL", "--input", "time"), 2, "--input: 'time' has no name or no value\n  Give"),
