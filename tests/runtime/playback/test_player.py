@@ -218,7 +218,7 @@ def test_errors_name_model_input_and_frame(drift: GeneratorPlayer, models: Path)
     assert [next(frames).visible for _ in range(2)] == [5, 5]
     with pytest.raises(InputInvalid) as raised:
         next(frames)
-    assert str(raised.value) == f"{name}, frame 2, input time: is 7, expected 0 … 1"
+    assert str(raised.value) == f"{name}, frame 2, input time: the value is 7, expected 0 … 1"
     with pytest.raises(UnknownName) as unknown:
         drift.render(CAMERA, pose=np.zeros((4, 3)))
     assert str(unknown.value).startswith(f"{name}, frame 3: unknown input 'pose'")
