@@ -404,3 +404,12 @@ def test_both_forms_of_weighted_sums_are_drawn(tmp_path: Path) -> None:
             np.load(result[form])[..., :3], expected.rgba[..., :3], atol=2e-5
         )
     assert not np.allclose(*(np.load(entry) for entry in result.values()), atol=1e-2)
+
+
+def test_the_size_of_the_image_is_one_option(file: Path, tmp_path: Path) -> None:
+    done = gsgen_here("render", file, "-o", tmp_path / "a.png", "--size", "64x48", "--json")
+    assert done.code == 0, done.err
+    assert (json.loads(done.out)["width"], json.loads(done.out)["height"]) == (64, 48)
+    twice = gsgen_here("render", file, "-o", tmp_path / "b.png", "--size", "64x48", "--width", "9")
+    assert twice.code == 2
+    assert "the size of the image is given twice" in twice.err
