@@ -25,7 +25,7 @@ _TRAINING_HINT = (
 
 @contextmanager
 def naming(path: FilePath) -> Iterator[None]:
-    """Set the path of every FormatError of the ``with`` block that has no path yet."""
+    """Add the file path to every FormatError of the ``with`` block that has none."""
     try:
         yield
     except FormatError as error:
@@ -35,7 +35,7 @@ def naming(path: FilePath) -> Iterator[None]:
 
 @contextmanager
 def opened(path: FilePath) -> Iterator[BinaryIO]:
-    """Open the file at ``path`` for reading."""
+    """Open the file at ``path`` for reading; faults raise FileUnreadable."""
     with naming(path):
         try:
             _require_regular(path)
