@@ -20,6 +20,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
+from gsgen.contract._notebook import summary_html
 from gsgen.contract.errors import ExitCode, GsgenError
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target
@@ -239,6 +240,21 @@ class Report:
             if outcome.rule.id == rule_id:
                 return outcome
         raise KeyError(rule_id)
+
+    def _repr_html_(self) -> str:
+        """Return the verdict and the findings as HTML, for notebooks."""
+        checked = f"for {self.target.name}, at level {self.level.word}; {self.statuses['pass']} rules hold"
+        findings = [
+            (
+                f"{finding.rule} {finding.severity.word}",
+                f"{finding.where.subject}: {finding.message}",
+            )
+            for finding in self.findings
+        ]
+        picture = (self.picture.png or None) if self.picture else None
+        return summary_html(
+            f"{self.path}: {self.verdict}", [("checked", checked), *findings], picture
+        )
 
 
 @dataclass(frozen=True, slots=True)

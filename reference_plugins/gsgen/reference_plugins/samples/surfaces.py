@@ -115,7 +115,7 @@ def on_ellipsoid(
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     position = direction * radii * (1 - depth * rng.random((count, 1)) ** 2)
-    normal = direction / np.asarray(radii) * float(np.mean(radii)) + 0.6 * rng.normal(
+    normal = direction / np.asarray(radii) * float(np.mean(radii)) + 0.3 * rng.normal(
         size=(count, 3)
     )
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

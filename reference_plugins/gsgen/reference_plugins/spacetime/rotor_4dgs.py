@@ -1,4 +1,4 @@
-"""Rotor 4DGS: Gaussians in space and time, of which each moment is a slice.
+"""Rotor 4DGS: Gaussians in space and time; each frame is a slice of them at one time.
 
 Yang et al. 2024, "Real-time Photorealistic Dynamic Scene Representation and Rendering with 4D
 Gaussian Splatting", equations 5 to 9. A 4-D covariance Σ, of two unit quaternions and four scales,
@@ -30,7 +30,7 @@ _MAX_RATE = 1e30
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeSlices:
-    """What slices of N 4-D Gaussians need, float64, in units of the whole time."""
+    """Constants of the 3-D slices of N 4-D Gaussians, float64; time goes from 0 to 1."""
 
     velocity: Float[Tensor, "n 3"]  # movement of the centre
     covariance: Float[Tensor, "n 6"]  # xx xy xz yy yz zz of each slice
@@ -39,7 +39,7 @@ class TimeSlices:
 
 
 def slices_of(splats: RotorSplats, duration: tuple[float, float]) -> TimeSlices:
-    """Condition 4-D Gaussians on the time, which goes from 0 to 1 during ``duration``."""
+    """Condition 4-D Gaussians on time, which is scaled from ``duration`` to 0 … 1."""
     start, length = duration[0], duration[1] - duration[0]
     centre = (splats.temporal_centre.double() - start) / length
     scale = torch.exp(splats.log_scale.double())
@@ -73,14 +73,14 @@ def _unit(quaternion: Tensor) -> Tensor:
 
 
 def _left_product(quaternion: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4 4"]:
-    """Return the matrices of x ↦ q x."""
+    """Return the 4×4 matrices of quaternion products x ↦ q x."""
     a, b, c, d = quaternion.unbind(1)
     rows = ((a, -b, -c, -d), (b, a, -d, c), (c, d, a, -b), (d, -c, b, a))
     return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
 
 
 def _right_product(quaternion: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4 4"]:
-    """Return the matrices of x ↦ x q."""
+    """Return the 4×4 matrices of quaternion products x ↦ x q."""
     a, b, c, d = quaternion.unbind(1)
     rows = ((a, -b, -c, -d), (b, a, d, -c), (c, -d, a, b), (d, c, -b, a))
     return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
@@ -88,7 +88,7 @@ def _right_product(quaternion: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4 4"]:
 
 @final
 class Rotor4DGS(GaussianGenerator):
-    """Rotor 4DGS: a generator of slices through Gaussians in space and time.
+    """Rotor 4DGS: a generator of 3-D slices, at a given time, of Gaussians in space and time.
 
     ``color`` is ``sh`` for coefficients, which renderers evaluate towards the moved centre, or
     ``rgb`` for the method's colours, towards the stored centre, which need the camera.
@@ -117,7 +117,7 @@ class Rotor4DGS(GaussianGenerator):
         prefilter: float = 0.0,
         color: Literal["sh", "rgb"] = "sh",
     ) -> None:
-        """Compute the constants of all slices.
+        """Compute the constants from which the 3-D slice at any time follows.
 
         Args:
             splats: The 4-D Gaussians.
@@ -148,7 +148,7 @@ class Rotor4DGS(GaussianGenerator):
             self.color_range = (0.0, _brightest(splats))
 
     def forward(self, time: Float[Tensor, "1"], camera: Tensor | None = None) -> Gaussians:
-        """Return the slice at a time, from 0 to 1, and the colours that a camera sees."""
+        """Return the Gaussians at a time, from 0 to 1, with the colours that a camera sees."""
         dt = time.reshape(1, 1) - self.centre
         # A comparison of times, not of factors: a difference is exact on every machine.
         is_drawn = (dt.abs() < self.reach).to(dt.dtype)
@@ -167,7 +167,7 @@ class Rotor4DGS(GaussianGenerator):
 
 
 def _brightest(splats: RotorSplats) -> float:
-    """Return a bound of all colours, to a tenth: by degree l, |Σ Y c| ≤ ‖c‖ √((2l + 1) / 4π)."""
+    """Return a bound of SH colours, in tenths: |Σ Y c| ≤ ‖c‖ √((2l + 1) / 4π) by degree l."""
     largest = splats.sh.abs()
     if splats.changing_sh.shape[1]:
         largest = largest + splats.changing_sh.abs().sum(dim=1)

@@ -1,4 +1,4 @@
-"""`gsgen export rotor-4dgs`: a checkpoint of rotor 4DGS as a generator."""
+"""The command `gsgen export rotor-4dgs`: exports a checkpoint of rotor 4DGS to ONNX."""
 
 __all__ = ["PLUGIN"]
 
@@ -84,7 +84,7 @@ def build(
 def _duration(
     run: "TrainingRun", config: Path | None, time_duration: tuple[float, float] | None
 ) -> tuple[float, float]:
-    """Return the times of the first and the last frame, of exactly one of the two options."""
+    """Return the times of the first and last frame, from --time-duration or from --config."""
     from gsgen.contract.errors import ConfigInvalid
     from gsgen.reference_plugins.loading.errors import NotInCheckpoint
     from gsgen.reference_plugins.spacetime.rotor_checkpoint import read_time_duration

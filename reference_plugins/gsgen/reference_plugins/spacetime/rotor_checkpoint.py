@@ -76,7 +76,7 @@ class RotorCheckpoint:
     has_environment: bool  # whether the training also learnt a background
 
     def describe(self) -> str:
-        """Return the number of Gaussians, their rotation and their harmonics as one line."""
+        """Describe a rotor 4DGS checkpoint in one line: Gaussians, rotation and harmonics."""
         splats = self.splats
         harmonics = splats.changing_sh.shape[1]
         colors = f"with {harmonics} harmonics of time" if harmonics else "constant"
@@ -137,7 +137,7 @@ def _find_file(path: Path, iteration: int | None) -> Path:
 
 
 def _captured(path: Path, content: Any) -> tuple[tuple[Any, ...], int]:
-    """Return the values of ``capture()`` and the iteration; raise if they are of another method."""
+    """Return the saved values of ``capture()`` and the iteration; raise for other methods."""
     is_pair = isinstance(content, tuple) and len(content) == 2 and isinstance(content[0], tuple)
     values = content[0] if is_pair else ()
     if len(values) == _STATIC_LENGTH:

@@ -1,4 +1,4 @@
-"""Evaluates spherical harmonics, coefficient by coefficient."""
+"""Evaluates spherical harmonics as one sum of tensors per coefficient."""
 
 __all__ = ["harmonic_sum"]
 
@@ -11,7 +11,7 @@ from torch import Tensor
 def harmonic_sum(
     coefficients: Sequence[Float[Tensor, "n c"]], direction: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "n c"]:
-    """Return the sum of coefficients times basis functions (degree 0 to 3, signs as in 3DGS)."""
+    """Evaluate spherical harmonics in a direction (degree 0 to 3, signs as in 3DGS)."""
     x, y, z = direction[:, 0:1], direction[:, 1:2], direction[:, 2:3]
     functions = _basis(x, y, z)
     total = coefficients[0] * next(functions)

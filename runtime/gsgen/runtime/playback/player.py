@@ -250,7 +250,7 @@ class GeneratorPlayer:
 
     @property
     def manifest(self) -> GeneratorManifest:
-        """Manifest of the generator."""
+        """The manifest of the played generator."""
         return self.source.manifest
 
     def render(

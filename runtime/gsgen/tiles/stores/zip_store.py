@@ -49,7 +49,7 @@ class ZipStore(Store):
             self._file: BinaryIO = archive.open("rb")
         except OSError as error:
             raise StoreUnavailable(
-                f"cannot be read: {error.strerror}",
+                f"the archive cannot be read: {error.strerror}",
                 location=self.name,
                 expected="a .3tz archive",
                 fault=Fault.CONTENT,

@@ -59,7 +59,7 @@ class DrawnTile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparedLevels:
-    """The similarity of a tile's picture to that of the tiles that replace it.
+    """The similarity of a tile's picture to the picture of its child tiles.
 
     Attributes:
         location: Of the parent tile.
@@ -128,7 +128,7 @@ def _is_replaced(tile: Tile | None) -> bool:
 
 
 def _distinct(tiles: Iterable[Tile | None]) -> Iterator[Tile]:
-    """Yield each tile once, in order."""
+    """Yield each distinct tile of a list once, in order; None is left out."""
     seen: set[int] = set()
     for tile in tiles:
         if tile is not None and id(tile) not in seen:
@@ -138,7 +138,7 @@ def _distinct(tiles: Iterable[Tile | None]) -> Iterator[Tile]:
 
 @final
 class _TileRenderer:
-    """Draws tiles of a tileset; notes those that have too many splats."""
+    """Draws tiles of a tileset, and records tiles that have too many splats."""
 
     def __init__(self, tileset: Tileset, store: Store, counts: dict[str, int]) -> None:
         self._tileset, self._store, self._counts = tileset, store, counts
@@ -146,11 +146,11 @@ class _TileRenderer:
         self.skipped: dict[str, str] = {}
 
     def count(self, cut: list[tuple[Tile, Content]]) -> int:
-        """Return the number of splats of some contents."""
+        """Return the number of splats in some tile contents."""
         return sum(self._counts.get(content.uri, 0) for _, content in cut)
 
     def draw(self, tile: Tile) -> DrawnTile | None:
-        """Draw the contents of a tile; return None where they have too many splats."""
+        """Draw the contents of a tile; return None if they have too many splats."""
         cut = _contents_of(tile)
         if self._is_too_large(TILE_VISIBLE, cut):
             return None
@@ -164,7 +164,7 @@ class _TileRenderer:
         )
 
     def compare(self, parent: Tile) -> ComparedLevels | None:
-        """Compare a tile with those that replace it; return None where they are too large."""
+        """Compare pictures of a tile and its children; return None for too many splats."""
         cut = list(level_cut(parent, 1))
         if self._is_too_large(LEVELS_AGREE, _contents_of(parent), cut):
             return None
@@ -190,7 +190,7 @@ class _TileRenderer:
         return self._tileset.up
 
     def _is_too_large(self, rule: str, *cuts: list[tuple[Tile, Content]]) -> bool:
-        """Return whether one of some sets has too many splats to draw; note it for a rule."""
+        """Return whether any list of contents has too many splats to draw; record the reason."""
         count = max(map(self.count, cuts))
         if count > MAX_DRAWN:
             tile = cuts[0][0][0]
@@ -219,7 +219,7 @@ class _TileRenderer:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _View:
-    """The placement and the size of cameras around some splats.
+    """The centre, distance and image size of cameras around some splats.
 
     Attributes:
         center: Middle of the splats, in the root frame.
@@ -241,7 +241,7 @@ class _View:
     def around(
         cls, parts: list[PlacedSplats], up: Float64[np.ndarray, " 3"], error: float = 0.0
     ) -> "_View":
-        """Return the view in which ``error`` has the pixels at which viewers refine.
+        """Return the view in which a geometric error spans the pixels at which viewers refine.
 
         The splats fill the picture if its size is within limits. Beyond the upper one they are
         seen from as near; below the lower one, from farther away.
@@ -266,7 +266,7 @@ class _View:
         )
 
     def cameras(self, distance: float) -> list[Camera]:
-        """Return cameras around the origin, at a distance in radii."""
+        """Return cameras around the origin, at a distance in multiples of the splats' radius."""
         return cameras_around(
             np.zeros(3),
             distance * self.radius,
@@ -277,14 +277,14 @@ class _View:
 
 
 def _similarity(a: _RGBA, b: _RGBA) -> float:
-    """Return the SSIM of the part of two pictures that one of them covers."""
+    """Return the SSIM of two pictures, in the rectangle that the splats of either cover."""
     covered = (a[..., 3] > 0) | (b[..., 3] > 0)
     rows, columns = (_span(np.asarray(covered.any(axis=axis))) for axis in (1, 0))
     return ssim(a[rows, columns, :3], b[rows, columns, :3])
 
 
 def _span(covered: np.ndarray) -> slice:
-    """Return the range of the covered pixels along an axis, no smaller than the window."""
+    """Return the range of covered pixels along an axis, at least as long as the SSIM window."""
     indices = np.flatnonzero(covered)
     first, last = (int(indices[0]), int(indices[-1])) if len(indices) else (0, 0)
     missing = max(_WINDOW - (last + 1 - first), 0)

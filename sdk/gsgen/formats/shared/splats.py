@@ -7,6 +7,7 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float, Float32
 
+from gsgen.contract._notebook import preview_png, summary_html
 from gsgen.formats.shared.errors import ValueInvalid
 
 __all__ = ["SH_COUNTS", "PackedRows", "PointCloud", "Splats"]
@@ -67,6 +68,25 @@ class Splats:
     def degree(self) -> int:
         """The SH degree of the splats, from 0 (constant colour) to 4."""
         return math.isqrt(self.sh.shape[1]) - 1
+
+    def _repr_html_(self) -> str:
+        """Return a picture and the main facts as HTML, for notebooks."""
+        low, high = ("0", "0") if not len(self) else map(_corner, _extent(self.position))
+        training = "antialiased" if self.antialiased else "classic"
+        rows = [
+            ("SH degree", str(self.degree)),
+            ("box", f"{low} to {high}"),
+            ("training", training),
+        ]
+        return summary_html(f"{len(self):,} splats", rows, preview_png(self))
+
+
+def _extent(position: Float32[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    return position.min(axis=0), position.max(axis=0)
+
+
+def _corner(point: np.ndarray) -> str:
+    return f"({', '.join(f'{value:.3g}' for value in point)})"
 
 
 @final

@@ -31,7 +31,7 @@ _NEEDS: Final = (SCHEMA_RULE, "GT005", "GT006", "GT010", "GT011", "GT012")
     level=Level.RENDER,
 )
 def tile_visible(inspected: InspectedTileset) -> Iterator[Violation]:
-    """The root and a leaf show something to cameras around them.
+    """The root tile and a leaf tile are visible from cameras around them.
 
     Why:
         All numbers may be valid, and the screen still be empty: opacities or scales were not
