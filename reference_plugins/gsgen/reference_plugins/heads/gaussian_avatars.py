@@ -14,11 +14,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.contract.spec.manifest import Joint
+from gsgen.reference_plugins.bodies.rotations import rotation_matrices
 from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import GaussianAvatarsCheckpoint
 from gsgen.reference_plugins.heads.teeth import SHAPES
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 from gsgen.sdk.math import (
-    axis_angle_to_matrix,
     covariance_upper,
     rotate_covariance,
     safe_normalize,
@@ -122,7 +122,7 @@ class GaussianAvatars(GaussianGenerator):
         """Return the vertices of FLAME (Li et al. 2017), by blendshapes and linear skinning."""
         row = expression.reshape(1, -1)
         joints = self.joints + (row @ self.joint_dirs).reshape(-1, 3)
-        turns = axis_angle_to_matrix(pose)
+        turns = rotation_matrices(pose[None])[0]
         feature = (turns[1:] - self.unit).reshape(1, -1)
         added = row @ self.expression_dirs + feature @ self.pose_dirs
         transforms = skinning_transforms(turns, joints, self.parents, shift)

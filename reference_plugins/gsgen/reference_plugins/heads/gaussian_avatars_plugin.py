@@ -48,7 +48,7 @@ def build(
 def _write_demo(folder: Path) -> list[str]:
     from gsgen.reference_plugins.heads.synthetic_head import write_gaussian_avatar
 
-    write_gaussian_avatar(folder, count=14_000, rings=40)
+    write_gaussian_avatar(folder, count=9000, rings=40)
     return ["--checkpoint", str(folder)]
 
 

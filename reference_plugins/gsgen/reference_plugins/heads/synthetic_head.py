@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gsgen.formats.shared.quantities import SH_C0
+from gsgen.reference_plugins.heads.teeth import SHAPES
 from gsgen.reference_plugins.synthetic.run_files import write_cfg_args, write_columns
 
 _ITERATION = 600_000
-_SHAPES = 300
 _SIZE = np.array([0.09, 0.13, 0.11])  # half axes, in metres
 
 
@@ -43,7 +43,7 @@ def write_gaussian_avatar(
     frames = 3
     np.savez(
         files / "flame_param.npz",
-        shape=rng.normal(0, 0.5, _SHAPES).astype(np.float32),
+        shape=rng.normal(0, 0.5, SHAPES).astype(np.float32),
         expr=rng.normal(size=(frames, expressions)).astype(np.float32),
         rotation=np.zeros((frames, 3), np.float32),
         neck_pose=np.zeros((frames, 3), np.float32),
@@ -107,9 +107,9 @@ def _write_face_model(
 ) -> None:
     count, unit = len(vertices), vertices / _SIZE
     # Coefficients are smooth fields over the head.
-    waves = rng.normal(size=(3, _SHAPES + expressions))
-    field = np.sin(2 * unit @ waves)[:, None] * rng.normal(0, 2e-3, (1, 3, _SHAPES + expressions))
-    field[:, :, :_SHAPES] *= 0.1
+    waves = rng.normal(size=(3, SHAPES + expressions))
+    field = np.sin(2 * unit @ waves)[:, None] * rng.normal(0, 2e-3, (1, 3, SHAPES + expressions))
+    field[:, :, :SHAPES] *= 0.1
     jaw = 1 / (1 + np.exp(12 * (unit[:, 1] + 0.35))) * (unit[:, 2] > 0)
     neck = 1 - jaw
     joints = np.array(
