@@ -1,4 +1,4 @@
-"""The manifest: the JSON document inside a model that declares what its tensors mean.
+"""The manifest: the JSON document inside a model that declares the meaning of its tensors.
 
 These dataclasses are the single source of truth. The published JSON Schemas
 (``schemas/*.schema.json``) are generated from them by :mod:`gsgen.contract.spec.json_schema`.
