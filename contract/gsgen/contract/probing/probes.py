@@ -51,8 +51,8 @@ class CameraPlacement:
     Attributes:
         rows: The output of packed rows, whose first visible row is taken.
         order: Memory order of the view matrix.
-        view: The input with the view matrix; empty if there is none.
-        position: The input with the camera's centre; empty if there is none.
+        view: The input with the view matrix; empty if the model lacks it.
+        position: The input with the camera's centre; empty if the model lacks it.
     """
 
     rows: str

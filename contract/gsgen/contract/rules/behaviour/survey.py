@@ -89,7 +89,7 @@ def views_and_frames_in_range(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _outside(field: str, extremes: Extremes) -> str:
-    """Return the value of a field that is outside its range, as text; empty if there is none."""
+    """Return the value of a field that is outside its range, as text; empty within the range."""
     if field == "count":
         return "" if 0 <= extremes.count <= extremes.capacity else f"{extremes.count}"
     if not extremes.low:
