@@ -146,7 +146,7 @@ def main() -> None:
 def prepare() -> tuple[Path, tuple[str, ...]]:
     """Write the scene and its cameras into ``OUT``; return the scene's path and export options."""
     if not CAPTURED.is_file():
-        with step("making a scene of our own, a garden of 68,000 splats"):
+        with step("making a scene of our own, a garden of 70,000 splats"):
             write_samples(OUT)
         return OUT / "garden.ply", ()
     with np.load(CAPTURED) as scene:

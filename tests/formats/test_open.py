@@ -71,7 +71,7 @@ def test_every_format_is_told_by_its_content(tmp_path, name):
 def test_a_json_file_that_is_no_sog_is_refused(tmp_path):
     file = tmp_path / "scene.gltf"
     file.write_text('{"asset": {"version": "2.0"}}')
-    with pytest.raises(NotRecognised, match="JSON without means"):
+    with pytest.raises(NotRecognised, match="the JSON object lacks the key 'means'"):
         open_splats(file)
 
 

@@ -16,6 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 from gsgen.cli.text_streams import accept_any_text
 from gsgen.contract._extensions import Command, escape_markup, find_commands
 from gsgen.contract.commands.options import OPTION_ORDER
+from gsgen.contract.commands.progress import clear
 from gsgen.contract.errors import ExitCode, GsgenError, UnknownName
 from gsgen.contract.process.interrupts import ending_at_interrupts
 
@@ -82,12 +83,14 @@ def _fail_unwritten(error: OSError) -> Never:
 def _crash() -> Never:
     import traceback
 
+    clear()
     typer.echo(traceback.format_exc(), err=True)
     typer.echo("gsgen: internal error: this is a fault of gsgen, not yours", err=True)
     sys.exit(ExitCode.INTERNAL)
 
 
 def _fail(error: GsgenError) -> Never:
+    clear()
     typer.echo(f"gsgen: {error}", err=True)
     sys.exit(error.exit_code)
 

@@ -46,7 +46,7 @@ _version = cache(version)  # each call reads a metadata file
 
 
 def silent(_: str) -> None:
-    """Ignore a progress text: the default progress callback."""
+    """Ignore a progress message: the default progress callback of a validation."""
 
 
 def validate_with(
@@ -71,7 +71,7 @@ def validate_with(
 
 
 class _Validation:
-    """Validates one model; each method is a stage of the validation."""
+    """Validates one model in stages; each method is a stage."""
 
     def __init__(
         self, path: Path, settings: Settings, registry: Registry, progress: Progress
@@ -93,7 +93,7 @@ class _Validation:
         self.runs: dict[Level, list[float]] = {}  # the durations of model runs
 
     def report(self) -> Report:
-        """Run the stages up to the requested level and return the validation report."""
+        """Run the validation stages up to the requested level, and return the report."""
         self._check_model()
         self._check_runs()
         self._settle_remaining()
@@ -180,7 +180,7 @@ class _Validation:
                 self._check_backend_levels(probe_runs)
 
     def _can_run(self, gates: list[Rule]) -> bool:
-        """Return whether the model may be run; otherwise skip the rules that depend on a run."""
+        """Return whether the model may be run; otherwise skip the rules that need outputs."""
         runs = self.registry.rules.get(MODEL_RUNS)
         if runs is None:
             reason = f"because no rule {MODEL_RUNS} is installed"
@@ -230,7 +230,7 @@ class _Validation:
         self._check_sample(emissions)
 
     def _check_sample(self, emissions: list[ModelOutputs]) -> None:
-        """Check statistical rules with the first probe that draws enough rows."""
+        """Check statistical rules on the first model run that draws enough Gaussians."""
         rules = _needs_first(self._of_scope("sample", upto=Level.VALUES))
         samples = (draw_sample(emission) for emission in emissions if rules)
         sample = next((sample for sample in samples if sample is not None), None)
@@ -296,7 +296,7 @@ class _Validation:
                     self.results.settle([rule], items=context.items)
 
     def _settle_remaining(self) -> None:
-        """Record every rule and level that was not reached as skipped."""
+        """Record all rules and levels that were not reached as skipped."""
         requested_level = self.settings.level
         settled = {outcome.level for outcome in self.levels}
         for level, reason in _MISSING_BACKEND.items():
@@ -313,7 +313,7 @@ class _Validation:
                 self.results.skip([rule], f"level {rule.level.word} did not run")
 
     def _check_report(self) -> None:
-        """Check the rules about the findings of all other rules, such as unused waivers."""
+        """Check the rules about findings of other rules, such as unused waivers."""
         statuses = {id: outcome.status for id, outcome in self.results.outcomes.items()}
         settings = self.settings
         review = Review(self._findings(), statuses, settings.waivers, settings.today)
@@ -324,7 +324,7 @@ class _Validation:
 
 
 def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
-    """Order rules so that each rule comes after those it depends on."""
+    """Sort rules so that each rule comes after the rules that it depends on."""
     pending = {rule.id: rule for rule in rules}
     ordered: list[Rule] = []
 

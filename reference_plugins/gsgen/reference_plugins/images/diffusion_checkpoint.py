@@ -232,7 +232,7 @@ def _noise(config: ModelConfig) -> Noise:
     if not 0 <= low <= high < 1:
         raise config.option_error(
             f"is {low:g} and beta_end {high:g}, expected 0 ≤ beta_start ≤ beta_end < 1",
-            "beta_start",
+            where="beta_start",
         )
     if kind == "linear":
         beta = torch.linspace(low, high, steps, dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Writes the sample files into a folder."""
+"""Writes the files of `gsgen samples`: a scene, cameras, a generator and a motion."""
 
 __all__ = ["SAMPLES", "write_samples"]
 
@@ -49,7 +49,7 @@ def _write_scene(path: Path) -> None:
 
 
 def _write_mesh(path: Path) -> None:
-    """Write a low wall of blue stone as OBJ: a box, whose y points down as that of the garden."""
+    """Write a low wall of blue stone as an OBJ box, with y down as in the garden."""
     low, high = (-1.75, -0.42, 1.1), (-0.75, 0.0, 1.4)
     corners = [[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)]
     faces = ((1, 3, 4, 2), (5, 6, 8, 7), (1, 2, 6, 5), (3, 7, 8, 4), (1, 5, 7, 3), (2, 4, 8, 6))
@@ -59,7 +59,7 @@ def _write_mesh(path: Path) -> None:
 
 
 SAMPLES: Final[dict[str, tuple[str, Callable[[Path], object]]]] = {
-    "garden.ply": ("a garden of 69,000 splats, SH degree 0", _write_garden),
+    "garden.ply": ("a garden of 70,000 splats, SH degree 0", _write_garden),
     "cameras.json": ("six cameras around its table", _write_cameras),
     "sunflower.onnx": ("a generator with inputs time and pose", _write_sunflower),
     "nods.npy": ("a motion of the sunflower: 48 poses", write_nods),
@@ -70,7 +70,7 @@ SAMPLES: Final[dict[str, tuple[str, Callable[[Path], object]]]] = {
 
 
 def write_samples(folder: Path) -> list[Path]:
-    """Write every sample file into ``folder``, and return their paths.
+    """Write every sample file into ``folder``, and return the paths of the files.
 
     Raises:
         ConfigInvalid: A file cannot be written there.

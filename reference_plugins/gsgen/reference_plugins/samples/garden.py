@@ -32,7 +32,7 @@ _OPACITY = 3.5  # logit
 
 
 def garden(count: int = 60_000, *, seed: int = 0) -> Splats:
-    """Return a garden of about ``count`` splats, five metres around; y is down, as in captures."""
+    """Return a garden of about ``count`` splats, five metres around, with y down as in captures."""
     rng = np.random.default_rng(seed)
     unit = count / 60_000
     cloud = join([*_ground(unit, rng), *_table(unit, rng), *_plants(unit, rng)])
@@ -40,7 +40,7 @@ def garden(count: int = 60_000, *, seed: int = 0) -> Splats:
 
 
 def lit(cloud: Cloud, *, shadows: bool = True) -> Splats:
-    """Return splats of degree 0 in the light of the sun and the sky; y is turned down.
+    """Shade Gaussians by sun and sky, and convert them to splats of SH degree 0, with y down.
 
     ``shadows`` casts those of the garden's table and trees.
     """
@@ -81,7 +81,7 @@ def _in_shadow(position: Vectors, sun: Float[np.ndarray, "3"]) -> Bool[np.ndarra
 
 
 def _ground(unit: float, rng: np.random.Generator) -> list[Cloud]:
-    paving = on_disc(int(9000 * unit), _PAVING, np.zeros(3))
+    paving = on_disc(int(11_000 * unit), _PAVING, np.zeros(3))
     x, _, z = paving.position.T
     ring, angle = np.hypot(x, z) / 0.32, np.arctan2(z, x)
     row = np.floor(ring)
@@ -101,8 +101,8 @@ def _ground(unit: float, rng: np.random.Generator) -> list[Cloud]:
         color=color,
         gloss=paving.gloss,
     )
-    soil = on_disc(int(5000 * unit), _LAWN, np.array([0.09, 0.15, 0.04]), hole=_PAVING)
-    count = int(17_000 * unit)
+    soil = on_disc(int(7000 * unit), _LAWN, np.array([0.09, 0.15, 0.04]), hole=_PAVING)
+    count = int(15_000 * unit)
     distance = np.sqrt(rng.uniform(_PAVING**2, _LAWN**2, count))
     turn = rng.uniform(0, 2 * np.pi, count)
     roots = np.stack([distance * np.cos(turn), np.zeros(count), distance * np.sin(turn)], axis=1)
@@ -213,7 +213,7 @@ def _plants(unit: float, rng: np.random.Generator) -> list[Cloud]:
     spoke = np.stack([np.cos(turn), np.zeros(count), np.sin(turn)], axis=1)
     face = np.where((side == 1)[:, None], [0.0, 1.0, 0.0], -spoke)
     shell = on_ellipsoid(count, (1.0, 1.0, 1.0), np.array([0.09, 0.24, 0.06]), rng, size=0.042)
-    normal = face + 0.5 * rng.normal(size=(count, 3))
+    normal = face + 0.3 * rng.normal(size=(count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     along = np.cross(normal, shell.normal)
     along /= np.linalg.norm(along, axis=1, keepdims=True)

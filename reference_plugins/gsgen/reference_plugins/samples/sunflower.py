@@ -201,7 +201,7 @@ def _petals(count: int, rng: np.random.Generator) -> list[Cloud]:
 
 
 def _tilted(cloud: Cloud, degrees: float) -> Cloud:
-    """Return the cloud turned about x, so that what faces up looks towards +z."""
+    """Return Gaussians rotated about x, so that the upward direction becomes +z."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     turn = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])  # of rows
     return Cloud(

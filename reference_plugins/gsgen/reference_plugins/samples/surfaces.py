@@ -14,7 +14,7 @@ _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))  # radians; successive points of a sunf
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cloud:
-    """Gaussians before they are lit: y is up, lengths are metres.
+    """Unlit Gaussians with normals and albedo; y is up, lengths are in metres.
 
     Attributes:
         position: Centres.
@@ -36,12 +36,12 @@ class Cloud:
         return len(self.position)
 
     def moved(self, offset: Sequence[float]) -> "Cloud":
-        """Return the cloud shifted by ``offset``."""
+        """Return the cloud of Gaussians shifted by ``offset``."""
         return replace(self, position=self.position + np.asarray(offset))
 
 
 def join(clouds: Sequence[Cloud]) -> Cloud:
-    """Concatenate clouds."""
+    """Concatenate the Gaussians of several clouds."""
     return Cloud(
         **{
             name: np.concatenate([getattr(cloud, name) for cloud in clouds])
@@ -53,7 +53,7 @@ def join(clouds: Sequence[Cloud]) -> Cloud:
 def _cloud(
     position: Vectors, normal: Vectors, color: Vectors, size: float, *, translucency: float = 0.0
 ) -> Cloud:
-    """Return round discs of standard deviation ``size`` that face along ``normal``."""
+    """Return Gaussians as round discs of standard deviation ``size``, facing ``normal``."""
     helper = np.where(np.abs(normal[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
     along = np.cross(helper, normal)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -111,11 +111,11 @@ def on_ellipsoid(
     depth: float = 0.15,
     size: float = 0.02,
 ) -> Cloud:
-    """Return ``count`` leaves in the shell of an ellipsoid; ``depth`` is the shell's share."""
+    """Return ``count`` flat Gaussians, as leaves, in the outer shell of an ellipsoid."""
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     position = direction * radii * (1 - depth * rng.random((count, 1)) ** 2)
-    normal = direction / np.asarray(radii) * float(np.mean(radii)) + 0.6 * rng.normal(
+    normal = direction / np.asarray(radii) * float(np.mean(radii)) + 0.3 * rng.normal(
         size=(count, 3)
     )
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -127,7 +127,7 @@ def on_ellipsoid(
 def blades(
     roots: Vectors, length: Float[np.ndarray, " n"], color: Vectors, rng: np.random.Generator
 ) -> Cloud:
-    """Return one upright blade, three times as long as wide or more, for each root."""
+    """Return a long upright Gaussian, as a blade of grass, at each root position."""
     count = len(roots)
     lean = np.stack([rng.normal(0, 0.35, count), np.ones(count), rng.normal(0, 0.35, count)], 1)
     lean /= np.linalg.norm(lean, axis=1, keepdims=True)

@@ -94,7 +94,7 @@ def render(
     compact: options.Compact = False,
     wsr: WeightedSums = "contract",
     post: options.Post = None,
-    size: options.Sizes = None,
+    size: options.ImageSizes = None,
     provider: options.Provider = "cpu",
     wait: Wait = 30.0,
     as_json: options.AsJson = False,
@@ -111,6 +111,7 @@ def render(
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
 
+    symbols, width, height = options.split_image_size(size, width, height)
     files = list(read_scene_files(scenes).values())
     view = scene_viewpoint(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
@@ -119,7 +120,7 @@ def render(
     for note in (*view.notes, *_transparency_notes(output, color, options.mode_of(mode))):
         typer.echo(f"note: {note}", err=True)
     with open_scenes(
-        scenes, post, provider=provider, size=size, streaming=replace(streaming, wait=wait)
+        scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=wait)
     ) as (sources, models):
         tracks, pose_fps = options.read_tracks(pose, inputs, sources)
         is_published = wsr == "published"

@@ -16,6 +16,7 @@ from gsgen.runtime.sources.stream_settings import StreamSettings
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.live_playback import LivePlayback
+    from gsgen.runtime.sources.scene_file import SceneFile
 
 WindowWidth = Annotated[
     int | None, typer.Option(help="Width of the window. [default: the camera's, or 1280]", min=1)
@@ -70,7 +71,7 @@ def view(
     rasteriser: options.RasteriserName = "auto",
     compact: options.Compact = False,
     post: options.Post = None,
-    size: options.Sizes = None,
+    size: options.ImageSizes = None,
     provider: options.Provider = "cpu",
     pictures: Pictures = Path(),
     streaming: StreamSettings = StreamSettings(),  # noqa: B008
@@ -84,10 +85,10 @@ def view(
     """
     from gsgen.runtime.commands.opening import open_scenes, read_scene_files
     from gsgen.runtime.playback.live_playback import LivePlayback
-    from gsgen.runtime.playback.scene_camera import first_setting, scene_viewpoint
-    from gsgen.runtime.scene.colors import color_of
+    from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.viewer import surface_renderer, viewer, window
 
+    symbols, width, height = options.split_image_size(size, width, height)
     _require_display(scenes)
     files = list(read_scene_files(scenes).values())
     viewpoint = scene_viewpoint(
@@ -95,10 +96,9 @@ def view(
     )
     for note in viewpoint.notes:
         typer.echo(f"note: {note}", err=True)
-    option_color = None if background is None else color_of(background, "--background")
-    color = first_setting([option_color, *(file.background for file in files)])
+    color = _background(background, files)
     with open_scenes(
-        scenes, post, provider=provider, size=size, streaming=replace(streaming, wait=0)
+        scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=0)
     ) as (sources, models):
         tracks, pose_fps = options.read_tracks(pose, inputs, sources)
         playback = LivePlayback(
@@ -117,7 +117,7 @@ def view(
             viewpoint,
             renderer=surface_renderer.SurfaceRenderer(rasteriser=rasteriser, compact=compact),
             mode=options.mode_of(mode),
-            background=color or (0.0, 0.0, 0.0, 1.0),
+            background=color,
             folder=pictures,
             print_line=typer.echo,
             open_files=_file_opener(play=play),
@@ -127,6 +127,18 @@ def view(
             window.open_window(interface, _title(scenes), (home.width, home.height))
         finally:
             interface.playback.close()
+
+
+def _background(
+    text: str | None, files: "Sequence[SceneFile]"
+) -> tuple[float, float, float, float]:
+    """Return the background of the option, or else of the first scene file that has one."""
+    from gsgen.runtime.playback.scene_camera import first_setting
+    from gsgen.runtime.scene.colors import color_of
+
+    option_color = None if text is None else color_of(text, "--background")
+    color = first_setting([option_color, *(file.background for file in files)])
+    return color or (0.0, 0.0, 0.0, 1.0)
 
 
 def _require_display(scenes: Sequence[Path]) -> None:

@@ -2,7 +2,9 @@
 
 __all__ = ["COLOR_ONLY", "NOTHING", "Frame", "Output"]
 
+import io
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Final, Literal, final
 
 import numpy as np
@@ -66,6 +68,16 @@ class Frame:
             color = srgb_of_linear(color)
         straight8 = np.rint(np.concatenate([color, alpha], axis=-1) * 255)
         return np.asarray(straight8, np.uint8)
+
+    def _repr_png_(self) -> bytes | None:
+        """Return the colours as a PNG, for notebooks; None without colours or without pillow."""
+        if self.rgba is None or find_spec("PIL") is None:
+            return None
+        from PIL import Image
+
+        file = io.BytesIO()
+        Image.fromarray(self.srgb8).save(file, "png")
+        return file.getvalue()
 
 
 def srgb_of_linear(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:

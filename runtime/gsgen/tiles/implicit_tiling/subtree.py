@@ -150,7 +150,9 @@ def _check_tree(
     """Raise for subtree tiles without a parent, and contents or subtrees of unavailable tiles."""
     location = document.location.removesuffix(", ")
     if not tiles[0]:
-        raise _wrong("the root tile is not available", location, "a subtree with a root")
+        raise _wrong(
+            "the root tile of the subtree is not available", location, "a subtree with a root"
+        )
     parents = (np.arange(1, len(tiles)) - 1) // branching
     orphans = np.flatnonzero(tiles[1:] & ~tiles[parents])
     if len(orphans):

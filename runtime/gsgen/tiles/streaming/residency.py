@@ -41,7 +41,7 @@ class ResidentTiles:
         needed: Bool[np.ndarray, " n"],
         expected: Bool[np.ndarray, " n"] | None = None,
     ) -> None:
-        """Record the tiles that a frame needs, as the least evictable.
+        """Record the tiles that a frame needs, which are evicted last.
 
         Args:
             time: In seconds.
@@ -85,7 +85,7 @@ class ResidentTiles:
         self.used_slots -= int(self._slots[tile])
 
     def _victims(self, lack: int) -> tuple[int, ...] | None:
-        """Return tiles to evict from the splat pool for ``lack`` slots; None if too few can leave."""
+        """Return tiles to evict for ``lack`` slots of the splat pool; None if too few can go."""
         if lack <= 0:
             return ()
         rows = np.flatnonzero(self.resident & ~self._protected)

@@ -15,10 +15,17 @@ from gsgen.formats.shared.errors import FileUnreadable, FileUnwritable, FormatEr
 FilePath = str | os.PathLike[str]
 """The types of path arguments."""
 
+# Files and folders that the training code of most methods writes.
+_TRAINING_FILES = ("cfg_args", "point_cloud", "point_cloud.ply")
+_TRAINING_HINT = (
+    "`gsgen export METHOD --checkpoint FOLDER -o OUT.onnx` exports the folder of a training; "
+    "`gsgen plugins` lists the methods"
+)
+
 
 @contextmanager
 def naming(path: FilePath) -> Iterator[None]:
-    """Set the path of every FormatError of the ``with`` block that has no path yet."""
+    """Add the file path to every FormatError of the ``with`` block that has none."""
     try:
         yield
     except FormatError as error:
@@ -28,7 +35,7 @@ def naming(path: FilePath) -> Iterator[None]:
 
 @contextmanager
 def opened(path: FilePath) -> Iterator[BinaryIO]:
-    """Open the file at ``path`` for reading."""
+    """Open the file at ``path`` for reading; faults raise FileUnreadable."""
     with naming(path):
         try:
             _require_regular(path)
@@ -90,7 +97,9 @@ def _require_regular(path: FilePath) -> None:
     except ValueError as error:  # a NUL byte in the path
         raise FileUnreadable(f"cannot be read: {error}") from error
     if stat.S_ISDIR(status.st_mode):
-        raise FileUnreadable("is a folder", expected="a file")
+        has_training = any(Path(path, name).exists() for name in _TRAINING_FILES)
+        hint = _TRAINING_HINT if has_training else ""
+        raise FileUnreadable("is a folder", expected="a file", hint=hint)
     if not stat.S_ISREG(status.st_mode):
         raise FileUnreadable("is a device, pipe or socket", expected="a regular file")
     if status.st_size == 0:

@@ -1,4 +1,4 @@
-"""Export a generator: run it in eager torch, trace and rewrite it, verify and validate the file."""
+"""Exports a generator to ONNX: runs it in torch, traces, rewrites, verifies and validates it."""
 
 __all__ = ["Exported", "export"]
 
@@ -82,7 +82,7 @@ _HALF_BUDGET, _HALF_PROBES = 24, 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported(ExportResult):
-    """A finished export of a generator.
+    """The result of exporting a generator to ONNX.
 
     Attributes:
         manifest: The embedded manifest.
@@ -102,7 +102,7 @@ class Exported(ExportResult):
 
     @property
     def contents(self) -> str:
-        """The number of rows of the exported model, and their dtype."""
+        """A short description of the exported model: number of Gaussians and their dtype."""
         assert self.manifest.outputs.gaussians is not None
         return f"{self.manifest.outputs.gaussians.capacity:,} rows, {self.dtype}"
 
@@ -119,7 +119,7 @@ class _Options:
 
     @property
     def searches_float16(self) -> bool:
-        """Whether a search decides which weights become float16, after the graph is rewritten."""
+        """Whether a search over rounding errors decides which weights become float16."""
         return self.dtype == "float16" and self.rewrite
 
 
@@ -252,7 +252,7 @@ def _export(
 
 
 def _default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
-    """Return the default dtype of outputs: float32, or float16 if the target reads RGB only so."""
+    """Return the default output dtype: float32, unless the target reads RGB only as float16."""
     if target not in HALF_RGB:
         return "float32"
     probe = _probes(_manifest(generator, "", "float32", None, 1, None))[0]
@@ -261,7 +261,7 @@ def _default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
 
 @dataclass(frozen=True, slots=True)
 class _Description:
-    """Declarations of a generator module, and the results of its runs in eager torch."""
+    """The declarations of a generator, and the results of its runs in eager torch."""
 
     manifest: GeneratorManifest  # the manifest to embed
     references: EagerRuns  # results at the contract's probes, and at probes far from them
@@ -272,7 +272,7 @@ class _Description:
 def _describe(
     generator: GaussianGenerator, options: _Options, dtype: Dtype, progress: Progress
 ) -> _Description:
-    """Build the manifest from the generator's declarations and its outputs in eager torch."""
+    """Build the manifest of a generator from its declarations and its outputs in eager torch."""
     _check_inputs(generator)
     # The bounds are not known yet, so the first probes lie around the default bounds.
     draft = _manifest(generator, options.name, dtype, None, 1, None)
@@ -317,7 +317,7 @@ def _check_inputs(generator: GaussianGenerator) -> None:
             raise GeneratorInvalid(f"two inputs are named {entry.name!r}", where=where, hint=hint)
         if entry.shape is None:
             hint = "Make inputs with the functions of gsgen.sdk.inputs."
-            raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, hint=hint)
+            raise GeneratorInvalid(f"input {entry.name!r} has no shape", where=where, hint=hint)
 
 
 def _check_cells(generator: GaussianGenerator, reference: Reference) -> None:
@@ -373,7 +373,7 @@ def _probes(manifest: GeneratorManifest, *, seed: int = 0, count: int = 8) -> tu
 
 
 def _far_probes(manifest: GeneratorManifest) -> Iterator[Probe]:
-    """Yield test inputs beside those of the contract: cameras inside and far outside the scene.
+    """Yield test inputs with cameras inside the scene and far outside of it.
 
     All other inputs are sampled with another seed.
     """

@@ -1,4 +1,4 @@
-"""Rules GB011 to GB017: captured and replayed on a GPU, a model computes the same as on the CPU.
+"""Rules GB011 to GB017: in WebGPU, captured and replayed, a model computes what a CPU computes.
 
 Registered in the entry point group ``gsgen.rules``; the module imports nothing heavy.
 """
@@ -59,7 +59,7 @@ def ep_agreement(live: "Live") -> Iterator[Violation]:
     needs=("GB017", "GB015"),
 )
 def capture_accepted(live: "Live") -> Iterator[Violation]:
-    """ONNX Runtime agrees to capture the graph.
+    """ONNX Runtime's WebGPU provider agrees to capture the graph.
 
     Why:
         Without capture, every kernel is launched again in every frame, which takes longer than the
@@ -101,7 +101,7 @@ def all_nodes_on_gpu(live: "Live") -> Iterator[Violation]:
     "GB016", "replay-not-stale", Severity.ERROR, fixture="output_from_idle_sum", needs=("GB014",)
 )
 def replay_not_stale(live: "Live") -> Iterator[Violation]:
-    """Replayed frames equal those of a session without capture for the same inputs.
+    """Frames replayed by graph capture equal uncaptured frames for the same inputs.
 
     Why:
         Capture records kernels, not buffer copies, so an output that an operator merely copies

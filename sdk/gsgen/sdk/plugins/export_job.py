@@ -1,4 +1,4 @@
-"""Run `gsgen export`: build the module or scene, export it, and print the result."""
+"""Runs `gsgen export`: builds the module or scene, exports it, and prints the result."""
 
 __all__ = ["run_export"]
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
-    """Build a module or scene, export it, and print the validator's findings.
+    """Build a torch module or scene, export it, and print the validator's findings.
 
     Exits with code 1 if no conforming model can be exported.
     """
@@ -60,7 +60,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
 
 def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult":
-    """Check the options, build the module or scene, and export it by its kind."""
+    """Check the options, build the torch module or scene, and export it by its kind."""
     from gsgen.contract.spec.severity import Level
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.settings import Settings

@@ -1,4 +1,4 @@
-"""The options of every `gsgen export`, for torch modules, post-process models and constant scenes."""
+"""Options that every `gsgen export` command has, for torch modules and static scenes."""
 
 __all__ = ["OPSETS", "Build", "ExportRequest", "with_common_options"]
 
@@ -42,7 +42,7 @@ class ExportRequest:
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
 
     def __post_init__(self) -> None:
-        """Raise if the report of an export would overwrite a model file."""
+        """Raise if the JSON report of an export would overwrite a model file."""
         if self.report is not None:
             refuse_model(self.report, [self.output])
 
@@ -112,7 +112,7 @@ _COMMON = inspect.signature(_request).parameters
 def with_common_options(
     build: Callable[..., Any], run: Callable[[Callable[[], Any], ExportRequest], None]
 ) -> Callable[..., None]:
-    """Return a typer function with a plugin's own parameters and the options of every export.
+    """Return a typer function with a plugin's own parameters and those of every export command.
 
     ``run`` is called with ``build``, its arguments bound, and the request. A parameter of ``build``
     with the name of a common option is a TypeError.
@@ -120,7 +120,9 @@ def with_common_options(
     parameters = inspect.signature(build).parameters
     conflicts = sorted(set(parameters) & set(_COMMON))
     if conflicts:
-        raise TypeError(f"every export has the option {conflicts[0]!r}; give it another name")
+        raise TypeError(
+            f"the plugin's parameter {conflicts[0]!r} has the name of an option of every export; rename it"
+        )
 
     def command(**values: Any) -> None:
         request = _request(**{key: values.pop(key) for key in _COMMON})

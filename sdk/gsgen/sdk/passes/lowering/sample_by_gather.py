@@ -109,7 +109,7 @@ def _replace(node: ir.Node) -> None:
 
 
 class _Sampler:
-    """Computes the two neighbouring pixels of every point along one axis, and their weights."""
+    """Computes the two neighbouring pixels of every sample point along one axis, with weights."""
 
     def __init__(self, before: InsertionPoint, dtype: ir.DataType, node: ir.Node) -> None:
         self.before, self.dtype = before, dtype
@@ -163,7 +163,7 @@ class _Sampler:
 
 
 def _pixel_table(before: InsertionPoint, image: ir.Value) -> ir.Value:
-    """Return the image as [frames · pixels, channels]; a weight is transposed at once."""
+    """Return the image to sample as a table [frames · pixels, channels]."""
     frames, channels, height, width = fixed_shape(image) or ()
     known = constant_of(image, largest=1 << 62)
     if known is not None:
