@@ -100,7 +100,7 @@ class Rule:
 
     @property
     def family(self) -> str:
-        """The letters of the rule's id: GM, GI, GO, GG, GV, GB, GL, GS, GT, TV or GW."""
+        """The first two letters of the rule's id, such as GM (manifest) or GV (values)."""
         return self.id.rpartition("/")[2][:2]
 
 

@@ -1,4 +1,4 @@
-"""Rules GB011 to GB017: in WebGPU, captured and replayed, a model computes what a CPU computes.
+"""Rules GB011 to GB017: WebGPU, with graph capture and replay, computes the same as the CPU.
 
 Registered in the entry point group ``gsgen.rules``; the module imports nothing heavy.
 """
