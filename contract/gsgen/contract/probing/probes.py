@@ -51,8 +51,8 @@ class CameraPlacement:
     Attributes:
         rows: The output of packed rows, whose first visible row is taken.
         order: Memory order of the view matrix.
-        view: The input with the view matrix; empty if there is none.
-        position: The input with the camera's centre; empty if there is none.
+        view: The input with the view matrix; empty if the model lacks it.
+        position: The input with the camera's centre; empty if the model lacks it.
     """
 
     rows: str
@@ -148,8 +148,9 @@ def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray,
     return np.ascontiguousarray(tensor, np.float32)
 
 
+# The annotation of a generator is quoted: NumPy loads its random module when it is named.
 def _sample(
-    spec: Input, manifest: Manifest, shape: tuple[int, ...], along: float, rng: np.random.Generator
+    spec: Input, manifest: Manifest, shape: tuple[int, ...], along: float, rng: "np.random.Generator"
 ) -> Array:
     space = manifest.space if isinstance(manifest, GeneratorManifest) else None
     order = space.matrix_order if space else "column"
@@ -179,7 +180,7 @@ def _sample(
 
 
 def _history(
-    span: tuple[float, float], count: int, size: int, rng: np.random.Generator
+    span: tuple[float, float], count: int, size: int, rng: "np.random.Generator"
 ) -> Float[np.ndarray, "t s"]:
     """Return a smooth camera path for test inputs: state vectors of centre and rotation."""
     steps = np.arange(count)[:, None]

@@ -98,6 +98,7 @@ class _Validation:
         self._check_runs()
         self._settle_remaining()
         self.results.withdraw_predictions()
+        self.results.withdraw_consequences()
         self._check_report()
         subject, gaussians = self.subject, self.subject.declared_gaussians
         manifest = subject.manifest
