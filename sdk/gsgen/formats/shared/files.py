@@ -69,7 +69,7 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
     with naming(path):
         try:
             if is_device(Path(path)):
-                raise FileUnwritable("is a device or a pipe", expected="a file to write")
+                raise FileUnwritable("the path is a device or a pipe", expected="a file to write")
             # Not tempfile: only the owner may read its files.
             part = Path(path).parent / f".{secrets.token_hex(8)}.part"
             try:
@@ -99,10 +99,10 @@ def _require_regular(path: FilePath) -> None:
     if stat.S_ISDIR(status.st_mode):
         has_training = any(Path(path, name).exists() for name in _TRAINING_FILES)
         hint = _TRAINING_HINT if has_training else ""
-        raise FileUnreadable("is a folder", expected="a file", hint=hint)
+        raise FileUnreadable("the path is a folder", expected="a file", hint=hint)
     if not stat.S_ISREG(status.st_mode):
-        raise FileUnreadable("is a device, pipe or socket", expected="a regular file")
+        raise FileUnreadable("the path is a device, pipe or socket", expected="a regular file")
     if status.st_size == 0:
         raise FileUnreadable(
-            "is empty", hint="write it again: the program that wrote it may have failed"
+            "the file is empty", hint="write it again: the program that wrote it may have failed"
         )
