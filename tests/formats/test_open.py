@@ -132,10 +132,12 @@ def test_a_file_that_cannot_be_opened_is_refused(tmp_path, read):
     os.mkfifo(pipe)
     missing = "cannot be read: No such file or directory"
     assert unreadable(tmp_path / "missing", read) == missing
-    assert unreadable(tmp_path, read) == "is a folder\nexpected a file"
-    assert unreadable(pipe, read) == ("is a device, pipe or socket\nexpected a regular file")
+    assert unreadable(tmp_path, read) == "the path is a folder\nexpected a file"
+    assert unreadable(pipe, read) == (
+        "the path is a device, pipe or socket\nexpected a regular file"
+    )
     assert unreadable(empty, read) == (
-        "is empty\nwrite it again: the program that wrote it may have failed"
+        "the file is empty\nwrite it again: the program that wrote it may have failed"
     )
     assert unreadable(tmp_path / "a\0b", read) == "cannot be read: embedded null byte"
 

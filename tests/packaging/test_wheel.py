@@ -76,6 +76,7 @@ def test_the_wheel_holds_every_room_and_its_data(wheel: Path) -> None:
         "gsgen/formats/py.typed",
         "gsgen/runtime/py.typed",
         "gsgen/reference_plugins/py.typed",
+        "pytest_gsgen.py",
     ):
         assert part in names
     assert "gsgen/__init__.py" not in names  # it would hide the other portions
@@ -176,6 +177,10 @@ def test_a_third_party_s_tests_run_by_pytest_alone(acme: Acme) -> None:
     assert "acme/AC001 (Acme draws three.)" in known
     assert "PASSED check_acme.py::test_the_rule_s_example_breaks_it_and_no_other" in own.stdout
     assert "FAILED" not in own.stdout
+    strict = acme(
+        "pytest", "check_acme.py", "-W", "error::pytest.PytestAssertRewriteWarning", *quiet
+    )
+    assert strict.returncode == 0, strict.stderr
     model = acme("pytest", "--gsgen", "long.onnx", "--gsgen-target", "acme", *quiet)
     assert model.returncode == 1
     (failed,) = [line for line in model.stdout.splitlines() if line.startswith("FAILED")]

@@ -17,7 +17,11 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.reference_plugins.anchors import octree_gs_plugin, scaffold_gs_plugin
-from gsgen.reference_plugins.deformation import deformable_3dgs_plugin, hexplane_4dgs_plugin
+from gsgen.reference_plugins.deformation import (
+    deformable_3dgs_plugin,
+    hexplane_4dgs_plugin,
+    sc_gs_plugin,
+)
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.spacetime import rotor_4dgs_plugin, spacetime_gaussians_plugin
 from gsgen.reference_plugins.synthetic import (
@@ -39,6 +43,7 @@ BUILD: dict[str, Callable[..., GaussianGenerator]] = {
     "octree_a": octree_gs_plugin.build,
     "hexplane_dnerf": hexplane_4dgs_plugin.build,
     "deform_blender": deformable_3dgs_plugin.build,
+    "scgs_blender": sc_gs_plugin.build,
     "rotor4d_dnerf": partial(rotor_4dgs_plugin.build, time_duration=(0.0, 1.0)),
     "stg_lite": spacetime_gaussians_plugin.build,
     "stg_full": partial(spacetime_gaussians_plugin.build, decode="per-splat"),

@@ -255,11 +255,12 @@ def test_damaged_safetensors_are_refused(data: bytes, tmp_path: Path) -> None:
 @pytest.mark.parametrize("field", ["shape", "data_offsets", "dtype"])
 def test_tensors_that_do_not_fit_their_bytes_are_refused(field: str, tmp_path: Path) -> None:
     wrong = {"shape": [-1, -4], "data_offsets": [0, 99], "dtype": "F8_E4M3"}
+    reason = {"shape": "integer `-1`"}.get(field, "invalid shape, data type, or offset for tensor")
     entry = {"dtype": "F32", "shape": [4], "data_offsets": [0, 16]} | {field: wrong[field]}
     text = json.dumps({"a": entry}).encode()
     path = tmp_path / "t.safetensors"
     path.write_bytes(len(text).to_bytes(8, "little") + text + bytes(16))
-    with pytest.raises(CheckpointInvalid, match="cannot be read: tensor a "):
+    with pytest.raises(CheckpointInvalid, match=f"cannot be read: .*{reason}"):
         read_safetensors(path)
 
 

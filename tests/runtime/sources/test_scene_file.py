@@ -270,7 +270,7 @@ def test_what_fails_when_it_is_opened_says_where(folder: Path) -> None:
         (
             {"path": "drift.onnx", "inputs": {"time": 7}},
             GsgenError,
-            r"models\[0\]: \S+drift\.onnx, frame 0, input time: is 7",
+            r"models\[0\]: \S+drift\.onnx, frame 0, input time: the value is 7",
         ),
     ]
     for model, kind, match in cases:

@@ -22,7 +22,7 @@ def raw_columns(path: Path) -> dict[str, np.ndarray]:
     return dict(zip(names, table.T, strict=True))
 
 
-def _rotation(q: np.ndarray) -> np.ndarray:
+def rotation_matrix(q: np.ndarray) -> np.ndarray:
     """Return the matrix of a quaternion (w, x, y, z): v ↦ q v q*, column by column."""
     w, *u = q / np.linalg.norm(q)
     axis = np.array(u)
@@ -57,7 +57,7 @@ def spacetime(folder: Path, time: float, camera: np.ndarray | None = None) -> Ex
         duration = np.exp(splat["trbf_scale"])
         opacity[row] = np.exp(-((dt / duration) ** 2)) / (1 + np.exp(-splat["opacity"]))
         q = np.array([splat[f"rot_{i}"] + dt * splat[f"omega_{i}"] for i in range(4)])
-        root = _rotation(q) @ np.diag([np.exp(splat[f"scale_{i}"]) for i in range(3)])
+        root = rotation_matrix(q) @ np.diag([np.exp(splat[f"scale_{i}"]) for i in range(3)])
         covariance[row] = upper(root @ root.T)
         color[row] = [splat[f"f_dc_{i}"] for i in range(3)]
         if camera is not None:
@@ -125,7 +125,7 @@ def rotor(
             shift = -covariance @ precision[:3, 3] * dt
             variance = whole[3, 3]
         else:
-            root = _rotation(left[row]) @ np.diag(np.exp(log_scale[row]))
+            root = rotation_matrix(left[row]) @ np.diag(np.exp(log_scale[row]))
             covariance, shift, variance = root @ root.T, np.zeros(3), np.exp(log_temporal[row, 0])
         factors[row] = np.exp(-0.5 * dt * dt / (variance + max(prefilter, 0)))
         coefficients = sh[row, :16].copy()

@@ -25,6 +25,7 @@ import numpy as np
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
+from gsgen.contract.process.parent_watchdog import child_environment
 
 _WORKER = "gsgen.contract.probing.sandbox_worker"
 
@@ -42,7 +43,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extremes:
-    """The row count of one run, and the extremes of each field of its live rows.
+    """The row count of one run, with minimum and maximum of each column of its live rows.
 
     Attributes:
         count: The count as the model outputs it, or the capacity if it has none.
@@ -190,7 +191,7 @@ def _write_job(
 
 def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
     """Run the sandbox's child process; return its exit status, or None at the time limit."""
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    environment = child_environment() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
         child = subprocess.Popen(
             [sys.executable, "-P", "-m", worker, str(folder)],
@@ -278,8 +279,10 @@ def _load(folder: Path, files: dict[str, str]) -> dict[str, np.ndarray]:
 
 
 def _map(path: Path) -> np.ndarray:
+    # Windows cannot delete a file while it is mapped.
+    mode: Literal["r"] | None = None if os.name == "nt" else "r"
     try:
-        return np.asanyarray(np.load(path, mmap_mode="r", allow_pickle=False))
+        return np.asanyarray(np.load(path, mmap_mode=mode, allow_pickle=False))
     except ValueError:  # an empty array or a scalar cannot be mapped
         return np.asarray(np.load(path, allow_pickle=False))
 

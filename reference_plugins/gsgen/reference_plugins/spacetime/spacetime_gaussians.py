@@ -107,7 +107,7 @@ class SpacetimeGaussians(GaussianGenerator):
         albedo = self.features[:, :_FEATURES]
         specular = self.features[:, _FEATURES : 2 * _FEATURES]
         changing = dt * self.features[:, 2 * _FEATURES :]
-        # One product for each part of the input, so that none is copied into a wide tensor.
+        # Each part of the input has its own product, which saves copying them into a wide tensor.
         weights = torch.split(self.hidden.weight, _FEATURES)
         hidden = specular @ weights[0] + changing @ weights[1] + direction @ weights[3]
         color: Tensor = albedo + self.out(torch.relu(hidden + origin @ weights[2]))

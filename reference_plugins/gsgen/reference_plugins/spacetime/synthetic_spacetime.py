@@ -40,7 +40,7 @@ def write_spacetime(
     columns |= _numbered("f_dc", np.concatenate(features, axis=1))
     columns |= {"opacity": knot.logit_opacity}
     columns |= _numbered("scale", knot.log_scale) | _numbered("rot", knot.rotation)
-    columns |= _numbered("omega", rng.normal(0, 1, (count, 4)))
+    columns |= _numbered("omega", rng.normal(0, 0.1, (count, 4)))
     if full:
         columns |= _numbered("f_t", rng.normal(0, 0.5, (count, 3)))
     variant = "ours_full" if full else "ours_lite"

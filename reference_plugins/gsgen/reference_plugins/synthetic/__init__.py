@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         HexPlaneOptions,
         write_deformable,
         write_hexplane,
+        write_sc_gs,
     )
     from gsgen.reference_plugins.images.synthetic_difix import write_difix
     from gsgen.reference_plugins.images.synthetic_images import write_denoiser, write_stylise
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_body",
     "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_gauhuman",
-    "write_hexplane", "write_lhm", "write_motion", "write_octree", "write_r3", "write_rotor", "write_scaffold",
+    "write_hexplane", "write_lhm", "write_motion", "write_octree", "write_r3", "write_rotor", "write_sc_gs", "write_scaffold",
     "write_spacetime", "write_stylise",
 ]  # fmt: skip
 

@@ -58,6 +58,7 @@ def _floats(
         for group, table in tables.items():
             # All columns exist: the mode only saves np.take a copy.
             np.take(rows[part], columns[group], axis=1, out=table[part], mode="clip")
-        if start % _RELEASED_ROWS == 0:  # pages that were read need not stay in memory
+        # Pages that were read need not stay in memory; Windows drops them by itself.
+        if start % _RELEASED_ROWS == 0 and hasattr(mmap, "MADV_DONTNEED"):
             data.madvise(mmap.MADV_DONTNEED)
     return tables

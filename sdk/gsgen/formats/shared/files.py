@@ -15,6 +15,13 @@ from gsgen.formats.shared.errors import FileUnreadable, FileUnwritable, FormatEr
 FilePath = str | os.PathLike[str]
 """The types of path arguments."""
 
+# Files and folders that the training code of most methods writes.
+_TRAINING_FILES = ("cfg_args", "point_cloud", "point_cloud.ply")
+_TRAINING_HINT = (
+    "`gsgen export METHOD --checkpoint FOLDER -o OUT.onnx` exports the folder of a training; "
+    "`gsgen plugins` lists the methods"
+)
+
 
 @contextmanager
 def naming(path: FilePath) -> Iterator[None]:
@@ -62,7 +69,7 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
     with naming(path):
         try:
             if is_device(Path(path)):
-                raise FileUnwritable("is a device or a pipe", expected="a file to write")
+                raise FileUnwritable("the path is a device or a pipe", expected="a file to write")
             # Not tempfile: only the owner may read its files.
             part = Path(path).parent / f".{secrets.token_hex(8)}.part"
             try:
@@ -90,10 +97,12 @@ def _require_regular(path: FilePath) -> None:
     except ValueError as error:  # a NUL byte in the path
         raise FileUnreadable(f"cannot be read: {error}") from error
     if stat.S_ISDIR(status.st_mode):
-        raise FileUnreadable("is a folder", expected="a file")
+        has_training = any(Path(path, name).exists() for name in _TRAINING_FILES)
+        hint = _TRAINING_HINT if has_training else ""
+        raise FileUnreadable("the path is a folder", expected="a file", hint=hint)
     if not stat.S_ISREG(status.st_mode):
-        raise FileUnreadable("is a device, pipe or socket", expected="a regular file")
+        raise FileUnreadable("the path is a device, pipe or socket", expected="a regular file")
     if status.st_size == 0:
         raise FileUnreadable(
-            "is empty", hint="write it again: the program that wrote it may have failed"
+            "the file is empty", hint="write it again: the program that wrote it may have failed"
         )

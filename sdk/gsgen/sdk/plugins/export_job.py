@@ -67,6 +67,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
     from gsgen.sdk.exporting.constant_generator import ConstantSource, export_constant
 
     # Options are checked before a slow step begins.
+    request.refuse_splat_file()
     settings = Settings(level=Level.parse(request.level, "--level"))
     load_target(request.target)
     progress("building the generator")

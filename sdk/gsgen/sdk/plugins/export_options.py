@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gsgen.contract.process.atomic_files import refuse_itself, refuse_model
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.atomic_files import MODEL_SUFFIX, refuse_itself, refuse_model
 from gsgen.sdk.exporting.pipeline import OPSET
 
 if TYPE_CHECKING:
@@ -45,6 +46,16 @@ class ExportRequest:
         """Raise if the JSON report of an export would overwrite a model file."""
         if self.report is not None:
             refuse_model(self.report, [self.output])
+
+    def refuse_splat_file(self) -> None:
+        """Raise if the model would be named like a splat file, which `gsgen convert` writes."""
+        from gsgen.formats.codecs import CODECS
+
+        suffix = self.output.suffix.lower()
+        if any(suffix in codec.suffixes for codec in CODECS):
+            hint = f"Name {self.output.with_suffix('.onnx')}; `gsgen convert` writes splat files."
+            message = f"has the suffix {suffix} of splat files, expected {MODEL_SUFFIX}"
+            raise ConfigInvalid(message, where=f"-o {self.output}", hint=hint)
 
 
 def _request(
