@@ -109,6 +109,12 @@ docs: setup
 wheel: setup
 	$(BIN)/python -m build --wheel --outdir dist
 
+# Mutants of the code, drawn over all rooms, each against the tests that name its module.
+MUTANTS ?= 300
+mutants: setup
+	$(PIP) --group mutants
+	$(BIN)/python scripts/mutants.py --count $(MUTANTS) --seed $(SEED) --minutes $(MINUTES)
+
 # All of a release but the upload: RELEASING.md explains each step.
 release: setup
 	@tag=$$($(BIN)/python scripts/check_release.py) || exit 1; \

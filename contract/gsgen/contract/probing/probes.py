@@ -150,7 +150,11 @@ def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray,
 
 # The annotation of a generator is quoted: NumPy loads its random module when it is named.
 def _sample(
-    spec: Input, manifest: Manifest, shape: tuple[int, ...], along: float, rng: "np.random.Generator"
+    spec: Input,
+    manifest: Manifest,
+    shape: tuple[int, ...],
+    along: float,
+    rng: "np.random.Generator",
 ) -> Array:
     space = manifest.space if isinstance(manifest, GeneratorManifest) else None
     order = space.matrix_order if space else "column"
