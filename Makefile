@@ -95,7 +95,7 @@ gallery: setup drivers
 
 # The picture that README.md and the home page open with.
 hero: setup drivers
-	$(BIN)/python scripts/write_hero.py
+	$(BIN)/python scripts/hero/write_hero.py
 
 # The frame plans that the browser executes, written from the renderer.
 web: setup
@@ -108,6 +108,12 @@ docs: setup
 
 wheel: setup
 	$(BIN)/python -m build --wheel --outdir dist
+
+# Mutants of the code, drawn over all rooms, each against the tests that name its module.
+MUTANTS ?= 300
+mutants: setup
+	$(PIP) --group mutants
+	$(BIN)/python scripts/mutants.py --count $(MUTANTS) --seed $(SEED) --minutes $(MINUTES)
 
 # All of a release but the upload: RELEASING.md explains each step.
 release: setup

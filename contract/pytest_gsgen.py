@@ -1,4 +1,4 @@
-"""Lets pytest find a module at the top of the wheel; the plugin is `gsgen.conformance.pytest`.
+"""Gives pytest a top-level module to find; the plugin itself is `gsgen.conformance.pytest`.
 
 pytest marks the modules of each installed plugin for assertion rewriting. It finds no package in a
 namespace without ``__init__.py``, strips the namespace, and then takes ``gsgen/__main__.py`` for

@@ -98,6 +98,24 @@ def test_without_extras_models_are_validated(fresh: Path, tmp_path: Path) -> Non
     assert "GV003 error" in ran.stdout
 
 
+def test_the_environment_is_small(fresh: Path) -> None:
+    """As `scripts/check_wheel.py` measures it, with pip and without compiled files."""
+    files = [path for path in fresh.parent.rglob("*") if not path.is_symlink()]
+    assert sum(path.stat().st_size for path in files) <= 250 * 2**20
+
+
+def test_a_consumer_s_types_are_checked(fresh: Path, tmp_path: Path) -> None:
+    """Each package has a py.typed, or mypy would take every name for Any."""
+    shutil.copytree(Path(__file__).parent / "consumer", tmp_path / "consumer")
+    mypy = [sys.executable, "-m", "mypy", "--strict", "--python-executable", fresh / "python"]
+    right = run(*mypy, "consumer/consumer.py", cwd=tmp_path)
+    assert right.returncode == 0, right.stdout
+    wrong = run(*mypy, "consumer/wrong.py", cwd=tmp_path)
+    assert wrong.returncode == 1, wrong.stdout
+    assert "[arg-type]" in wrong.stdout
+    assert "[attr-defined]" in wrong.stdout
+
+
 def test_packed_rows_export_without_torch(fresh: Path, tmp_path: Path) -> None:
     script = (
         "import numpy as np; r = np.zeros((5, 10), 'f4'); r[:, 3] = 0.5; "

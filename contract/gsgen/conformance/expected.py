@@ -88,7 +88,7 @@ def _entry(table: dict[str, Any], where: str, source: str, registry: Registry) -
             )
     for key in ("rule", "reason"):
         if key not in table:
-            raise ConfigInvalid(f"the entry lacks the key {key!r}", where=where)
+            raise ConfigInvalid(f"the table [[{_TABLE}]] lacks the key {key!r}", where=where)
     rule = registry.find(table["rule"], where).id
     return ExpectedFailure(rule, table["reason"], table.get("model", ""), source)
 

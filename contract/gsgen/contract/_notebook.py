@@ -1,4 +1,4 @@
-"""Shows objects in notebooks: HTML with a table and an embedded picture, which saved files keep."""
+"""Shows objects in Jupyter notebooks as HTML: a table and an embedded picture."""
 
 __all__ = ["preview_png", "summary_html"]
 
@@ -12,7 +12,7 @@ _GROUP = "gsgen.previews"
 
 
 def preview_png(value: object) -> bytes | None:
-    """Return a PNG of splats or a scene; None where no renderer is installed or nothing is drawn.
+    """Return a PNG picture of splats or a scene; None if no renderer is installed.
 
     A renderer is registered under the entry point group ``gsgen.previews``.
     """
@@ -26,7 +26,7 @@ def preview_png(value: object) -> bytes | None:
 def summary_html(
     title: str, rows: Sequence[tuple[str, str]], picture: bytes | None = None, alt: str = ""
 ) -> str:
-    """Return a title, a table of names and values, and a PNG as HTML; texts are escaped."""
+    """Return HTML with a title, a table of names and values, and a PNG picture."""
     lines = "".join(
         f'<tr><th style="text-align:left">{escape(name)}</th>'
         f'<td style="text-align:left">{escape(value)}</td></tr>'

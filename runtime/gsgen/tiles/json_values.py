@@ -34,10 +34,7 @@ def parse_object(data: bytes, location: str, *, fault: Fault = Fault.SCHEMA) -> 
     except (ValueError, RecursionError) as error:
         reason = "it nests too deeply" if isinstance(error, RecursionError) else error
         raise TilesetInvalid(
-            f"the text is not JSON ({reason})",
-            location=file,
-            expected="a JSON object",
-            fault=fault,
+            f"the text is not JSON ({reason})", location=file, expected="a JSON object", fault=fault
         ) from error
     if not isinstance(document, dict):
         raise TilesetInvalid(

@@ -120,7 +120,7 @@ class Parity:
 
     @property
     def holds(self) -> bool:
-        """Whether every field agrees within its tolerance; NaN counts as a failure."""
+        """Whether every compared field agrees within its tolerance; NaN counts as a failure."""
         return all(field.excess <= 1 for field in self.fields)
 
     def describe(self) -> str:

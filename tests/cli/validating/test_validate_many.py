@@ -113,7 +113,7 @@ def test_a_required_rule_outside_of_only_is_a_contradiction(good: Path) -> None:
 def test_an_output_in_an_unknown_folder_is_refused_before_the_work(good: Path) -> None:
     ran = gsgen_here("validate", good, "-o", good.parent / "nowhere" / "report.txt")
     assert ran.code == 2
-    assert "is in a folder that does not exist" in ran.err
+    assert "the output is in a folder that does not exist" in ran.err
     assert not (good.parent / "nowhere").exists()
 
 

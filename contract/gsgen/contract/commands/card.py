@@ -23,7 +23,7 @@ def card(
     ] = None,
     target: Annotated[str, typer.Option(help="Consumer to validate for.")] = "core",
 ) -> None:
-    """Write a model card of MODEL: what it is, its inputs, a picture, and the verdict.
+    """Write a model card of MODEL: description, inputs, a picture, and the validation verdict.
 
     The Markdown has the front matter of the Hugging Face Hub; nothing is uploaded.
 
@@ -49,7 +49,7 @@ def card(
     manifest = subject.parsed.manifest if subject.parsed is not None else None
     if manifest is None:
         raise ConfigInvalid(
-            "has no valid manifest, which a card describes",
+            "the model has no valid manifest, from which a model card is written",
             where=str(model),
             hint=f"gsgen validate {model} --level static",
         )

@@ -16,14 +16,14 @@ _COUNT: Final = re.compile(r"(?P<done>\d+) of (?P<total>\d+)\b")
 
 
 class _Line:
-    """The progress line: a rich display, and the counted task that it shows."""
+    """The progress line of a command: a rich display and its current task."""
 
     def __init__(self) -> None:
         self.display: Progress | None = None
         self.counted = ("", 0)
 
     def show(self, words: str) -> None:
-        """Show a text, or a bar if it counts, and keep the bar while only its count changes."""
+        """Show a text on the progress line, with a progress bar if it has a count such as 3/9."""
         if self.display is None:
             self.display = _open_display()
             self.display.start()
@@ -39,7 +39,7 @@ class _Line:
         self.display.update(self.display.task_ids[0], description=f"{words} …", completed=done)
 
     def close(self) -> None:
-        """Erase the line, and show the cursor again."""
+        """Erase the progress line, and show the terminal's cursor again."""
         if self.display is not None:
             self.display.stop()
             self.display = None

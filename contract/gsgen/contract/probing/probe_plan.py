@@ -137,7 +137,7 @@ def _affordable(subject: InspectedModel) -> int:
 
 
 def _frame_bytes(subject: InspectedModel) -> int:
-    """Return the size in bytes of the inputs and outputs of one test run, as float32."""
+    """Return the size in bytes of the inputs and outputs of one model run, as float32."""
     total = probed_bytes(subject)
     for tensor in (subject.gaussians, subject.appearance, subject.cells):
         dims = static_dims(tensor) if tensor else None

@@ -46,13 +46,13 @@ _UP = {"x": 0, "y": 1, "z": 2}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPlacement:
-    """Asks the sandbox to move a test camera to the centre of a Gaussian of an earlier run.
+    """Tells the sandbox to move a test camera to the centre of a Gaussian of an earlier run.
 
     Attributes:
         rows: The output of packed rows, whose first visible row is taken.
         order: Memory order of the view matrix.
-        view: The input with the view matrix; empty if there is none.
-        position: The input with the camera's centre; empty if there is none.
+        view: The input with the view matrix; empty if the model lacks it.
+        position: The input with the camera's centre; empty if the model lacks it.
     """
 
     rows: str
@@ -148,8 +148,13 @@ def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray,
     return np.ascontiguousarray(tensor, np.float32)
 
 
+# The annotation of a generator is quoted: NumPy loads its random module when it is named.
 def _sample(
-    spec: Input, manifest: Manifest, shape: tuple[int, ...], along: float, rng: np.random.Generator
+    spec: Input,
+    manifest: Manifest,
+    shape: tuple[int, ...],
+    along: float,
+    rng: "np.random.Generator",
 ) -> Array:
     space = manifest.space if isinstance(manifest, GeneratorManifest) else None
     order = space.matrix_order if space else "column"
@@ -179,9 +184,9 @@ def _sample(
 
 
 def _history(
-    span: tuple[float, float], count: int, size: int, rng: np.random.Generator
+    span: tuple[float, float], count: int, size: int, rng: "np.random.Generator"
 ) -> Float[np.ndarray, "t s"]:
-    """Return a smooth camera path: state vectors of centre and rotation."""
+    """Return a smooth camera path for test inputs: state vectors of centre and rotation."""
     steps = np.arange(count)[:, None]
     sides = _between(*span, rng.random((2, 3)))
     pace = (sides[1] - sides[0]) / max(count - 1, 1)
@@ -199,7 +204,7 @@ def _between(low: float, high: float, along: Array) -> Array:
 
 
 def _cast(values: Array, dtype: str) -> Array:
-    """Convert numbers to another dtype, clamped to the dtype's range."""
+    """Convert numbers to another dtype; those beyond its range are clamped to the range."""
     kind = np.dtype(dtype)
     if kind.kind in "iuf":
         limits = np.finfo(kind) if kind.kind == "f" else np.iinfo(kind)
@@ -241,7 +246,7 @@ def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """A model's declared bounds, or else ±1, as centre and half extents, and the up direction."""
+    """The bounding box around which test cameras are placed, and the up direction."""
 
     center: Float[np.ndarray, " 3"]
     half: Float[np.ndarray, " 3"]
@@ -249,7 +254,7 @@ class Surroundings:
 
     @classmethod
     def of(cls, manifest: Manifest) -> "Surroundings":
-        """Return the surroundings of the bounds that a manifest declares."""
+        """Return the bounding box in which test cameras are placed, from the manifest's bounds."""
         bounds = getattr(manifest, "bounds", None) or Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
         low, high = np.clip([bounds.min, bounds.max], -_FARTHEST, _FARTHEST)
         space = getattr(manifest, "space", None)
@@ -260,7 +265,7 @@ class Surroundings:
 
     @property
     def radius(self) -> float:
-        """Half the diagonal of the bounds, at least a thousandth of a unit."""
+        """Half the diagonal of the bounding box, at least a thousandth of a unit."""
         return max(float(np.linalg.norm(self.half)), 1e-3)
 
 

@@ -66,7 +66,7 @@ class ProbeRun:
 
     @property
     def extremes(self) -> Extremes | None:
-        """The row count and the extremes of the live rows' fields, at a survey probe."""
+        """The row count, minima and maxima of the live rows of a survey run."""
         return self.sample.extremes if self.sample is not None else None
 
     @property

@@ -132,7 +132,7 @@ def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
 
 
 def input_reader(folder: Path, job: dict[str, Any]) -> Callable[[int], dict[str, np.ndarray]]:
-    """Return a function that reads one set of test inputs by its number."""
+    """Return a function that reads one set of test inputs by its index."""
     cached: dict[int, np.ndarray] = {}
 
     def array(number: int) -> np.ndarray:
@@ -158,7 +158,7 @@ def _drawn_center(rows: np.ndarray) -> np.ndarray | None:
 def _place_camera(
     inputs: dict[str, np.ndarray], placement: dict[str, str], center: np.ndarray
 ) -> None:
-    """Move the camera of test inputs to a point; its rotation stays."""
+    """Move the test camera in the inputs to a point, keeping its rotation."""
     if view := placement["view"]:
         tensor = inputs[view].copy()
         matrix = tensor.T if placement["order"] == "column" else tensor
@@ -171,7 +171,7 @@ def _place_camera(
 def _survey_outputs(
     outputs: dict[str, np.ndarray], known: dict[str, int], emit: Emit, job: dict[str, Any]
 ) -> int:
-    """Note the digest and the extremes of a run's outputs, and return the number of the sample."""
+    """Record the digest and extremes of a run's outputs; return the index of the record."""
     digest = digest_of(outputs)
     key = f"survey {digest}"
     if key not in known:
@@ -184,7 +184,7 @@ def _survey_outputs(
 
 
 def _extremes(rows: np.ndarray | None, count: np.ndarray | None) -> dict[str, Any] | None:
-    """Return the row count and the extremes of each field of the live rows."""
+    """Return the row count, and minimum and maximum of each column of the live rows."""
     if rows is None or rows.ndim != 2 or rows.dtype.kind != "f":
         return None
     live = int(count.reshape(-1)[0]) if count is not None and count.size else len(rows)

@@ -1,4 +1,4 @@
-"""Survey probes: cameras where people look, with all other inputs at ends of their ranges.
+"""Survey test inputs: cameras in and around the scene, other inputs at their range ends.
 
 Cameras of other probes orbit outside the bounds, and their inputs lie on one line through the
 ranges. These stand inside the scene, far away and on twenty sides, and combine the ends of ranges.
@@ -52,7 +52,7 @@ _SEED = 20
 def survey_probes(
     manifest: GeneratorManifest, first: tuple[Probe, ...], limit: int
 ) -> Iterator[Probe]:
-    """Yield the survey probes of a generator, the cameras inside the scene first.
+    """Yield survey test inputs of a generator, with cameras inside the scene first.
 
     Args:
         manifest: Declares the role and the range of each input.
@@ -79,7 +79,7 @@ def _survey(label: str, inputs: dict[str, Array]) -> Probe:
 def _viewed(
     manifest: GeneratorManifest, ranged: list[Input], first: tuple[Probe, ...]
 ) -> Iterator[Probe]:
-    """Yield a survey probe for each camera."""
+    """Yield survey test inputs for each camera."""
     scene, base = Surroundings.of(manifest), first[1]
     forward = np.roll(scene.up, 1)
     inside = _camera_at(scene.center, forward, scene.up)
@@ -122,7 +122,7 @@ def _name_of(manifest: GeneratorManifest, role: str) -> str:
 def _camera_inputs(
     manifest: GeneratorManifest, base: Probe, view: Float[np.ndarray, "4 4"]
 ) -> dict[str, Array]:
-    """Return the inputs of roles view and camera_position for a view matrix."""
+    """Return the values of the inputs `view` and `camera_position` for a view matrix."""
     order = manifest.space.matrix_order if manifest.space else "column"
     center = -view[:3, :3].T @ view[:3, 3]
     arrays = {"view": as_tensor(view, order), "camera_position": center}
@@ -134,7 +134,7 @@ def _camera_inputs(
 
 
 def _corner(ranged: list[Input], base: Probe, number: int) -> dict[str, Array]:
-    """Return inputs whose numbers lie each at an end of the range, drawn by ``number``."""
+    """Return test inputs whose numbers are each at one end of their range, chosen by ``number``."""
     rng = np.random.default_rng([_SEED, number])
     inputs = {}
     for entry in ranged:

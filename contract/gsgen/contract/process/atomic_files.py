@@ -81,7 +81,9 @@ def refuse_missing_folder(path: Path) -> None:
     """
     if not path.parent.exists():
         hint = f"Create it: mkdir -p {path.parent}"
-        raise ConfigInvalid("is in a folder that does not exist", where=str(path), hint=hint)
+        raise ConfigInvalid(
+            "the output is in a folder that does not exist", where=str(path), hint=hint
+        )
 
 
 def is_device(path: Path) -> bool:

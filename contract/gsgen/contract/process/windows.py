@@ -1,4 +1,4 @@
-"""Process limits on Windows, which has neither ``resource`` nor a parent that can be polled.
+"""Memory limits and waiting for processes on Windows, which lacks Python's ``resource``.
 
 The structures and constants are those of the Windows API's job objects (``winnt.h``).
 """
@@ -41,7 +41,7 @@ class _ExtendedLimits(ctypes.Structure):
 
 
 def limit_commit(limit: int) -> None:
-    """Limit the memory that this process may commit to ``limit`` bytes, by a job object.
+    """Limit the memory that this process may allocate on Windows to ``limit`` bytes.
 
     The job is never closed: it lives as long as the process.
 
@@ -78,5 +78,6 @@ def _kernel32() -> Any:
 
 def _checked(result: int | None) -> ctypes.c_void_p:
     if not result:
-        raise OSError(f"Windows error {getattr(ctypes, 'get_last_error')()}")  # noqa: B009
+        code = getattr(ctypes, "get_last_error")()  # noqa: B009
+        raise OSError(f"a call to Windows failed: Windows error {code}")
     return ctypes.c_void_p(result)

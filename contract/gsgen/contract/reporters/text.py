@@ -220,7 +220,7 @@ def _resolved(report: Report) -> list[Line]:
 
 
 def _costs(report: Report) -> list[Line]:
-    """Return lines with the model runs of each level that ran, and their time if it is shown."""
+    """Return lines with the number of model runs of each validation level, and their time."""
     lines = [Line("  levels:")]
     for level in report.levels:
         if level.ran:

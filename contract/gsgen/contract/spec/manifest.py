@@ -1,4 +1,4 @@
-"""The manifest: the JSON document inside a model that declares what its tensors mean.
+"""The manifest: the JSON document inside a model that declares the meaning of its tensors.
 
 These dataclasses are the single source of truth. The published JSON Schemas
 (``schemas/*.schema.json``) are generated from them by :mod:`gsgen.contract.spec.json_schema`.
@@ -90,7 +90,7 @@ class Space:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """An axis-aligned box that holds the Gaussians' centres at every probe."""
+    """An axis-aligned box that holds the Gaussians' centres for all inputs (at every probe)."""
 
     min: Annotated[tuple[float, float, float], Hint(text="Lower corner, x y z.")]
     max: Annotated[tuple[float, float, float], Hint(text="Upper corner, x y z.")]

@@ -1,4 +1,4 @@
-"""The limits of float16, and the formatting of byte counts."""
+"""The limits of float16 numbers, and functions that format byte counts."""
 
 __all__ = [
     "FLOAT16_EPSILON",

@@ -20,7 +20,7 @@ _KINDS = {
 
 
 def model_card(report: Report, manifest: Manifest, file: str, picture: str = "") -> str:
-    """Return a Markdown model card.
+    """Return a model card in Markdown, for the README.md of a model's repository.
 
     Args:
         report: The validation of the model.

@@ -1,4 +1,4 @@
-"""Validates a model in stages: check the file, run the probes, check outputs and behaviour."""
+"""Validates a model in stages: file, graph, outputs for test inputs, and behaviour."""
 
 __all__ = ["Progress", "silent", "validate_with"]
 
@@ -98,6 +98,7 @@ class _Validation:
         self._check_runs()
         self._settle_remaining()
         self.results.withdraw_predictions()
+        self.results.withdraw_consequences()
         self._check_report()
         subject, gaussians = self.subject, self.subject.declared_gaussians
         manifest = subject.manifest
@@ -131,7 +132,7 @@ class _Validation:
         return apply_waivers(self.results.findings(), self.settings.waivers, self.settings.today)
 
     def _with_cost(self, level: LevelOutcome) -> LevelOutcome:
-        """Return the outcome of a level with its number of model runs, and their and its time."""
+        """Return a validation level's outcome with the number of model runs and the time taken."""
         outcomes = self.results.outcomes.values()
         rules = sum(o.milliseconds for o in outcomes if o.rule.level is level.level) / 1000
         runs = self.runs.get(level.level, [])

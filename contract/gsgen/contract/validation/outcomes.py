@@ -156,6 +156,20 @@ class ResultCollector:
                 outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
                 self.outcomes[rule.id] = outcome
 
+    def withdraw_consequences(self) -> None:
+        """Withdraw the findings that the failure of a rule of a later level explains."""
+        for rule in self.registry.rules.values():
+            causes = [id for id in rule.explained_by if self._explains(id)]
+            if causes and rule.id in self._counters:
+                del self._counters[rule.id]
+                reason = f"because {causes[0]} explains what it found"
+                outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
+                self.outcomes[rule.id] = outcome
+
+    def _explains(self, id: str) -> bool:
+        outcome = self.outcomes.get(id)
+        return outcome is not None and outcome.status == "fail"
+
     def findings(self) -> tuple[Finding, ...]:
         """Return all findings, the most severe first, then in the order of the rule catalogue."""
         findings = [

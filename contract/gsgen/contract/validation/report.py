@@ -120,7 +120,7 @@ class ResolvedFinding:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture of a validated model at one probe, or the reason why no picture was drawn.
+    """A picture of a validated model for one set of test inputs, or why no picture was drawn.
 
     Attributes:
         probe: Label of the probe.
@@ -242,7 +242,7 @@ class Report:
         raise KeyError(rule_id)
 
     def _repr_html_(self) -> str:
-        """Return the verdict and the findings as HTML, for notebooks."""
+        """Return the report's verdict and findings as HTML, for notebooks."""
         checked = f"for {self.target.name}, at level {self.level.word}; {self.statuses['pass']} rules hold"
         findings = [
             (

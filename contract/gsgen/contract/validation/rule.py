@@ -78,6 +78,8 @@ class Rule:
         limit: The limit of the target that it checks; the rule applies only to targets with it.
         settled_by: Rules of the level live that measure what this one predicts: where all of them
             hold, the prediction is withdrawn.
+        explained_by: Rules of later levels whose fault causes this one's violations: where one of
+            them fails, these are withdrawn, so that the cause is read first.
         evidence: A documented case where breaking the rule did damage; may be empty.
     """
 
@@ -96,11 +98,12 @@ class Rule:
     target: str = ""
     limit: str = ""
     settled_by: tuple[str, ...] = ()
+    explained_by: tuple[str, ...] = ()
     evidence: str = ""
 
     @property
     def family(self) -> str:
-        """The letters of the rule's id: GM, GI, GO, GG, GV, GB, GL, GS, GT, TV or GW."""
+        """The first two letters of the rule's id, such as GM (manifest) or GV (values)."""
         return self.id.rpartition("/")[2][:2]
 
 
@@ -116,6 +119,7 @@ def rule(
     target: str = "",
     limit: str = "",
     settled_by: tuple[str, ...] = (),
+    explained_by: tuple[str, ...] = (),
     level: Level | None = None,
 ) -> Callable[[Check], Rule]:
     """Declare the decorated check as a rule; its docstring is the text of the rule's page.
@@ -134,6 +138,7 @@ def rule(
         target: The only target it applies to; empty for all.
         limit: The limit of the target that it checks.
         settled_by: Rules of the level live that measure what this one predicts.
+        explained_by: Rules of later levels whose fault causes this one's violations.
         level: The first level that can check it; by default, that of the scope.
 
     Raises:
@@ -162,6 +167,7 @@ def rule(
             target=target,
             limit=limit,
             settled_by=settled_by,
+            explained_by=explained_by,
             evidence=evidence,
         )
 

@@ -13,7 +13,7 @@ from gsgen.contract.validation.report import Tolerance
 
 
 def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
-    """Return the effective tolerances of a generator; empty for other kinds of model.
+    """Return the tolerances for comparing two runs of a generator; empty for other models.
 
     The user's settings take precedence over the manifest, and the manifest over the contract.
     """

@@ -41,7 +41,7 @@ class _SplitLayer(nn.Module):
 
 @final
 class DeformationNetwork(nn.Module):
-    """Computes hidden values of points at a time; one layer sees the encoded inputs again."""
+    """Hidden layers of a deformation network; one of them sees the encoded inputs again."""
 
     def __init__(self, net: Deformation) -> None:
         super().__init__()
@@ -57,7 +57,7 @@ class DeformationNetwork(nn.Module):
         )
 
     def moment(self, time: Float[Tensor, "1"]) -> Float[Tensor, "1 m"]:
-        """Encode a time, with the two layers of Blender scenes if there are any."""
+        """Encode a time, by the two time layers that only networks of Blender scenes have."""
         if not len(self.time):
             return positional_encoding(time.reshape(1, 1), POINT_OCTAVES)
         first, second = self.time
@@ -68,7 +68,7 @@ class DeformationNetwork(nn.Module):
     def forward(
         self, encoded: Float[Tensor, "n p"], moment: Float[Tensor, "1 m"]
     ) -> Float[Tensor, "n w"]:
-        """Return the hidden values of encoded points at an encoded time."""
+        """Return the hidden features of encoded points at an encoded time."""
         hidden = torch.relu(self.layers[0](encoded, moment))
         for index, layer in enumerate(self.layers[1:], start=1):
             result = layer(encoded, moment, hidden) if index == self.skip else layer(hidden)

@@ -36,7 +36,7 @@ _ROWS = 8192  # rows whose distances to all nodes are in memory at once
 def node_weights(
     points: Float[Tensor, "n d"], nodes: ControlNodes, neighbours: int
 ) -> tuple[Int[Tensor, "n k"], Float[Tensor, "n k"]]:
-    """Return the nearest nodes of points, and their weights in float64, which sum to 1."""
+    """Return the nearest control nodes of points, and the float64 weights, which sum to 1."""
     centres = torch.cat([nodes.position, nodes.hyper], dim=1).double()
     radius = torch.exp(nodes.log_radius.double())
     share = torch.sigmoid(nodes.logit_weight.double())
@@ -89,7 +89,7 @@ class ScGs(GaussianGenerator):
             self.register_buffer("mask", torch.sigmoid(read.logit_mask))
 
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
-        """Return the Gaussians that the nodes carry to their places at a time."""
+        """Return the Gaussians at a given time, as moved by the control nodes around them."""
         table = self.nodes(time)
         blended = sum(
             (self._weighted(table, neighbour) for neighbour in range(1, self.neighbours)),
@@ -132,7 +132,7 @@ def _columns(table: Tensor, widths: dict[str, int]) -> list[Tensor]:
 
 
 class _NodeMotion(nn.Module):
-    """Computes what each node adds to the Gaussians around it, side by side in one table.
+    """Computes a row of motion parameters per control node, which Gaussians around it blend.
 
     A node that turns its surroundings maps x to R (x − c) + c + T. Its columns are R, and the
     translation c + T − R c, so that blends of both are blends of the maps.
@@ -190,7 +190,7 @@ class _NodeMotion(nn.Module):
 
 
 def _joined(parts: Sequence[Tensor]) -> Tensor:
-    """Join columns, at most four tensors at once."""
+    """Concatenate tensors along their columns, at most four tensors at once."""
     while len(parts) > 1:
         parts = [torch.cat(tuple(parts[i : i + 4]), dim=1) for i in range(0, len(parts), 4)]
     return parts[0]

@@ -51,7 +51,7 @@ _REQUIRED: dict[str, object] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeOptions:
-    """The options of a training of SC-GS that inference needs."""
+    """The training options of SC-GS that inference needs."""
 
     neighbours: int  # number of nodes that move a Gaussian
     adds_identity: bool  # whether the identity is added to quaternions, too
@@ -59,7 +59,7 @@ class NodeOptions:
 
     @classmethod
     def of(cls, cfg: CfgArgs) -> "NodeOptions":
-        """Read the options from ``cfg_args``; raise where the published code does something else."""
+        """Read the SC-GS options from ``cfg_args``; raise for variants that cannot be exported."""
         for name, expected in _REQUIRED.items():
             if cfg.values.get(name, expected) != expected:
                 message = f"{name} is {cfg.values[name]!r}, expected {expected!r}"
@@ -75,7 +75,7 @@ class NodeOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlNodes:
-    """M control nodes, and the network that moves them."""
+    """The M control nodes of SC-GS, and the network that moves the nodes over time."""
 
     position: Float[Tensor, "m 3"]
     hyper: Float[Tensor, "m h"]  # further coordinates, in which neighbours are found, too
@@ -99,7 +99,7 @@ class ScGsCheckpoint:
     options: NodeOptions
 
     def describe(self) -> str:
-        """Return the numbers of Gaussians and nodes, and the active heads, as one line."""
+        """Describe an SC-GS checkpoint in one line: Gaussians, control nodes and active heads."""
         nodes = self.nodes
         heads = {
             "local frames": nodes.local_rotation,

@@ -1,4 +1,4 @@
-"""`gsgen export sc-gs`: a checkpoint of SC-GS as a generator."""
+"""The command `gsgen export sc-gs`: exports a checkpoint of SC-GS to ONNX."""
 
 __all__ = ["PLUGIN", "is_sc_gs"]
 

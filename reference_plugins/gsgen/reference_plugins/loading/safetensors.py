@@ -1,4 +1,4 @@
-"""Reads and writes tensors in the safetensors format, by its library.
+"""Reads and writes safetensors files with the library of the same name.
 
 Such a file cannot hold code: https://github.com/huggingface/safetensors#format. The library refuses
 headers above 100 MB, and tensors that overlap, leave gaps or exceed the file.

@@ -180,7 +180,9 @@ def _tensors(path: Path) -> dict[str, Tensor]:
     for name, shape in expected.items():
         value = fields[name]
         if not isinstance(value, Tensor) or not count:
-            raise CheckpointInvalid(f"{name} is not a tensor with rows", where=str(path), hint=hint)
+            raise CheckpointInvalid(
+                f"the field {name} is not a tensor with rows", where=str(path), hint=hint
+            )
         if value.numel() != np.prod(shape) or not torch.isfinite(value).all():
             message = f"{name} is {list(value.shape)}, expected {list(shape)}, all finite"
             raise CheckpointInvalid(message, where=str(path), hint=hint)

@@ -32,7 +32,7 @@ def write_columns(path: Path, columns: Mapping[str, Float[np.ndarray, " n"]]) ->
 
 
 def splat_columns(splats: Splats) -> dict[str, Float[np.ndarray, " n"]]:
-    """Return the columns of a 3DGS PLY, for files that hold further ones."""
+    """Return splats as named columns of a 3DGS PLY, to which a writer can add columns."""
     count = len(splats)
     columns = dict(zip("xyz", splats.position.T, strict=True))
     columns |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(count))

@@ -1,4 +1,4 @@
-"""Draws splats and scenes small, for notebooks; registered under ``gsgen.previews``."""
+"""Draws small previews of splats and scenes in notebooks (entry point ``gsgen.previews``)."""
 
 __all__ = ["draw_preview"]
 
@@ -16,7 +16,7 @@ _BACKGROUND = (0.1, 0.11, 0.13, 1.0)
 
 
 def draw_preview(value: object) -> bytes | None:
-    """Return a PNG of ``Splats``, ``SplatData`` or a ``Scene``; None where nothing can draw it.
+    """Return a PNG of ``Splats``, ``SplatData`` or a ``Scene``; None if it cannot be drawn.
 
     Raises:
         SceneInvalid: The scene cannot be drawn.

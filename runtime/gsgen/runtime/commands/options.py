@@ -158,7 +158,7 @@ _IMAGE_SIZE = re.compile(r"([1-9]\d*)\s*[x×*,]\s*([1-9]\d*)", re.ASCII | re.IGN
 def split_image_size(
     entries: list[str] | None, width: int | None, height: int | None
 ) -> tuple[list[str], int | None, int | None]:
-    """Separate the values of ``--size`` into sizes of dimensions and the size of the image.
+    """Separate ``--size`` values into sizes of model dimensions and the size of the image.
 
     Returns:
         The values SYMBOL=SIZE; width and height in pixels, those of ``--width`` and ``--height``

@@ -132,7 +132,7 @@ def view(
 def _background(
     text: str | None, files: "Sequence[SceneFile]"
 ) -> tuple[float, float, float, float]:
-    """Return the background of the option, or else of the first scene file that has one."""
+    """Return the background colour of --background, or else of the first scene file with one."""
     from gsgen.runtime.playback.scene_camera import first_setting
     from gsgen.runtime.scene.colors import color_of
 

@@ -37,7 +37,7 @@ def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tupl
 
 
 def address_of(source: str | Path) -> str:
-    """Return the web address (http, https) of a source, of whose slashes a Path has joined two.
+    """Return the http(s) address of a source, with the slash that ``Path`` removed; else empty.
 
     A file or a folder has none: the result is empty.
     """

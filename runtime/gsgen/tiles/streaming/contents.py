@@ -116,7 +116,7 @@ class ContentReader:
             ) from error
 
     def _located(self, location: str) -> str:
-        """Return a location in a file, with the address if the file is on a web server."""
+        """Prefix a location in a file with the web address, if the file is on a web server."""
         return f"{self._store.name}/{location}" if isinstance(self._store, HttpStore) else location
 
 

@@ -66,7 +66,7 @@ class _Machine:
 
     def popped(self, count: int) -> list[Any]:
         if count > len(self.stack):
-            raise ValueError("the pickle takes more values than it has pushed")
+            raise ValueError("the pickle pops more values than it has pushed")
         items = self.stack[len(self.stack) - count :]
         del self.stack[len(self.stack) - count :]
         return items

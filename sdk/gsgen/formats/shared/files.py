@@ -42,7 +42,7 @@ def opened(path: FilePath) -> Iterator[BinaryIO]:
             with open(path, "rb") as file:
                 yield file
         except OSError as error:
-            raise FileUnreadable(f"cannot be read: {error.strerror or error}") from error
+            raise FileUnreadable(f"the file cannot be read: {error.strerror or error}") from error
 
 
 @contextmanager
@@ -69,7 +69,7 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
     with naming(path):
         try:
             if is_device(Path(path)):
-                raise FileUnwritable("is a device or a pipe", expected="a file to write")
+                raise FileUnwritable("the path is a device or a pipe", expected="a file to write")
             # Not tempfile: only the owner may read its files.
             part = Path(path).parent / f".{secrets.token_hex(8)}.part"
             try:
@@ -79,7 +79,9 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
             finally:
                 part.unlink(missing_ok=True)
         except OSError as error:
-            raise FileUnwritable(f"cannot be written: {error.strerror or error}") from error
+            raise FileUnwritable(
+                f"the file cannot be written: {error.strerror or error}"
+            ) from error
 
 
 def make_folder(path: FilePath) -> None:
@@ -88,21 +90,23 @@ def make_folder(path: FilePath) -> None:
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise FileUnwritable(f"cannot be written: {error.strerror or error}") from error
+            raise FileUnwritable(
+                f"the file cannot be written: {error.strerror or error}"
+            ) from error
 
 
 def _require_regular(path: FilePath) -> None:
     try:
         status = os.stat(path)
     except ValueError as error:  # a NUL byte in the path
-        raise FileUnreadable(f"cannot be read: {error}") from error
+        raise FileUnreadable(f"the file cannot be read: {error}") from error
     if stat.S_ISDIR(status.st_mode):
         has_training = any(Path(path, name).exists() for name in _TRAINING_FILES)
         hint = _TRAINING_HINT if has_training else ""
-        raise FileUnreadable("is a folder", expected="a file", hint=hint)
+        raise FileUnreadable("the path is a folder", expected="a file", hint=hint)
     if not stat.S_ISREG(status.st_mode):
-        raise FileUnreadable("is a device, pipe or socket", expected="a regular file")
+        raise FileUnreadable("the path is a device, pipe or socket", expected="a regular file")
     if status.st_size == 0:
         raise FileUnreadable(
-            "is empty", hint="write it again: the program that wrote it may have failed"
+            "the file is empty", hint="write it again: the program that wrote it may have failed"
         )

@@ -70,7 +70,7 @@ class Splats:
         return math.isqrt(self.sh.shape[1]) - 1
 
     def _repr_html_(self) -> str:
-        """Return a picture and the main facts as HTML, for notebooks."""
+        """Return a picture and the main facts of the splats as HTML, for notebooks."""
         low, high = ("0", "0") if not len(self) else map(_corner, _extent(self.position))
         training = "antialiased" if self.antialiased else "classic"
         rows = [
@@ -143,7 +143,7 @@ class PackedRows:
 def _require(
     name: str, array: object, dtypes: tuple[str, ...], shape: tuple[int | str, ...]
 ) -> None:
-    """Raise ValueInvalid unless an array has the dtype and shape; letters in it match any size."""
+    """Raise ValueInvalid unless an array has the given dtype and shape; named sizes match any."""
     expected = f"{' or '.join(dtypes)} {_bracketed(shape)}"
     if not isinstance(array, np.ndarray):
         raise ValueInvalid(f"the value is a {type(array).__name__}", where=name, expected=expected)

@@ -198,7 +198,9 @@ def _check_output_sizes(
         size = math.prod(shapes[spec.name]) * spec.dtype.itemsize
         if size > limit:
             message = f"shape {list(shapes[spec.name])} takes {size / 1e9:.1f} GB"
-            raise RunFailed(f"{message}, more than {limit_name}", where=f"output {spec.name}")
+            raise RunFailed(
+                f"the output of {message}, more than {limit_name}", where=f"output {spec.name}"
+            )
 
 
 def _host_bytes() -> int:

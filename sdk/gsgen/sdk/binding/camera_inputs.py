@@ -100,7 +100,7 @@ def _matrices(camera: Camera) -> tuple[Matrix, Matrix]:
     except (TypeError, ValueError) as error:
         actual = f"is a {type(camera).__name__}"
         expected = "expected .view and .projection, .view and intrinsics, or the pair of matrices"
-        raise InputInvalid(f"{actual}, {expected}", where="camera") from error
+        raise InputInvalid(f"the camera {actual}, {expected}", where="camera") from error
     return view, projection
 
 

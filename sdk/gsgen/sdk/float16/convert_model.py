@@ -252,7 +252,7 @@ class _Search:
         self._guards = epsilon_guards(self.nodes, opset)
 
     def choose(self, share: float, progress: Progress) -> _Choice:
-        """Choose the weight tables, then the nodes, that can be rounded within the tolerance."""
+        """Choose the weights, then the nodes, that float16 can hold within the tolerance."""
         measure, nodes = self._measure, self.nodes
         # Tables come first: their size decides the size of the file and of the download.
         progress(f"measuring which of {len(measure.weights)} weights may be float16")

@@ -87,7 +87,7 @@ def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
 
 
 def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
-    """Return the axis along which a weight table's step size varies; None for one step size."""
+    """Return the axis along which a weight table's quantisation step varies; None for one step."""
     last = array.ndim - 1
     axes = [k for k, n in enumerate(array.shape) if 1 < n <= array.size // _LEAST_ROWS]
     coarse = {k: float(np.square(_range(array, k)[1]).mean()) for k in axes}

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gsgen.contract.process.atomic_files import refuse_itself, refuse_model
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.atomic_files import MODEL_SUFFIX, refuse_itself, refuse_model
 from gsgen.sdk.exporting.pipeline import OPSET
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class ExportRequest:
     target: str = "core"  # the consumer to rewrite and validate for
     level: str = "behaviour"  # the last level of the validation
     verify: Literal["quick", "full"] = "full"  # how many probes are compared with eager torch
+    pictures: int = 0  # reference pictures of the eager module
     rewrite: bool = True  # whether to rewrite the graph for runtimes
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
 
@@ -45,6 +47,16 @@ class ExportRequest:
         """Raise if the JSON report of an export would overwrite a model file."""
         if self.report is not None:
             refuse_model(self.report, [self.output])
+
+    def refuse_splat_file(self) -> None:
+        """Raise if the model would be named like a splat file, which `gsgen convert` writes."""
+        from gsgen.formats.codecs import CODECS
+
+        suffix = self.output.suffix.lower()
+        if any(suffix in codec.suffixes for codec in CODECS):
+            hint = f"Name {self.output.with_suffix('.onnx')}; `gsgen convert` writes splat files."
+            message = f"has the suffix {suffix} of splat files, expected {MODEL_SUFFIX}"
+            raise ConfigInvalid(message, where=f"-o {self.output}", hint=hint)
 
 
 def _request(
@@ -85,6 +97,14 @@ def _request(
         Literal["quick", "full"],
         typer.Option(help="Compare with eager torch at a third of the probes, or at all of them."),
     ] = "full",
+    pictures: Annotated[
+        int,
+        typer.Option(
+            help="Declare so many pictures of the eager module, which level render compares with.",
+            min=0,
+            max=16,
+        ),
+    ] = 0,
     no_rewrite: Annotated[
         bool, typer.Option("--no-rewrite", help="Leave the graph as torch exports it.")
     ] = False,
@@ -101,6 +121,7 @@ def _request(
         target=target,
         level=level,
         verify=verify,
+        pictures=pictures,
         rewrite=not no_rewrite,
         report=report,
     )

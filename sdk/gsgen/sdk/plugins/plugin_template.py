@@ -90,7 +90,7 @@ def _check_name(name: str) -> None:
         conflict = "a plugin that is installed"
     if conflict:
         hint = f"For example 'my-{name}'."
-        raise ConfigInvalid(f"{name!r} is {conflict}", where="NAME", hint=hint)
+        raise ConfigInvalid(f"the plugin name {name!r} is {conflict}", where="NAME", hint=hint)
 
 
 def _template(source: str, replacements: dict[str, str]) -> str:

@@ -1,4 +1,4 @@
-"""Rules of views and frames (GB): outputs are valid wherever people look, in every frame."""
+"""Rules of views and frames (GB): outputs are valid from all sides, and in every frame."""
 
 from collections.abc import Iterator
 
@@ -57,7 +57,7 @@ def views_and_frames_finite(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, *ORDERED_ROWS, "GV003", "GV005", "GV016", "GB043"),
 )
 def views_and_frames_in_range(behaviour: Behaviour) -> Iterator[Violation]:
-    """Count, opacity and variances keep their ranges from all sides and in every frame.
+    """Row count, opacity and variances are in range from all sides and in every frame.
 
     Why:
         Probes of the level values lie on one line through the inputs. People stand inside the
@@ -89,7 +89,7 @@ def views_and_frames_in_range(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _outside(field: str, extremes: Extremes) -> str:
-    """Return the value of a field that is outside its range, as text; empty if there is none."""
+    """Return a field's value that is out of range as text; empty if all are in range."""
     if field == "count":
         return "" if 0 <= extremes.count <= extremes.capacity else f"{extremes.count}"
     if not extremes.low:

@@ -184,7 +184,7 @@ def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Viola
     needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
 )
 def count_range(emission: ModelOutputs) -> Iterator[Violation]:
-    """The row count lies between 0 and the capacity, at every probe.
+    """The row count lies between 0 and the capacity, for all test inputs (at every probe).
 
     Why:
         A renderer that believes a count above the capacity reads beyond the buffer.

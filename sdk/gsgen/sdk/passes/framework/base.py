@@ -84,7 +84,7 @@ class RewriteTarget:
         opset: int | None = None,
         sizes: Mapping[str, int] | None = None,
     ) -> "RewriteTarget":
-        """Return the rewrite target of a runtime; without kernel tables, of all known runtimes."""
+        """Return the limits and kernel tables of a runtime that a model is rewritten for."""
         consumers = [target] if target.operators else [*known_targets().values(), target]
         names = sorted({name for consumer in consumers for name in consumer.operators})
         limits: dict[str, int] = {}

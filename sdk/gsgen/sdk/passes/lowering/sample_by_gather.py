@@ -120,7 +120,7 @@ class _Sampler:
         return self.before.constant(np.asarray(value, self.dtype.numpy()), "number")
 
     def neighbours(self, grid: ir.Value, axis: int, size: int) -> list[tuple[ir.Value, ir.Value]]:
-        """Return index int32 [P, 1] and weight [P, 1] of the lower and the upper pixel."""
+        """Return index [P, 1] and weight [P, 1] of both neighbouring pixels along an axis."""
         op, unit = self.before.op, self.number(1)
         column = op("Gather", grid, self.before.int64(axis), dtype=self.dtype, axis=1)
         coordinate = self._pixel_coordinate(op("Add", column, unit), size)

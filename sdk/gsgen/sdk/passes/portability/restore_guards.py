@@ -122,7 +122,7 @@ def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
 
 
 def _guarded_input(node: ir.Node) -> int | None:
-    """Return the input index of a zero guard, such as Max(x, ε), whose ε is too small; or None."""
+    """Return the input index of a zero guard, such as Max(x, ε), with too small an ε; or None."""
     if not is_op(node, "Add", "Clip", "Max") or len(node.inputs) < 2:
         return None
     for input_index in (0, 1):

@@ -72,7 +72,7 @@ class MaskRows(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "MaskRows":
-        """Return the rewrite of boolean row masks; the manifest names the row count output."""
+        """Return the graph rewrite of boolean row masks for a target runtime."""
         declared = target.manifest
         known = declared.outputs.count if isinstance(declared, GeneratorManifest) else None
         return cls(known.name if known is not None else None)

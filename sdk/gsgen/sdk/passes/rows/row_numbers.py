@@ -36,7 +36,7 @@ def mask_count(node: ir.Node) -> Linear | None:
 
 
 def shape_fact(node: ir.Node, fact: Fact) -> Linear | None:
-    """Return the numbers that Shape returns for rows or indices that a mask selects."""
+    """Return the sizes that Shape returns for rows that a mask selects, by their number K."""
     dims = _dims(fact)
     end = node.attributes.get("end")
     start = int_attribute(node, "start", 0)

@@ -85,7 +85,7 @@ def _full_inputs(node: ir.Node, facts: Facts) -> list[ir.Value | None]:
 
 
 def _elementwise(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create an elementwise operator on all N rows; operands that vary by row must align."""
+    """Create an elementwise operator on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     negative_axes = {fact.axis - (rank_of(fact.value) or 0) for fact in row_facts}
     rank = rank_of(node.outputs[0])
@@ -122,7 +122,7 @@ def _concat(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 
 
 def _matrix_product(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a MatMul or Gemm on all N rows; the contracted axes must not be the rows' axis."""
+    """Create a MatMul or Gemm on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     if len(row_facts) != sum(fact is not None for fact in facts) or not row_facts:
         return None
@@ -171,7 +171,7 @@ def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
 
 
 def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create an Einsum on all N rows, whose axis must have a subscript that the output keeps."""
+    """Create an Einsum on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     input_terms, arrow, output_term = (
         node.attributes["equation"].as_string().replace(" ", "").partition("->")
@@ -200,7 +200,7 @@ def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 
 
 def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a Slice on all N rows, along other axes than the rows' axis or over all rows."""
+    """Create a Slice on all N rows instead of K selected rows, not along the rows' axis."""
     arrays = [constant_of(value) for value in node.inputs[1:]]
     if any(array is None for array in arrays) or len(arrays) < 2:
         return None
@@ -215,7 +215,7 @@ def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | N
 
 
 def _gather(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a Gather on all N rows, along another axis than the rows' axis."""
+    """Create a Gather on all N rows instead of K selected rows, not along the rows' axis."""
     rank = rank_of(rows.value) or 1
     axis, index = int_attribute(node, "axis", 0) % rank, rank_of(node.inputs[1])
     if axis == rows.axis or index is None or facts[1] is not None:
@@ -330,7 +330,7 @@ def _target_shape(node: ir.Node, facts: Facts) -> list[int] | None:
 
 
 def _expand(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create an Expand on all N rows, along other axes than the rows' axis."""
+    """Create an Expand on all N rows instead of K selected rows, not along the rows' axis."""
     target, shape = facts[1], fixed_shape(rows.value)
     if not isinstance(target, Linear) or shape is None or target.factor.sum() != 1:
         known = constant_of(node.inputs[1])
