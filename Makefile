@@ -95,7 +95,7 @@ gallery: setup drivers
 
 # The picture that README.md and the home page open with.
 hero: setup drivers
-	$(BIN)/python scripts/write_hero.py
+	$(BIN)/python scripts/hero/write_hero.py
 
 # The frame plans that the browser executes, written from the renderer.
 web: setup

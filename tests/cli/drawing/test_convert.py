@@ -76,7 +76,11 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
             2,
             "--encoding: applies to ply files, but the output format is spz\n",
         ),
-        (("/dev/null/no/a.ply",), 1, "/dev/null/no/a.ply: cannot be written: Not a directory\n"),
+        (
+            ("/dev/null/no/a.ply",),
+            1,
+            "/dev/null/no/a.ply: the file cannot be written: Not a directory\n",
+        ),
     ],
 )
 def test_what_cannot_be_done_is_said_with_a_code(source, tmp_path, words, code, message):

@@ -91,7 +91,7 @@ def test_a_baseline_forgives_what_it_lists_and_no_more(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (None, "cannot be read"),
+        (None, "the baseline cannot be read"),
         ("{", "the baseline is not JSON"),
         ("{}", "the baseline is not a validation report"),
     ],

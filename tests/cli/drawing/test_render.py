@@ -107,7 +107,9 @@ def ran(*words: str) -> tuple[int, str, str]:
 def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
     finished = gsgen("render", "nowhere.ply", "-o", "a.png", cwd=tmp_path)
     assert finished.code == 4
-    assert finished.err == "gsgen: nowhere.ply: cannot be read: No such file or directory\n"
+    assert (
+        finished.err == "gsgen: nowhere.ply: the file cannot be read: No such file or directory\n"
+    )
     finished = gsgen("render", find("drift").write(tmp_path), "-o", "a.png", "--time", "7")
     assert finished.code == 2
     assert "drift.onnx, frame 0, input time: the value is 7, expected 0 … 1" in finished.err

@@ -168,7 +168,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_part(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "replace", full)
     with pytest.raises(FileUnwritable) as caught:
         write_ply(file, some_points(2))
-    assert str(caught.value) == f"{file}: cannot be written: No space left on device"
+    assert str(caught.value) == f"{file}: the file cannot be written: No space left on device"
     assert file.read_text() == "old"
     assert [*tmp_path.iterdir()] == [file]
 

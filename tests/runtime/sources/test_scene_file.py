@@ -264,7 +264,7 @@ def test_what_is_no_json_says_so(tmp_path: Path, text: str, match: str) -> None:
 
 def test_what_fails_when_it_is_opened_says_where(folder: Path) -> None:
     cases: list[tuple[object, type[GsgenError], str]] = [
-        ("gone.ply", SceneUnreadable, r"models\[0\]\.path: \S+gone\.ply: cannot be read"),
+        ("gone.ply", SceneUnreadable, r"models\[0\]\.path: \S+gone\.ply: the file cannot be read"),
         ("scene.json", SceneInvalid, r"models\[0\]\.path: is a scene file"),
         (A | {"inputs": {"tme": 1}}, UnknownName, r"models\[0\]\.inputs: unknown input 'tme'"),
         (

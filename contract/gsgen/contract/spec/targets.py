@@ -73,7 +73,7 @@ def target_from_json(text: str, where: str) -> Target:
         )
     except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise ConfigInvalid(
-            f"is not a valid data file of a validation target: {error!r}", where=where
+            f"the file is not a valid data file of a validation target: {error!r}", where=where
         ) from error
 
 

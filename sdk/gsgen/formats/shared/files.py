@@ -42,7 +42,7 @@ def opened(path: FilePath) -> Iterator[BinaryIO]:
             with open(path, "rb") as file:
                 yield file
         except OSError as error:
-            raise FileUnreadable(f"cannot be read: {error.strerror or error}") from error
+            raise FileUnreadable(f"the file cannot be read: {error.strerror or error}") from error
 
 
 @contextmanager
@@ -79,7 +79,9 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
             finally:
                 part.unlink(missing_ok=True)
         except OSError as error:
-            raise FileUnwritable(f"cannot be written: {error.strerror or error}") from error
+            raise FileUnwritable(
+                f"the file cannot be written: {error.strerror or error}"
+            ) from error
 
 
 def make_folder(path: FilePath) -> None:
@@ -88,14 +90,16 @@ def make_folder(path: FilePath) -> None:
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise FileUnwritable(f"cannot be written: {error.strerror or error}") from error
+            raise FileUnwritable(
+                f"the file cannot be written: {error.strerror or error}"
+            ) from error
 
 
 def _require_regular(path: FilePath) -> None:
     try:
         status = os.stat(path)
     except ValueError as error:  # a NUL byte in the path
-        raise FileUnreadable(f"cannot be read: {error}") from error
+        raise FileUnreadable(f"the file cannot be read: {error}") from error
     if stat.S_ISDIR(status.st_mode):
         has_training = any(Path(path, name).exists() for name in _TRAINING_FILES)
         hint = _TRAINING_HINT if has_training else ""

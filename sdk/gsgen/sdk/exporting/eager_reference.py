@@ -13,7 +13,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.geometry import covariance_upper
-from gsgen.contract.spec.manifest import Bounds
+from gsgen.contract.spec.manifest import Bounds, GeneratorManifest
 from gsgen.sdk.authoring.cells import Cells
 from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
 from gsgen.sdk.errors import GeneratorInvalid
@@ -80,6 +80,21 @@ class EagerRuns:
 def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
     """Run a generator once in eager torch, without gradients."""
     return _reference(generator, probe, call_module(generator, _tensors(probe)))
+
+
+def packed_outputs(reference: Reference, manifest: GeneratorManifest) -> dict[str, np.ndarray]:
+    """Pack the results of eager torch as float32 tensors, by the names of a model's outputs."""
+    outputs, cells = manifest.outputs, reference.cells
+    assert outputs.gaussians is not None
+    assert outputs.appearance is not None
+    rows, color = layout.encode(reference.gaussians)
+    packed = {outputs.gaussians.name: rows, outputs.appearance.name: color}
+    if outputs.count is not None:
+        packed[outputs.count.name] = np.array([reference.count], np.int32)
+    if outputs.cells is not None and cells is not None:
+        columns = (cells.position, cells.visibility[:, None], cells.covariance)
+        packed[outputs.cells.name] = np.concatenate(columns, axis=1).astype(np.float32)
+    return packed
 
 
 def run_watched(generator: GaussianGenerator, probe: Probe) -> tuple[Reference, Watch]:

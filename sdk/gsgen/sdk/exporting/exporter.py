@@ -25,6 +25,7 @@ from gsgen.contract.spec.manifest import (
     GeneratorManifest,
     GeneratorOutputs,
     Producer,
+    ReferenceImage,
     Tolerances,
 )
 from gsgen.contract.spec.roles import ROLES
@@ -47,6 +48,7 @@ from gsgen.sdk.exporting.eager_reference import (
     EagerRuns,
     Reference,
     measure_bounds,
+    packed_outputs,
     run_eager,
     run_watched,
 )
@@ -63,6 +65,7 @@ from gsgen.sdk.float16.convert_model import Float16Result, float16_manifest, to_
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.rewriting.rewrite import prepare
+from gsgen.sdk.source_pictures import add_source_pictures
 
 # Distances of the cameras of the SDK's own probes, as a share of those of the contract's probes.
 _DISTANCES = {"close": 0.2, "far": 8.0}
@@ -115,6 +118,7 @@ class _Options:
     opset: int
     target: str
     rewrite: bool
+    pictures: int  # reference pictures of the eager module
     probes: int  # probes of eager torch, besides the all-zero one
 
     @property
@@ -134,6 +138,7 @@ def export(
     target: str = "core",
     rewrite: bool = True,
     verify: Literal["quick", "full"] = "full",
+    pictures: int = 0,
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> Exported:
@@ -154,6 +159,8 @@ def export(
             exported it.
         settings: Level, limits and severities of the validation.
         verify: How many probes are compared with eager torch: ``quick`` takes a third of them.
+        pictures: How many pictures of the eager module become reference images of the model, which
+            level ``render`` compares with; the renderer draws them (``gsgen[runtime]``).
         progress: Called with a message when a step begins.
 
     Raises:
@@ -174,6 +181,7 @@ def export(
         opset=opset,
         target=target,
         rewrite=rewrite,
+        pictures=pictures,
         probes=_PROBES[verify],
     )
     with padded_harmonics(generator, half=options.dtype == "float16", target=target) as notes:
@@ -225,11 +233,19 @@ def _export(
         manifest = float16_manifest(manifest)
     suspects = Suspects(generator, example, hazards, options.rewrite)
 
-    # Step 6: verification.
+    images: list[ReferenceImage] = []
+
+    def run_packed(probe: Probe) -> dict[str, np.ndarray]:
+        return packed_outputs(run_eager(generator, probe), manifest)
+
+    # Step 6: verification, and pictures of the module.
     def verify(draft: Path) -> Parity:
         slack = (_HALF_SLACK, _HALF_ROUNDINGS) if searches else (None, 1)
         parity = check_parity(draft, manifest, references, suspects, progress, *slack)
         check_memory(generator, described.watch, references)
+        if options.pictures:
+            progress("drawing the module in eager torch")
+            images.extend(add_source_pictures(draft, run_packed, options.pictures))
         return parity
 
     # Steps 7 and 8: validation and atomic write.
@@ -243,7 +259,7 @@ def _export(
     )
     return Exported(
         path=path,
-        manifest=manifest,
+        manifest=replace(manifest, reference_images=tuple(images)),
         parity=parity,
         report=report,
         changes=tuple(changes),

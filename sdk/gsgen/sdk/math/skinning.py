@@ -106,7 +106,9 @@ def _parent_indices(parents: Sequence[int], count: int, shape: tuple[int, ...]) 
     """Validate the parents of joints, and return them; a root joint gets the joint count."""
     where = "skinning_transforms, parents"
     if len(parents) != count or shape != (count, 3):
-        message = f"{count} turns, {len(parents)} parents and joints of shape {list(shape)}"
+        message = (
+            f"{count} rotations, {len(parents)} parents and joint positions of shape {list(shape)}"
+        )
         raise GeneratorInvalid(f"{message} differ in number", where=where)
     for joint, parent in enumerate(parents):
         if parent not in (-1, NO_PARENT) and not 0 <= parent < count:

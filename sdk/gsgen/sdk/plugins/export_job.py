@@ -81,6 +81,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
     }
     # Case 1: a scene that does not change; torch may be absent.
     if isinstance(module, ConstantSource):
+        _refuse_pictures(request)
         return export_constant(
             module, request.output, dtype=request.dtype, capacity=request.capacity, **options
         )
@@ -91,6 +92,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
     options["rewrite"] = request.rewrite
     # Case 2: a model from image to image.
     if isinstance(module, PostProcess):
+        _refuse_pictures(request)
         if request.capacity is not None:
             message = "a post-process model returns an image, which has no Gaussians"
             raise ConfigInvalid(message, where="--capacity", hint="Leave the option out.")
@@ -98,7 +100,16 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
         return export_post_process(module, request.output, dtype=dtype, **options)
     # Case 3: a generator.
     options |= {"dtype": request.dtype, "capacity": request.capacity, "verify": request.verify}
+    options["pictures"] = request.pictures
     return export(module, request.output, **options)
+
+
+def _refuse_pictures(request: "ExportRequest") -> None:
+    """Raise if pictures of an eager module are requested, and the source has none to draw."""
+    if request.pictures:
+        message = "only a generator in torch has an eager module to draw"
+        hint = "Leave it out; `gsgen references --from` takes pictures of the training code."
+        raise ConfigInvalid(message, where="--pictures", hint=hint)
 
 
 def _built(build: Callable[[], Any]) -> Any:

@@ -39,6 +39,7 @@ class ExportRequest:
     target: str = "core"  # the consumer to rewrite and validate for
     level: str = "behaviour"  # the last level of the validation
     verify: Literal["quick", "full"] = "full"  # how many probes are compared with eager torch
+    pictures: int = 0  # reference pictures of the eager module
     rewrite: bool = True  # whether to rewrite the graph for runtimes
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
 
@@ -96,6 +97,14 @@ def _request(
         Literal["quick", "full"],
         typer.Option(help="Compare with eager torch at a third of the probes, or at all of them."),
     ] = "full",
+    pictures: Annotated[
+        int,
+        typer.Option(
+            help="Declare so many pictures of the eager module, which level render compares with.",
+            min=0,
+            max=16,
+        ),
+    ] = 0,
     no_rewrite: Annotated[
         bool, typer.Option("--no-rewrite", help="Leave the graph as torch exports it.")
     ] = False,
@@ -112,6 +121,7 @@ def _request(
         target=target,
         level=level,
         verify=verify,
+        pictures=pictures,
         rewrite=not no_rewrite,
         report=report,
     )

@@ -12,11 +12,13 @@ import tempfile
 from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
-from write_gallery import compressed
 
 from gsgen.reference_plugins.samples import write_samples
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+from write_gallery import compressed  # noqa: E402
+
 HERO = ROOT / "docs" / "assets" / "hero.jpg"
 LIMIT = 170_000  # bytes
 WIDTH, HEIGHT = 1200, 500  # of the scene
