@@ -90,7 +90,7 @@ class Space:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """An axis-aligned box that holds the Gaussians' centres for all test inputs."""
+    """An axis-aligned box that holds the Gaussians' centres for all inputs (at every probe)."""
 
     min: Annotated[tuple[float, float, float], Hint(text="Lower corner, x y z.")]
     max: Annotated[tuple[float, float, float], Hint(text="Upper corner, x y z.")]
