@@ -1,0 +1,67 @@
+/** Reads the manifest of a generator from the metadata of its ONNX file. */
+
+import { GsgenError } from "./errors.js";
+
+const KEYS = ["gsgen.manifest", "gaussian-generator.manifest"];
+const METADATA = 14; // ModelProto.metadata_props
+const [IR_VERSION, GRAPH] = [1, 7]; // ModelProto.ir_version, ModelProto.graph
+
+/**
+ * Yield the fields of a protobuf message: number, and bytes or a number.
+ * @param {Uint8Array} bytes
+ * @returns {Generator<[number, Uint8Array | number]>}
+ */
+function* fieldsOf(bytes) {
+  let position = 0;
+  const varint = () => {
+    let [value, factor] = [0, 1];
+    for (;;) {
+      if (position >= bytes.length) throw new RangeError("a number ends behind the message");
+      const byte = bytes[position++];
+      value += (byte & 127) * factor;
+      if (byte < 128) return value;
+      factor *= 128;
+    }
+  };
+  while (position < bytes.length) {
+    const key = varint();
+    const [number, wire] = [Math.floor(key / 8), key % 8];
+    if (wire === 0) yield [number, varint()];
+    else if (wire === 1 || wire === 5) position += wire === 1 ? 8 : 4;
+    else if (wire === 2) {
+      const length = varint();
+      if (position + length > bytes.length) throw new RangeError("a field ends behind the message");
+      yield [number, bytes.subarray(position, position + length)];
+      position += length;
+    } else throw new RangeError(`wire type ${wire}`);
+  }
+}
+
+/** Return whether bytes begin like an ONNX model. @param {Uint8Array} bytes */
+export function isOnnx(bytes) {
+  if (bytes[0] !== 8 * IR_VERSION) return false;
+  try {
+    for (const [number] of fieldsOf(bytes)) if (number === GRAPH) return true;
+  } catch (error) {
+    if (!(error instanceof RangeError)) throw error;
+  }
+  return false;
+}
+
+/**
+ * Return the manifest of a model.
+ * @param {Uint8Array} bytes
+ * @param {string} name
+ * @returns {Record<string, any>}
+ */
+export function manifestOf(bytes, name) {
+  const decoder = new TextDecoder();
+  for (const [number, value] of fieldsOf(bytes)) {
+    if (number !== METADATA || typeof value === "number") continue;
+    const entry = new Map(fieldsOf(value));
+    const text = (part) => decoder.decode(/** @type {Uint8Array} */ (entry.get(part)));
+    if (KEYS.includes(text(1))) return JSON.parse(text(2));
+  }
+  const hint = "Add one: gsgen inspect MODEL --emit-manifest";
+  throw new GsgenError("has no manifest", { where: name, hint, rule: "GM001" });
+}
