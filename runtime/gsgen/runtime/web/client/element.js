@@ -24,6 +24,11 @@ function colorOf(text) {
   return numbers.length === 3 && numbers.every(Number.isFinite) ? numbers : [0, 0, 0];
 }
 
+/** Return the value of a model's time input; frame numbers are whole. */
+function timeValue({ time }, playback) {
+  return time.isWhole ? Math.min(Math.floor(playback.value), time.high) : playback.value;
+}
+
 export class GsgenModel extends HTMLElement {
   static observedAttributes = [
     "src", "alt", "poster", "camera-controls", "camera-orbit", "field-of-view", "up", "background",
@@ -203,7 +208,7 @@ export class GsgenModel extends HTMLElement {
     this._watch(kernels.device, signal);
     this._model = model;
     this._renderer = new Renderer(kernels, { onStale: () => this.requestFrame() });
-    this._renderer.setScene([{ buffers: model.buffers, transform: [...IDENTITY] }]);
+    this._setScene();
     this._presenter = new Presenter(kernels, this._view.canvas);
     await this._presenter.prepare();
     if (model.time) this._startTime(model.time);
@@ -217,6 +222,10 @@ export class GsgenModel extends HTMLElement {
     this.report = { manifest: model.manifest ?? null, errors: [] };
     this._tell("load", { count: model.buffers.count });
     this.requestFrame();
+  }
+
+  _setScene() {
+    this._renderer.setScene([{ buffers: this._model.buffers, transform: [...IDENTITY] }]);
   }
 
   /** Open everything again if the device goes away, as browsers allow after a driver's fault. */
@@ -341,8 +350,9 @@ export class GsgenModel extends HTMLElement {
     const { _model: model, _playback: playback, _renderer: renderer } = this;
     if (playback?.advance(now)) this._timeChanged();
     if (this._isStale || model.followsCamera) {
-      const time = playback && model.time ? { [model.time.name]: playback.value } : {};
-      await model.update({ ...time, ...this._inputs }, camera);
+      const time = playback && model.time ? { [model.time.name]: timeValue(model, playback) } : {};
+      if (await model.update({ ...time, ...this._inputs }, camera)) this._setScene();
+      if (this._model !== model) return; // removed or replaced meanwhile
       this._isStale = false;
     }
     const mode = this.getAttribute("mode") ?? "color";
@@ -353,7 +363,7 @@ export class GsgenModel extends HTMLElement {
     };
     if (isWhole) await renderer.drawWhole(camera, options);
     else await renderer.draw(camera, options);
-    if (!this._presenter) return; // removed from the page meanwhile
+    if (this._model !== model) return;
     this._camera = camera;
     const { distance, extent } = this._orbit;
     this._presenter.show(renderer.host.image(output), camera, {

@@ -14,12 +14,13 @@ const SAMPLES = 50_000; // centres that an extent is found from
  * @property {{name: string, low: number, high: number, seconds: number, loop: boolean} | null} time
  * @property {any[]} inputs The inputs that a visitor may set.
  * @property {boolean} followsCamera
- * @property {(values: Record<string, any>, camera: any) => Promise<void>} update
+ * @property {(values: Record<string, any>, camera: any) => Promise<boolean>} update Computes a
+ *     frame; true if the pages are others than before.
  * @property {() => void} destroy
  */
 
 /**
- * Return the centre of the box around most centres, and half its diagonal.
+ * Return the centre of the box around most centres, half its sides, and half its diagonal.
  * @param {Float32Array} rows
  * @param {number} count
  */
@@ -32,13 +33,14 @@ export function extentOf(rows, count) {
       for (let axis = 0; axis < 3; axis++) axes[axis].push(center[axis]);
     }
   }
-  if (!axes[0].length) return { center: [0, 0, 0], reach: 1 };
+  if (!axes[0].length) return { center: [0, 0, 0], half: [0, 0, 0], reach: 1 };
   const bounds = axes.map((numbers) => {
     const sorted = Float32Array.from(numbers).sort();
     return [quantile(sorted, CROPPED), quantile(sorted, 1 - CROPPED)];
   });
-  const reach = Math.hypot(...bounds.map(([low, high]) => high - low)) / 2 || 1;
-  return { center: bounds.map(([low, high]) => (low + high) / 2), reach };
+  const half = bounds.map(([low, high]) => (high - low) / 2);
+  const reach = Math.hypot(...half) || 1;
+  return { center: bounds.map(([low, high]) => (low + high) / 2), half, reach };
 }
 
 /** Return a quantile of sorted numbers, between two of them as NumPy has it. */
@@ -63,7 +65,9 @@ class StillModel {
     this.followsCamera = false;
   }
 
-  async update() {}
+  async update() {
+    return false;
+  }
 
   destroy() {
     this.buffers.destroy();

@@ -1,10 +1,12 @@
-/** Reads the manifest of a generator from the metadata of its ONNX file. */
+/** Reads what a page has to know of an ONNX file: its manifest, and what computes its outputs. */
 
 import { GsgenError } from "./errors.js";
 
 const KEYS = ["gsgen.manifest", "gaussian-generator.manifest"];
 const METADATA = 14; // ModelProto.metadata_props
 const [IR_VERSION, GRAPH] = [1, 7]; // ModelProto.ir_version, ModelProto.graph
+const [NODE, OUTPUT] = [1, 12]; // GraphProto.node, GraphProto.output
+const NODE_PARTS = { input: 1, output: 2, operator: 4 }; // NodeProto
 
 /**
  * Yield the fields of a protobuf message: number, and bytes or a number.
@@ -64,4 +66,35 @@ export function manifestOf(bytes, name) {
   }
   const hint = "Add one: gsgen inspect MODEL --emit-manifest";
   throw new GsgenError("has no manifest", { where: name, hint, rule: "GM001" });
+}
+
+/**
+ * Return the outputs of a model that no kernel computes: a buffer copy does, or nothing.
+ *
+ * A captured graph records only kernels: in its frames such an output has stale or foreign values.
+ * @param {Uint8Array} bytes
+ * @param {{always: string[], "of one input": string[]}} copies Operators without kernels.
+ * @returns {string[]}
+ */
+export function copiedOutputs(bytes, copies) {
+  const decoder = new TextDecoder();
+  const [outputs, computed] = [[], new Set()];
+  const graph = [...fieldsOf(bytes)].find(([number]) => number === GRAPH)?.[1];
+  for (const [number, value] of fieldsOf(/** @type {Uint8Array} */ (graph))) {
+    if (typeof value === "number") continue;
+    if (number === OUTPUT) outputs.push(decoder.decode(new Map(fieldsOf(value)).get(1)));
+    if (number !== NODE) continue;
+    const parts = [...fieldsOf(value)];
+    const texts = (part) =>
+      parts.filter(([field]) => field === part).map(([, text]) => decoder.decode(text));
+    const [operator = ""] = texts(NODE_PARTS.operator);
+    const isSingle = texts(NODE_PARTS.input).length === 1;
+    // A reduction without axes may return its input, too.
+    const isCopy =
+      copies.always.includes(operator) ||
+      operator.startsWith("Reduce") ||
+      (isSingle && copies["of one input"].includes(operator));
+    if (!isCopy) for (const name of texts(NODE_PARTS.output)) computed.add(name);
+  }
+  return outputs.filter((name) => !computed.has(name));
 }
