@@ -9,6 +9,7 @@ __all__ = [
     "Height",
     "Inputs",
     "ModeOption",
+    "OrtFolder",
     "Orthographic",
     "Panorama",
     "Poses",
@@ -84,6 +85,15 @@ Panorama = Annotated[
     typer.Option(
         "--panorama",
         help="Draw all directions, equirectangular: from the middle, or from the camera.",
+    ),
+]
+OrtFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--ort",
+        help="Folder of ONNX Runtime Web, which computes generators in a page. "
+        "[default: fetched once by npm]",
+        metavar="DIR",
     ),
 ]
 Poses = Annotated[

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.commands import options
 from gsgen.runtime.commands.streaming_options import with_streaming_options
 from gsgen.runtime.sources.stream_settings import StreamSettings
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.live_playback import LivePlayback
+    from gsgen.runtime.web.pages import ModelView
 
 WindowWidth = Annotated[
     int | None, typer.Option(help="Width of the window. [default: the camera's, or 1280]", min=1)
@@ -43,6 +45,11 @@ FramesPerSecond = Annotated[
     typer.Option(help="Steps per second. [default: the manifest's, or 25]", min=0.1, max=1000),
 ]
 Play = Annotated[bool, typer.Option("--play/--no-play", help="Whether the window opens playing.")]
+Web = Annotated[bool, typer.Option("--web", help="Show the scenes in a browser.")]
+Port = Annotated[
+    int,
+    typer.Option(help="Port of the page, with --web; 0 takes one that is free.", min=0, max=65535),
+]
 Pictures = Annotated[Path, typer.Option(help="Folder of saved pictures.")]
 
 
@@ -73,9 +80,15 @@ def view(
     size: options.Sizes = None,
     provider: options.Provider = "cpu",
     pictures: Pictures = Path(),
+    web: Web = False,
+    ort: options.OrtFolder = None,
+    port: Port = 0,
     streaming: StreamSettings = StreamSettings(),  # noqa: B008
 ) -> None:
     """Show SCENES in a window: orbit around them, play their time, and save pictures.
+
+    With --web they are shown in a browser instead, which draws them itself, and again when a file
+    changes.
 
     The key H lists all keys; files can be dropped on the window.
 
@@ -88,6 +101,19 @@ def view(
     from gsgen.runtime.scene.colors import color_of
     from gsgen.runtime.viewer import surface_renderer, viewer, window
 
+    option_color = None if background is None else color_of(background, "--background")
+    if web:
+        from gsgen.runtime.web.pages import ModelView
+
+        shown = ModelView(
+            background=None if option_color is None else option_color[:3],
+            fov=fov,
+            up=up,
+            time=time,
+            play=play,
+        )
+        _serve_page(scenes, shown, ort, port)
+        return
     _require_display(scenes)
     files = list(read_scene_files(scenes).values())
     viewpoint = scene_viewpoint(
@@ -95,7 +121,6 @@ def view(
     )
     for note in viewpoint.notes:
         typer.echo(f"note: {note}", err=True)
-    option_color = None if background is None else color_of(background, "--background")
     color = first_setting([option_color, *(file.background for file in files)])
     with open_scenes(
         scenes, post, provider=provider, size=size, streaming=replace(streaming, wait=0)
@@ -127,6 +152,32 @@ def view(
             window.open_window(interface, _title(scenes), (home.width, home.height))
         finally:
             interface.playback.close()
+
+
+def _serve_page(scenes: Sequence[Path], shown: "ModelView", ort: Path | None, port: int) -> None:
+    """Serve a page of the scenes until Ctrl-C, and open it in the browser."""
+    import webbrowser
+
+    from gsgen.contract.process.atomic_files import MODEL_SUFFIX
+    from gsgen.runtime.web.onnxruntime_web import ort_folder
+    from gsgen.runtime.web.pages import model_bytes
+    from gsgen.runtime.web.serving import ModelServer
+
+    for path in scenes:
+        model_bytes(path)  # an unreadable file is an error here, not in the page alone
+    has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in scenes)
+    folder = ort_folder(ort) if has_generator else None
+    try:
+        server = ModelServer(scenes, shown, ort=folder, port=port)
+    except OSError as error:
+        hint = "Choose another --port; 0 takes one that is free."
+        message = f"cannot listen: {error.strerror}"
+        raise ConfigInvalid(message, where=f"127.0.0.1:{port}", hint=hint) from error
+    with server:
+        typer.echo(server.address)
+        typer.echo("the page is served until Ctrl-C", err=True)
+        webbrowser.open(server.address)
+        server.serve_forever(poll_interval=0.1)
 
 
 def _require_display(scenes: Sequence[Path]) -> None:

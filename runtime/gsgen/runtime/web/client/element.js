@@ -286,9 +286,9 @@ export class GsgenModel extends HTMLElement {
     const orbit = (this.getAttribute("camera-orbit") ?? "").trim().split(/[\s,]+/).map(parseFloat);
     const [azimuth, elevation, radius] = orbit.map((x) => (Number.isFinite(x) ? x : undefined));
     const fovY = parseFloat(this.getAttribute("field-of-view") ?? "") || undefined;
-    const axis = /^(-?)([xyz])$/.exec(this.getAttribute("up") ?? "");
+    const axis = /^([+-]?)([xyz])$/.exec(this.getAttribute("up") ?? "");
     const up = axis
-      ? ["x", "y", "z"].map((name) => (name === axis[2] ? (axis[1] ? -1 : 1) : 0))
+      ? ["x", "y", "z"].map((name) => (name === axis[2] ? (axis[1] === "-" ? -1 : 1) : 0))
       : this._model.up;
     this._orbit = new OrbitCamera(this._model.extent, up, { azimuth, elevation, radius, fovY });
     this.requestFrame();
