@@ -6,10 +6,9 @@
  */
 
 import { GsgenError } from "./errors.js";
-import { GeneratorInputs } from "./generator_inputs.js";
+import { GeneratorSession } from "./generator_session.js";
 import { extentOf } from "./model.js";
-import { copiedOutputs, manifestOf } from "./onnx_metadata.js";
-import { onnxRuntime, openSession } from "./onnx_runtime.js";
+import { manifestOf } from "./onnx_metadata.js";
 import { evaluate } from "./plan.js";
 import { readBuffer } from "./read.js";
 import { appearanceKind, degreeOf, pagesOf } from "./splat_buffers.js";
@@ -147,25 +146,18 @@ export class GeneratorModel {
     const bytes = new Uint8Array(data);
     const manifest = manifestOf(bytes, name);
     requireDrawable(manifest, name);
-    const ort = await onnxRuntime();
-    const mayCapture = !copiedOutputs(bytes, kernels.plans.generators.copies).length;
-    const { session, isCaptured } = await openSession(ort, kernels.device, bytes, name, mayCapture);
-    if ((await ort.env.webgpu.device) !== kernels.device) {
-      throw new GsgenError("ONNX Runtime Web took another device than the page's", { where: name });
-    }
-    const model = new GeneratorModel(kernels, ort, session, manifest, name);
-    model.isCaptured = isCaptured;
+    const session = await GeneratorSession.open(kernels, bytes, manifest, name);
+    const model = new GeneratorModel(kernels, session, manifest);
     await model._survey();
     return model;
   }
 
-  constructor(kernels, ort, session, manifest, name) {
+  constructor(kernels, session, manifest) {
     this._kernels = kernels;
     this._session = session;
-    this._name = name;
     this.manifest = manifest;
-    this.isCaptured = false;
-    this._inputs = new GeneratorInputs(kernels.device, ort, session, manifest);
+    this.isCaptured = session.isCaptured;
+    this._inputs = session.inputs;
     this.buffers = new GeneratorBuffers(kernels, manifest);
     this.inputs = manifest.inputs;
     this.followsCamera = this._inputs.followsCamera;
@@ -184,19 +176,9 @@ export class GeneratorModel {
   }
 
   async _run() {
-    let outputs;
-    try {
-      outputs = await this._session.run(this._inputs.feeds);
-    } catch (error) {
-      const hint = "See what is wrong: gsgen validate MODEL --target webgpu";
-      throw new GsgenError(`the model fails: ${error.message}`, { where: this._name, hint });
-    }
+    this._outputs = await this._session.run();
     this._hasRun = true;
-    if (!this.isCaptured) {
-      for (const tensor of Object.values(this._outputs ?? {})) tensor.dispose();
-    }
-    this._outputs = outputs;
-    return this.buffers.bind(outputs);
+    return this.buffers.bind(this._outputs);
   }
 
   /** Run some moments, and find a box around the Gaussians of all. */
@@ -233,8 +215,7 @@ export class GeneratorModel {
 
   destroy() {
     this.buffers.destroy();
-    this._inputs.destroy();
-    this._session.release();
+    this._session.destroy();
   }
 }
 

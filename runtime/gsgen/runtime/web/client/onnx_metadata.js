@@ -5,7 +5,8 @@ import { GsgenError } from "./errors.js";
 const KEYS = ["gsgen.manifest", "gaussian-generator.manifest"];
 const METADATA = 14; // ModelProto.metadata_props
 const [IR_VERSION, GRAPH] = [1, 7]; // ModelProto.ir_version, ModelProto.graph
-const [NODE, OUTPUT] = [1, 12]; // GraphProto.node, GraphProto.output
+const [NODE, WEIGHT, INPUT, OUTPUT] = [1, 5, 11, 12]; // GraphProto
+const TENSOR_NAME = 8; // TensorProto.name
 const NODE_PARTS = { input: 1, output: 2, operator: 4 }; // NodeProto
 
 /**
@@ -69,32 +70,62 @@ export function manifestOf(bytes, name) {
 }
 
 /**
- * Return the outputs of a model that no kernel computes: a buffer copy does, or nothing.
+ * Sort the outputs of a model by what computes them in a captured graph, which records kernels alone.
  *
- * A captured graph records only kernels: in its frames such an output has stale or foreign values.
+ * A buffer copy is not recorded: its output is stale, or overwritten, in all frames but the first.
+ * Outputs that depend on no input are constants, which ONNX Runtime folds: nothing computes them.
  * @param {Uint8Array} bytes
  * @param {{always: string[], "of one input": string[]}} copies Operators without kernels.
- * @returns {string[]}
+ * @returns {{copied: string[], constant: string[], all: string[]}}
  */
-export function copiedOutputs(bytes, copies) {
+export function outputsByOrigin(bytes, copies) {
   const decoder = new TextDecoder();
-  const [outputs, computed] = [[], new Set()];
+  const nameOf = (value) => decoder.decode(new Map(fieldsOf(value)).get(1));
+  const [outputs, changing, copied, weights] = [[], new Set(), new Set(), new Set()];
+  const [inputs, nodes] = [[], []];
   const graph = [...fieldsOf(bytes)].find(([number]) => number === GRAPH)?.[1];
   for (const [number, value] of fieldsOf(/** @type {Uint8Array} */ (graph))) {
     if (typeof value === "number") continue;
-    if (number === OUTPUT) outputs.push(decoder.decode(new Map(fieldsOf(value)).get(1)));
-    if (number !== NODE) continue;
-    const parts = [...fieldsOf(value)];
-    const texts = (part) =>
-      parts.filter(([field]) => field === part).map(([, text]) => decoder.decode(text));
-    const [operator = ""] = texts(NODE_PARTS.operator);
-    const isSingle = texts(NODE_PARTS.input).length === 1;
+    if (number === OUTPUT) outputs.push(nameOf(value));
+    else if (number === INPUT) inputs.push(nameOf(value));
+    else if (number === WEIGHT) weights.add(tensorName(value, decoder));
+    else if (number === NODE) nodes.push(nodeOf(value, decoder));
+  }
+  // Files of the oldest versions list weights among the inputs.
+  for (const name of inputs) if (!weights.has(name)) changing.add(name);
+  for (const name of inputs) copied.add(name);
+  for (const { operator, reads, writes } of nodes) {
+    if (!reads.some((name) => changing.has(name))) continue;
     // A reduction without axes may return its input, too.
     const isCopy =
       copies.always.includes(operator) ||
       operator.startsWith("Reduce") ||
-      (isSingle && copies["of one input"].includes(operator));
-    if (!isCopy) for (const name of texts(NODE_PARTS.output)) computed.add(name);
+      (reads.length === 1 && copies["of one input"].includes(operator));
+    for (const name of writes) {
+      changing.add(name);
+      if (isCopy) copied.add(name);
+    }
   }
-  return outputs.filter((name) => !computed.has(name));
+  return {
+    all: outputs,
+    constant: outputs.filter((name) => !changing.has(name)),
+    copied: outputs.filter((name) => changing.has(name) && copied.has(name)),
+  };
+}
+
+/** Return operator, inputs and outputs of a node. */
+function nodeOf(bytes, decoder) {
+  const parts = [...fieldsOf(bytes)];
+  const texts = (part) =>
+    parts.filter(([field]) => field === part).map(([, text]) => decoder.decode(text));
+  const { input, output, operator } = NODE_PARTS;
+  return { operator: texts(operator)[0] ?? "", reads: texts(input), writes: texts(output) };
+}
+
+/** Return the name of a weight, without a copy of its numbers. */
+function tensorName(bytes, decoder) {
+  for (const [number, value] of fieldsOf(bytes)) {
+    if (number === TENSOR_NAME) return decoder.decode(/** @type {Uint8Array} */ (value));
+  }
+  return "";
 }

@@ -9,7 +9,9 @@ import { GsgenError } from "./errors.js";
 
 // Where the browser suspends WebAssembly by itself (JSPI), the smaller build runs.
 const HAS_JSPI = "Suspending" in WebAssembly;
-const BUNDLE = HAS_JSPI ? "ort.jspi.bundle.min.mjs" : "ort.webgpu.bundle.min.mjs";
+const [BUNDLE, WASM] = HAS_JSPI
+  ? ["ort.jspi.bundle.min.mjs", "ort-wasm-simd-threaded.jspi.wasm"]
+  : ["ort.webgpu.bundle.min.mjs", "ort-wasm-simd-threaded.asyncify.wasm"];
 const INLINED = { bundle: "#gsgen-ort", wasm: "#gsgen-ort-wasm" };
 
 /** @type {Promise<any> | null} */
@@ -41,7 +43,7 @@ async function load() {
   ort.env.wasm.numThreads = 1; // more would need headers that isolate the page
   ort.env.logLevel = "error";
   if (isInlined) ort.env.wasm.wasmBinary = inlined(INLINED.wasm);
-  else ort.env.wasm.wasmPaths = folder;
+  else ort.env.wasm.wasmPaths = { wasm: String(new URL(WASM, folder)) };
   return ort;
 }
 
@@ -55,32 +57,26 @@ export function onnxRuntime() {
 }
 
 /**
- * Open a session on a device, captured as a graph where the model allows it.
+ * Open a session on a device.
  * @param {any} ort
  * @param {GPUDevice} device
  * @param {Uint8Array} bytes
  * @param {string} name
- * @param {boolean} mayCapture Whether every output is computed by a kernel.
- * @returns {Promise<{session: any, isCaptured: boolean}>}
+ * @param {{capture: boolean}} options
+ * @returns {Promise<any>} The session; null if the model cannot be captured as a graph.
  */
-export async function openSession(ort, device, bytes, name, mayCapture) {
+export async function openSession(ort, device, bytes, name, { capture }) {
   // Both are needed: the provider's option is what runs, the setting is what `env` tells.
   ort.env.webgpu.device = device;
-  const options = {
-    executionProviders: [{ name: "webgpu", device }],
-    preferredOutputLocation: "gpu-buffer",
-  };
-  const open = (enableGraphCapture) =>
-    ort.InferenceSession.create(bytes, { ...options, enableGraphCapture });
   try {
-    if (mayCapture) return { session: await open(true), isCaptured: true };
+    return await ort.InferenceSession.create(bytes, {
+      executionProviders: [{ name: "webgpu", device }],
+      preferredOutputLocation: "gpu-buffer",
+      enableGraphCapture: capture,
+    });
   } catch (refusal) {
-    if (!/graph capture/i.test(refusal.message)) throw unreadable(refusal, name);
-  }
-  try {
-    return { session: await open(false), isCaptured: false };
-  } catch (error) {
-    throw unreadable(error, name);
+    if (capture && /graph capture/i.test(refusal.message)) return null;
+    throw unreadable(refusal, name);
   }
 }
 
