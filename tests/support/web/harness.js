@@ -5,7 +5,6 @@ import { openDevice } from "/client/device.js";
 import { KernelCache } from "/client/host.js";
 import { IDENTITY } from "/client/matrices.js";
 import { openModel } from "/client/model.js";
-import { ortSettings } from "/client/onnx_runtime.js";
 import { choosePlan, evaluate, loadPlans } from "/client/plan.js";
 import { Renderer } from "/client/renderer.js";
 import { readSplats } from "/client/splat_files.js";
@@ -111,9 +110,8 @@ export async function splatFile(path) {
 }
 
 /** Draw frames of a generator one after the other in one session, as an element does. */
-export async function generatorFrames(path, folder, frames) {
+export async function generatorFrames(path, frames) {
   const { device, errors, kernels } = await opening();
-  ortSettings.folder = folder;
   let model = null;
   const renderer = new Renderer(kernels);
   const result = { images: [], isCaptured: false, errors: [], rebound: 0 };

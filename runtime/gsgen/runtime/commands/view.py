@@ -17,6 +17,8 @@ from gsgen.runtime.sources.stream_settings import StreamSettings
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.live_playback import LivePlayback
+    from gsgen.runtime.scene.camera import Camera
+    from gsgen.runtime.viewer.viewer import Viewer
     from gsgen.runtime.web.pages import ModelView
 
 WindowWidth = Annotated[
@@ -87,40 +89,26 @@ def view(
 ) -> None:
     """Show SCENES in a window: orbit around them, play their time, and save pictures.
 
-    With --web they are shown in a browser instead, which draws them itself, and again when a file
-    changes.
+    The key H lists all keys; files can be dropped on the window. With --web a browser shows the
+    scenes instead.
 
-    The key H lists all keys; files can be dropped on the window.
-
-    Exits 0 when the window is closed, 2 for wrong options or without a screen, 4 if a scene
-    cannot be read.
+    Exits 0 when the window is closed, 2 for wrong options or no screen, 4 for unreadable scenes.
     """
     from gsgen.runtime.commands.opening import open_scenes, read_scene_files
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.playback.scene_camera import first_setting, scene_viewpoint
     from gsgen.runtime.scene.colors import color_of
-    from gsgen.runtime.viewer import surface_renderer, viewer, window
+    from gsgen.runtime.viewer import surface_renderer, viewer
 
     option_color = None if background is None else color_of(background, "--background")
     if web:
-        from gsgen.runtime.web.pages import ModelView
-
-        shown = ModelView(
-            background=None if option_color is None else option_color[:3],
-            fov=fov,
-            up=up,
-            time=time,
-            play=play,
-        )
-        _serve_page(scenes, shown, ort, port)
-        return
+        return _serve_page(scenes, _page_view(option_color, fov, up, time, play=play), ort, port)
     _require_display(scenes)
     files = list(read_scene_files(scenes).values())
     viewpoint = scene_viewpoint(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )
-    for note in viewpoint.notes:
-        typer.echo(f"note: {note}", err=True)
+    _print_notes(viewpoint.notes)
     color = first_setting([option_color, *(file.background for file in files)])
     with open_scenes(
         scenes, post, provider=provider, size=size, streaming=replace(streaming, wait=0)
@@ -147,11 +135,37 @@ def view(
             print_line=typer.echo,
             open_files=_file_opener(play=play),
         )
-        home = viewpoint.camera(sources[0], 0, 0.0)
-        try:
-            window.open_window(interface, _title(scenes), (home.width, home.height))
-        finally:
-            interface.playback.close()
+        _open_window(interface, _title(scenes), viewpoint.camera(sources[0], 0, 0.0))
+
+
+def _print_notes(notes: Sequence[str]) -> None:
+    for note in notes:
+        typer.echo(f"note: {note}", err=True)
+
+
+def _open_window(interface: "Viewer", title: str, home: "Camera") -> None:
+    """Show a viewer in a window of its first camera's size, until it is closed."""
+    from gsgen.runtime.viewer import window
+
+    try:
+        window.open_window(interface, title, (home.width, home.height))
+    finally:
+        interface.playback.close()
+
+
+def _page_view(
+    color: "tuple[float, ...] | None",
+    fov: float | None,
+    up: str | None,
+    time: float | None,
+    *,
+    play: bool,
+) -> "ModelView":
+    """Return how a page shows models, from the options of the command."""
+    from gsgen.runtime.web.pages import ModelView
+
+    background = None if color is None else (color[0], color[1], color[2])
+    return ModelView(background=background, fov=fov, up=up, time=time, play=play)
 
 
 def _serve_page(scenes: Sequence[Path], shown: "ModelView", ort: Path | None, port: int) -> None:
