@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench exactness web adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery docs wheel clean
+.PHONY: setup demo test check types style drivers bench exactness web adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants clean
 
 setup: $(READY)
 
@@ -93,6 +93,10 @@ pictures: setup drivers
 gallery: setup drivers
 	$(BIN)/python scripts/write_gallery.py
 
+# The picture that README.md and the home page open with.
+hero: setup drivers
+	$(BIN)/python scripts/hero/write_hero.py
+
 # The frame plans that the browser executes, written from the renderer.
 web: setup
 	$(BIN)/python scripts/write_plans.py
@@ -104,6 +108,29 @@ docs: setup
 
 wheel: setup
 	$(BIN)/python -m build --wheel --outdir dist
+
+# Mutants of the code, drawn over all rooms, each against the tests that name its module.
+MUTANTS ?= 300
+mutants: setup
+	$(PIP) --group mutants
+	$(BIN)/python scripts/mutants.py --count $(MUTANTS) --seed $(SEED) --minutes $(MINUTES)
+
+# All of a release but the upload: RELEASING.md explains each step.
+release: setup
+	@tag=$$($(BIN)/python scripts/check_release.py) || exit 1; \
+	rm -rf dist && $(PIP) --group release && \
+	$(BIN)/python -m build --outdir dist && \
+	$(BIN)/python -m twine check --strict dist/* && \
+	$(BIN)/python scripts/check_wheel.py dist && \
+	git tag -a "$$tag" -m "gsgen $$tag" && \
+	echo "$$tag is tagged here, and dist/ holds its files. To publish it:" && \
+	echo "  git push origin $$tag && $(BIN)/python -m twine upload dist/*"
+
+# Write the repository's owner into every file that has the placeholder: make owner OWNER=name
+owner:
+	@test -n "$(OWNER)" || { echo "name the owner: make owner OWNER=name"; exit 2; }
+	@grep -rlI --exclude-dir=.git --exclude-dir=.venv --exclude-dir=tests --exclude=Makefile --exclude=check_release.py OWNER/gsgen . | xargs -r sed -i.bak 's|OWNER/gsgen|$(OWNER)/gsgen|g'
+	@find . -name '*.bak' -not -path './.venv/*' -delete
 
 clean:
 	rm -rf out build dist site .coverage .mypy_cache .pytest_cache .ruff_cache

@@ -1,7 +1,7 @@
 """The demo: a real scene becomes a generator, is judged, drawn, and four broken copies are caught.
 
 Run it with ``make demo``, or ``python docs/examples/demo.py OUT``. It uses the captured garden
-scene where ``GSGEN_SHARED`` (default ``../shared``) has it, and a generated one elsewhere.
+scene where ``GSGEN_SHARED`` (default ``../shared``) has it, and the sample garden elsewhere.
 Then one model of each plugin is made, or of those that are named after OUT: see
 ``demo_families.py``.
 """
@@ -21,12 +21,14 @@ import numpy as np
 import onnx
 from onnx import ModelProto, NodeProto, TensorProto, numpy_helper
 from rich.console import Console
+from scipy.spatial import KDTree
 
-from gsgen.formats import write_ply
-from gsgen.reference_plugins.synthetic import torus_knot
+from gsgen.reference_plugins.samples import write_samples
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out/demo")
-GARDEN = Path(os.environ.get("GSGEN_SHARED", "../shared")) / "data/garden/test_garden.npz"
+CAPTURED = Path(os.environ.get("GSGEN_SHARED", "../shared")) / "data/garden/test_garden.npz"
+SKY = "#b9d3ea"
+LONELY = 0.06  # units of the captured scene, whose table is one unit wide
 GSGEN = (sys.executable, "-m", "gsgen.cli")
 console = Console(highlight=False, soft_wrap=True)
 
@@ -106,14 +108,10 @@ BREAKS: dict[str, tuple[str, str, Callable[[ModelProto], None]]] = {
 def main() -> None:
     """Export, validate, break, validate again."""
     OUT.mkdir(parents=True, exist_ok=True)
-    source = GARDEN
-    if not source.is_file():
-        source = OUT / "knot.ply"
-        with step("making a scene of our own, 60,000 splats on a torus knot"):
-            write_ply(source, torus_knot(60_000))
+    source, opacity = prepare()
     model = OUT / "scene.onnx"
     with step(f"exporting {source.name} as a Gaussian Generator"):
-        exported = gsgen("export", "static", source, "-o", model, "--sh-degree", "3")
+        exported = gsgen("export", "static", source, "-o", model, "--sh-degree", "3", *opacity)
         expect(exported, 0)
     console.print(f"     {exported.stdout.strip()}")
     with step("validating it"):
@@ -126,7 +124,7 @@ def main() -> None:
     good = onnx.load(model)
     for name, (title, rule, damage) in BREAKS.items():
         show_broken(good, name, title, rule, damage)
-    drawn = draw(model, source)
+    drawn = draw(model)
     plugins = sys.argv[2:] or list(demo_families.demo_plugins())
     with step(f"exporting, judging and drawing {len(plugins)} plugins, two at a time"):
         families = demo_families.make_all(OUT / "families", plugins)
@@ -142,45 +140,57 @@ def main() -> None:
     )
 
 
-# %% What was judged is drawn.
+# %% The scene.
 
 
-def cameras(source: Path) -> str:
-    """Return three cameras: those of the captured scene, or three of an orbit."""
-    path = OUT / "cameras.json"
-    if source != GARDEN:
-        return "orbit"
-    with np.load(source) as scene:
+def prepare() -> tuple[Path, tuple[str, ...]]:
+    """Write the scene and its cameras into ``OUT``; return the scene's path and export options."""
+    if not CAPTURED.is_file():
+        with step("making a scene of our own, a garden of 70,000 splats"):
+            write_samples(OUT)
+        return OUT / "garden.ply", ()
+    with np.load(CAPTURED) as scene:
         size = {"width": int(scene["width"]), "height": int(scene["height"]), "near": 0.01}
         poses = zip(scene["viewmats"].tolist(), scene["Ks"].tolist(), strict=True)
-        document = [
+        cameras = [
             size | {"view": view, "fx": k[0][0], "fy": k[1][1], "cx": k[0][2], "cy": k[1][2]}
             for view, k in poses
         ]
-    path.write_text(json.dumps(document), "utf-8")
-    return str(path)
+        points, colors = scene["means3d"], scene["colors"]
+    (OUT / "cameras.json").write_text(json.dumps(cameras), "utf-8")
+    # Points become balls as large as their neighbours are far: a lonely one would hide the scene.
+    distances, _ = KDTree(points).query(points, k=4)
+    retained = distances[:, 1:].mean(axis=1) < LONELY
+    np.savez(OUT / "captured.npz", points=points[retained], colors=colors[retained])
+    return OUT / "captured.npz", ("--opacity", "0.8")
 
 
-def draw(model: Path, source: Path) -> list[str]:
-    """Draw the scene from three cameras, its depth, and an orbit; say where they are."""
-    camera = cameras(source)
-    orbit = "orbit:30,25,1.3" if source == GARDEN else "orbit:30,25"
-    views, depth, film = OUT / "views", OUT / "depth", OUT / "orbit.gif"
-    three = () if camera.endswith(".json") else ("--frames", "3")
-    small = ("--width", "324", "--height", "210", "--frames", "12", "--up", "+z")
-    for title, words in (
-        ("drawing it from three cameras", ("-o", views, "--camera", camera, *three)),
-        ("drawing its depth", ("-o", depth, "--camera", camera, *three, "--mode", "depth")),
-        ("drawing an orbit", ("-o", film, "--camera", orbit, *small)),
-    ):
+# %% What was judged is drawn.
+
+
+def draw(model: Path) -> list[str]:
+    """Draw the scene from its cameras, its depth, and a film around it; say where they are."""
+    camera, sky = OUT / "cameras.json", ("--background", SKY)
+    views, depth, film = OUT / "views", OUT / "depth", OUT / "orbit.mp4"
+    around = ["--camera", "orbit:40,14,4.0", "--turn", "100", "--fov", "42"]
+    if CAPTURED.is_file():
+        around = ["--camera", "orbit:30,25,1.1", "--up", "+z"]
+    large = ["--width", "960", "--height", "540", "--frames", "24", "--fps", "12"]
+    drawings: dict[str, list[str | Path]] = {
+        "drawing it from its cameras": ["-o", views, "--camera", camera, *sky],
+        "drawing its depth": ["-o", depth, "--camera", camera, "--mode", "depth"],
+        "drawing a film around it": ["-o", film, *around, *large, *sky],
+    }
+    for title, words in drawings.items():
         with step(title):
             completed = gsgen("render", model, *words)
         if completed.returncode and "adapter" in completed.stderr:
             return [f"No pictures: {completed.stderr.strip()}"]
         expect(completed, 0)
+    last = sorted(views.glob("frame_*.png"))[-1].name
     return [
-        f"{views}/frame_0000.png to frame_0002.png: three cameras; {depth}: how far away",
-        f"{film}: once around it",
+        f"{views}/frame_0000.png to {last}: its cameras; {depth}: how far away",
+        f"{film}: a film around it",
     ]
 
 

@@ -20,6 +20,7 @@ PUBLIC_MODULES = frozenset(
         "gsgen.contract.manifest",
         "gsgen.contract.rule",
         "gsgen.formats",
+        "gsgen.reference_plugins.samples",
         "gsgen.reference_plugins.synthetic",
         "gsgen.runtime",
         "gsgen.sdk",

@@ -40,8 +40,16 @@ def test_an_empty_file_expects_nothing(tmp_path: Path) -> None:
         ("[[xfail", ConfigInvalid, "is not TOML"),
         ("xfail = 3", ConfigInvalid, "3, expected tables [[xfail]]"),
         ('[[xfails]]\nrule = "GV003"', UnknownName, "unknown key 'xfails'"),
-        ('[[xfail]]\nrule = "GV003"', ConfigInvalid, "xfail 1: the entry lacks the key 'reason'"),
-        ('[[xfail]]\nreason = "x"', ConfigInvalid, "xfail 1: the entry lacks the key 'rule'"),
+        (
+            '[[xfail]]\nrule = "GV003"',
+            ConfigInvalid,
+            "xfail 1: the table [[xfail]] lacks the key 'reason'",
+        ),
+        (
+            '[[xfail]]\nreason = "x"',
+            ConfigInvalid,
+            "xfail 1: the table [[xfail]] lacks the key 'rule'",
+        ),
         ('[[xfail]]\nrule = "GV003"\nreason = " "', ConfigInvalid, "key 'reason' is ' '"),
         (
             '[[xfail]]\nrule = 3\nreason = "x"',

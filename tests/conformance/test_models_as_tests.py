@@ -141,7 +141,11 @@ def test_the_target_brings_its_rules(folder: Path) -> None:
         (("--gsgen=none.onnx",), 4, "none.onnx"),
         (("--gsgen=text.onnx",), 2, "is not an ONNX model but text"),
         (("--gsgen=drift.onnx", "--gsgen-suite=tme"), 4, "Did you mean 'time'?"),
-        (("--gsgen=drift.onnx", "--gsgen-xfails=none.toml"), 4, "none.toml: cannot be read"),
+        (
+            ("--gsgen=drift.onnx", "--gsgen-xfails=none.toml"),
+            4,
+            "none.toml: the file of expected failures cannot be read",
+        ),
     ],
 )
 def test_a_wrong_option_ends_the_run_and_names_itself(

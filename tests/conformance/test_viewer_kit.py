@@ -159,7 +159,7 @@ def test_the_command_names_a_missing_picture_and_writes_a_page(kit: Path, tmp_pa
     (pictures / f"{FIRST}-0.npy").unlink()
     ran = gsgen("viewer-kit", "check", str(kit), str(pictures), "--html", "p.html", cwd=tmp_path)
     assert ran.code == 1
-    assert f"failed: {FIRST}: {FIRST}-0: there is neither" in ran.out
+    assert f"failed: {FIRST}: {FIRST}-0: the picture is missing" in ran.out
     page = (tmp_path / "p.html").read_text("utf-8")
     assert "http" not in page
     result = check_viewer(kit, pictures)

@@ -39,7 +39,7 @@ def test_the_whole_demo_runs_without_the_captured_scene(tmp_path: Path) -> None:
         assert f"  {rule} " in completed.stdout
     assert completed.stdout.count("  hint: ") == 4
     assert "static " in completed.stdout.partition("picture:")[0].splitlines()[-1]
-    drawn = ["views/frame_0002.png", "depth/frame_0002.png", "orbit.gif", "families/static.png"]
+    drawn = ["views/frame_0002.png", "depth/frame_0002.png", "orbit.mp4", "families/static.png"]
     assert [name for name in drawn if not (tmp_path / "out" / name).is_file()] == []
 
 

@@ -15,12 +15,16 @@ from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.contract.validation.rule import Scope
 from gsgen.contract.validation.settings import read_config
+from support.commands import ROOT
 from support.reports.pages import DOCS, Block, blocks, name_of, pages
 
 _BINARIES = Path(sys.executable).parent
 
 
 def run(block: Block, folder: Path) -> "subprocess.CompletedProcess[str]":
+    if block.mark.endswith(".json"):  # a file that later blocks read
+        (folder / block.mark).write_text(block.text, "utf-8")
+        return subprocess.CompletedProcess([], 0, "", "")
     if block.mark == "bash":
         command = ["bash", "-e", "-c", block.text]
     else:
@@ -37,8 +41,12 @@ def run(block: Block, folder: Path) -> "subprocess.CompletedProcess[str]":
     )
 
 
+# The commands of that guide, which test_examples.py runs.
+EXPORTED = ("gsgen export lit_mlp:", "gsgen export deforming_cloud:", "gsgen export avatar:")
+
+
 def is_run(block: Block) -> bool:
-    return block.mark == "bash" or block.mark.endswith(".py")
+    return block.mark == "bash" or block.mark.endswith((".py", ".json"))
 
 
 _RUN = [page for page in pages() if any(is_run(block) for block in blocks(page))]
@@ -50,6 +58,29 @@ def test_every_block_runs(page, tmp_path):
         if is_run(block):
             done = run(block, tmp_path)
             assert done.returncode == 0, f"{block.mark}:\n{done.stdout}{done.stderr}"
+
+
+# What a block may begin with that no test runs: it needs a network, a screen, or sets up all.
+_EXCUSED = ("make demo", "pip install", "from gsgen.runtime import view")
+_FENCE = re.compile(
+    r"(?:^<!-- (?P<mark>.+?) -->\n)?^```(?:bash|python)\n(?P<text>.*?)^```$", re.S | re.M
+)
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in pages() if page.parent.name in ("guides", "docs", ROOT.name)],
+    ids=name_of,
+)
+def test_every_block_of_a_guide_is_run(page: Path) -> None:
+    """By this file, or by a test of the page: examples, the gallery, generated output."""
+    unmarked = [
+        match["text"].partition("\n")[0]
+        for match in _FENCE.finditer(page.read_text("utf-8"))
+        if match["mark"] is None and not match["text"].startswith(_EXCUSED)
+    ]
+    commands = EXPORTED if page.stem == "export-your-method" else ()
+    assert [line for line in unmarked if not line.startswith(commands or "\0")] == []
 
 
 @pytest.mark.parametrize("page", pages(), ids=name_of)

@@ -159,7 +159,7 @@ def test_colours_of_an_appearance_network_are_refused(tmp_path):
         (((torch.ones(2, 3), torch.ones(2, 5, 3)), 7), ("Scaffold-GS", "scaffold-gs")),
         ({"state_dict": {}, "epoch": 3}, ("state_dict, epoch", "gsplat (splats)")),
         ([1, 2], ("a list", "splatfacto")),
-        (((3, 4, 5), 7), ("capture of 3 values", "the 12 of 3DGS")),
+        (((3, 4, 5), 7), ("tuple (capture) has 3 values", "the 12 of 3DGS")),
         ({"pipeline": {"_model.field.weight": torch.ones(2)}}, ("nerfstudio", "splatfacto")),
     ],
 )
@@ -180,12 +180,16 @@ def test_a_network_in_torchscript_is_called_that(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "kind", "words"),
     [
-        ({"sh0": None}, PropertyMissing, "sh0 missing"),
-        ({"quats": torch.ones(6, 3)}, ValueInvalid, "quats: shape [6, 3]"),
+        ({"sh0": None}, PropertyMissing, "lacks the tensors sh0"),
+        ({"quats": torch.ones(6, 3)}, ValueInvalid, "quats: the tensor has shape [6, 3]"),
         ({"scales": torch.ones(6, 2)}, NotSupported, "2DGS"),
-        ({"shN": torch.ones(6, 4, 3)}, ValueInvalid, "shN: shape [6, 4, 3]"),
-        ({"means": torch.ones(6, 3, dtype=torch.int64)}, ValueInvalid, "means: no floats"),
-        ({"means": 3}, ValueInvalid, "means: a int"),
+        ({"shN": torch.ones(6, 4, 3)}, ValueInvalid, "shN: the tensor has shape [6, 4, 3]"),
+        (
+            {"means": torch.ones(6, 3, dtype=torch.int64)},
+            ValueInvalid,
+            "means: the tensor holds no floats",
+        ),
+        ({"means": 3}, ValueInvalid, "means: the value is a int"),
         ({"means": torch.full((6, 3), torch.nan)}, ValueInvalid, "position[:, 0]"),
     ],
 )
@@ -229,7 +233,9 @@ def test_short_storage_and_compression_are_refused(tmp_path):
     file = stored(tmp_path / "a.pt", of_gsplat())
     assert "means" in refusal(remade(file, {"data/0": b"\0" * 8}), ArchiveDamaged)
     packed = stored(tmp_path / "b.pt", of_gsplat(count=5000))
-    assert "is compressed" in refusal(remade(packed, {}, zipfile.ZIP_DEFLATED), NotSupported)
+    assert "the file in the archive is compressed" in refusal(
+        remade(packed, {}, zipfile.ZIP_DEFLATED), NotSupported
+    )
 
 
 def test_an_expanded_tensor_does_not_take_more_memory_than_its_storage(tmp_path):

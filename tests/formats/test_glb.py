@@ -166,7 +166,7 @@ def test_a_mesh_may_be_shown_twice_and_not_at_all(tmp_path):
     assert len(both) == 6
     np.testing.assert_allclose(both.position[:3], splats.position - [5, 0, 0], atol=1e-6)
     np.testing.assert_array_equal(both.position[3:], splats.position)
-    with pytest.raises(PropertyMissing, match="no splats in the scene"):
+    with pytest.raises(PropertyMissing, match="the glTF scene holds no splats"):
         with_nodes(tmp_path / "a.glb", splats, nodes, scenes=[{}])
 
 

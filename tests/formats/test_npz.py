@@ -117,76 +117,76 @@ def test_other_arrays_may_be_anything(tmp_path):
         (
             {"gaussians": GAUSSIANS, "colors": COLORS},
             PropertyMissing,
-            "holds gaussians, colors\nexpected gaussians and appearance, "
+            "the archive holds the arrays gaussians, colors\nexpected gaussians and appearance, "
             "or colors and one of points, xyz, means3d",
         ),
         (
             {"xyz": POINTS, "means3d": POINTS, "colors": COLORS},
             NotSupported,
-            "holds xyz, means3d\nexpected only one of them, as all are positions",
+            "the archive holds several arrays of positions: xyz, means3d\nexpected only one of them",
         ),
         (
             {"gaussians": GAUSSIANS.astype(float), "appearance": APPEARANCE},
             ValueInvalid,
-            "gaussians: float64 [4, 10]\nexpected float16 or float32 [n, 10]",
+            "gaussians: the array is float64 [4, 10]\nexpected float16 or float32 [n, 10]",
         ),
         (
             {"gaussians": GAUSSIANS, "appearance": APPEARANCE[:3]},
             ValueInvalid,
-            "appearance: float32 [3, 3]\nexpected float16 or float32 [4, c]",
+            "appearance: the array is float32 [3, 3]\nexpected float16 or float32 [4, c]",
         ),
         (
             {"gaussians": GAUSSIANS[:0], "appearance": APPEARANCE[:0]},
             ValueInvalid,
-            "array gaussians: 0 rows\nexpected at least one\n"
+            "array gaussians: the data have 0 rows\nexpected at least one\n"
             "the program that wrote the file may have dropped every point",
         ),
         (
             {"xyz": POINTS[:0], "colors": COLORS[:0]},
             ValueInvalid,
-            "array xyz: 0 rows\nexpected at least one\n"
+            "array xyz: the data have 0 rows\nexpected at least one\n"
             "the program that wrote the file may have dropped every point",
         ),
         (
             {"xyz": POINTS.astype(int), "colors": COLORS},
             ValueInvalid,
-            "array xyz: int64 [4, 3]\nexpected float [n, 3]",
+            "array xyz: the array is int64 [4, 3]\nexpected float [n, 3]",
         ),
         (
             {"xyz": np.float32(3), "colors": COLORS},
             ValueInvalid,
-            "array xyz: float32 []\nexpected float [n, 3]",
+            "array xyz: the array is float32 []\nexpected float [n, 3]",
         ),
         (
             {"xyz": POINTS, "colors": np.zeros((4, 4), np.uint8)},
             ValueInvalid,
-            "array colors: uint8 [4, 4]\nexpected uint8 or float [n, 3]",
+            "array colors: the array is uint8 [4, 4]\nexpected uint8 or float [n, 3]",
         ),
         (
             {"xyz": POINTS, "colors": COLORS[:2]},
             ValueInvalid,
-            "array colors: 2 rows\nexpected 4, the number of rows of xyz",
+            "array colors: the array has 2 rows\nexpected 4, the number of rows of xyz",
         ),
         (
             {"xyz": POINTS, "colors": COLORS.astype(np.float32)},
             ValueInvalid,
-            "array colors[:, 0]: 3 of 4 rows, row 1 is 60\nexpected 0 <= value <= 1\n"
+            "array colors[:, 0]: 3 of 4 rows are invalid: row 1 is 60\nexpected 0 <= value <= 1\n"
             "store colours from 0 to 255 as bytes (uchar, uint8)",
         ),
         (
             {"xyz": np.full((4, 3), 1e300), "colors": COLORS},
             ValueInvalid,
-            "array xyz[:, 0]: 4 of 4 rows, row 0 is inf\nexpected a finite number",
+            "array xyz[:, 0]: 4 of 4 rows are invalid: row 0 is inf\nexpected a finite number",
         ),
         (
             {"xyz": POINTS * np.nan, "colors": COLORS},
             ValueInvalid,
-            "array xyz[:, 0]: 4 of 4 rows, row 0 is nan\nexpected a finite number",
+            "array xyz[:, 0]: 4 of 4 rows are invalid: row 0 is nan\nexpected a finite number",
         ),
         (
             {"xyz": POINTS.astype(object), "colors": COLORS},
             NotSupported,
-            "array xyz: holds Python objects\nexpected numbers\n"
+            "array xyz: the array holds Python objects\nexpected numbers\n"
             "save it as an array of one numeric type",
         ),
     ],
@@ -210,7 +210,7 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
     with pytest.raises(SizeExceeded) as caught:
         read_npz(file, max_bytes=1_000_000)
     assert str(caught.value) == (
-        f"{file}: arrays gaussians of 4000000 and appearance of 48 bytes\n"
+        f"{file}: the arrays take 4000000 bytes (gaussians) and 48 bytes (appearance)\n"
         "expected 1000000 bytes or fewer together\n"
         "if you trust the file, read it with a larger max_bytes"
     )
@@ -231,7 +231,7 @@ def test_an_array_that_declares_more_than_it_has_is_refused(tmp_path):
     content = npy(GAUSSIANS).replace(b"(4, 10)", b"(9, 10)")
     file = zipped(tmp_path / "lie.npz", gaussians=content, appearance=npy(APPEARANCE))
     assert refusal(file, ArchiveDamaged) == (
-        f"array gaussians: 288 bytes, but float32 [9, 10] takes 488, header included\n{AGAIN}"
+        f"array gaussians: the array has 288 bytes, but float32 [9, 10] takes 488, header included\n{AGAIN}"
     )
 
 
@@ -275,7 +275,10 @@ def test_too_little_memory_is_no_crash(tmp_path, monkeypatch):
 
     file = saved(tmp_path / "frame.npz", gaussians=GAUSSIANS, appearance=APPEARANCE)
     monkeypatch.setattr(np.lib.format, "read_array", exhausted)
-    assert refusal(file, SizeExceeded) == "array gaussians: takes more memory than is available"
+    assert (
+        refusal(file, SizeExceeded)
+        == "array gaussians: reading takes more memory than is available"
+    )
 
 
 def test_damage_inside_an_array_is_noticed(tmp_path):
@@ -283,7 +286,7 @@ def test_damage_inside_an_array_is_noticed(tmp_path):
     content = file.read_bytes()
     file.write_bytes(content.replace(GAUSSIANS.tobytes(), GAUSSIANS[::-1].tobytes()))
     assert refusal(file, ArchiveDamaged) == (
-        "array gaussians: cannot be unpacked "
+        "array gaussians: the archive cannot be unpacked "
         f"(BadZipFile: Bad CRC-32 for file 'gaussians.npy')\n{AGAIN}"
     )
 

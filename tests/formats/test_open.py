@@ -71,7 +71,7 @@ def test_every_format_is_told_by_its_content(tmp_path, name):
 def test_a_json_file_that_is_no_sog_is_refused(tmp_path):
     file = tmp_path / "scene.gltf"
     file.write_text('{"asset": {"version": "2.0"}}')
-    with pytest.raises(NotRecognised, match="JSON without means"):
+    with pytest.raises(NotRecognised, match="the JSON object lacks the key 'means'"):
         open_splats(file)
 
 
@@ -130,14 +130,16 @@ def test_a_file_that_cannot_be_opened_is_refused(tmp_path, read):
     empty, pipe = tmp_path / "empty", tmp_path / "pipe"
     empty.touch()
     os.mkfifo(pipe)
-    missing = "cannot be read: No such file or directory"
+    missing = "the file cannot be read: No such file or directory"
     assert unreadable(tmp_path / "missing", read) == missing
-    assert unreadable(tmp_path, read) == "is a folder\nexpected a file"
-    assert unreadable(pipe, read) == ("is a device, pipe or socket\nexpected a regular file")
-    assert unreadable(empty, read) == (
-        "is empty\nwrite it again: the program that wrote it may have failed"
+    assert unreadable(tmp_path, read) == "the path is a folder\nexpected a file"
+    assert unreadable(pipe, read) == (
+        "the path is a device, pipe or socket\nexpected a regular file"
     )
-    assert unreadable(tmp_path / "a\0b", read) == "cannot be read: embedded null byte"
+    assert unreadable(empty, read) == (
+        "the file is empty\nwrite it again: the program that wrote it may have failed"
+    )
+    assert unreadable(tmp_path / "a\0b", read) == "the file cannot be read: embedded null byte"
 
 
 @pytest.mark.parametrize("read", READERS)
@@ -148,7 +150,7 @@ def test_a_file_that_is_closed_to_us_is_refused(tmp_path, read, monkeypatch):
     file = tmp_path / "closed"
     file.write_bytes(b"ply\n")
     monkeypatch.setattr("builtins.open", closed)  # the tests may run as root
-    assert unreadable(file, read) == "cannot be read: Permission denied"
+    assert unreadable(file, read) == "the file cannot be read: Permission denied"
 
 
 @shared_only

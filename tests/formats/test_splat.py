@@ -93,9 +93,9 @@ def test_ends_of_the_ranges(tmp_path):
 @pytest.mark.parametrize(
     ("at", "value", "text"),
     [
-        (0, np.nan, "position[:, 0]: 1 of 2 rows, row 0 is nan\nexpected a finite number"),
-        (9, np.inf, "position[:, 1]: 1 of 2 rows, row 1 is inf\nexpected a finite number"),
-        (3, -1.0, "log_scale[:, 0]: 1 of 2 rows, row 0 is nan\n"
+        (0, np.nan, "position[:, 0]: 1 of 2 rows are invalid: row 0 is nan\nexpected a finite number"),
+        (9, np.inf, "position[:, 1]: 1 of 2 rows are invalid: row 1 is inf\nexpected a finite number"),
+        (3, -1.0, "log_scale[:, 0]: 1 of 2 rows are invalid: row 0 is nan\n"
          "expected a finite number or -inf"),
     ],
 )  # fmt: skip
@@ -116,7 +116,7 @@ def test_a_part_of_a_record_is_refused(tmp_path):
     with pytest.raises(FileTruncated) as caught:
         read_splat(file)
     assert str(caught.value) == (
-        f"{file}: byte 64: 77 bytes are 2 records of 32 and 13 bytes more\n"
+        f"{file}: byte 64: the file of 77 bytes holds 2 records of 32, and 13 bytes more\n"
         "expected a multiple of 32 bytes, as of a SPLAT file\ncopy or download the file again"
     )
 

@@ -25,20 +25,36 @@ def test_splats_refuse_coefficients_of_no_degree(coefficients):
     with pytest.raises(ValueInvalid) as caught:
         splats_of(2, coefficients)
     assert str(caught.value) == (
-        f"sh: {coefficients} SH coefficients\nexpected 1, 4, 9, 16 or 25 (degree 0 to 4)"
+        f"sh: the splats have {coefficients} SH coefficients\nexpected 1, 4, 9, 16 or 25 (degree 0 to 4)"
     )
 
 
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("position", np.zeros((2, 4), np.float32), "float32 [2, 4]\nexpected float32 [n, 3]"),
-        ("position", np.zeros(2, np.float32), "float32 [2]\nexpected float32 [n, 3]"),
-        ("rotation", np.zeros((3, 4), np.float32), "float32 [3, 4]\nexpected float32 [2, 4]"),
-        ("log_scale", np.zeros((2, 3)), "float64 [2, 3]\nexpected float32 [2, 3]"),
-        ("logit_opacity", np.zeros((2, 1), np.float32), "float32 [2, 1]\nexpected float32 [2]"),
-        ("sh", [[0.0]], "a list\nexpected float32 [2, k, 3]"),
-        ("sh", np.zeros((2, 3), np.float32), "float32 [2, 3]\nexpected float32 [2, k, 3]"),
+        (
+            "position",
+            np.zeros((2, 4), np.float32),
+            "the array is float32 [2, 4]\nexpected float32 [n, 3]",
+        ),
+        ("position", np.zeros(2, np.float32), "the array is float32 [2]\nexpected float32 [n, 3]"),
+        (
+            "rotation",
+            np.zeros((3, 4), np.float32),
+            "the array is float32 [3, 4]\nexpected float32 [2, 4]",
+        ),
+        ("log_scale", np.zeros((2, 3)), "the array is float64 [2, 3]\nexpected float32 [2, 3]"),
+        (
+            "logit_opacity",
+            np.zeros((2, 1), np.float32),
+            "the array is float32 [2, 1]\nexpected float32 [2]",
+        ),
+        ("sh", [[0.0]], "the value is a list\nexpected float32 [2, k, 3]"),
+        (
+            "sh",
+            np.zeros((2, 3), np.float32),
+            "the array is float32 [2, 3]\nexpected float32 [2, k, 3]",
+        ),
     ],
 )
 def test_splats_refuse_an_array_that_does_not_fit(name, value, text):
@@ -50,7 +66,7 @@ def test_splats_refuse_an_array_that_does_not_fit(name, value, text):
 def test_points_refuse_colours_of_another_length():
     with pytest.raises(ValueInvalid) as caught:
         PointCloud(np.zeros((2, 3), np.float32), np.zeros((1, 3), np.float32))
-    assert str(caught.value) == "color: float32 [1, 3]\nexpected float32 [2, 3]"
+    assert str(caught.value) == "color: the array is float32 [1, 3]\nexpected float32 [2, 3]"
 
 
 def test_packed_rows_keep_two_data_types():
@@ -62,7 +78,9 @@ def test_packed_rows_keep_two_data_types():
 def test_packed_rows_refuse_doubles():
     with pytest.raises(ValueInvalid) as caught:
         PackedRows(np.zeros((2, 10)), np.zeros((2, 3), np.float32))
-    assert str(caught.value) == ("gaussians: float64 [2, 10]\nexpected float16 or float32 [n, 10]")
+    assert str(caught.value) == (
+        "gaussians: the array is float64 [2, 10]\nexpected float16 or float32 [n, 10]"
+    )
 
 
 def test_an_invalid_value_is_both_a_format_error_and_a_value_error():

@@ -234,9 +234,9 @@ def test_ends_of_the_ranges(tmp_path, version):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"version": 0}, "version: 0\nexpected 1, 2, 3 or 4"),
-        ({"version": 5}, "version: 5\nexpected 1, 2, 3 or 4"),
-        ({"sh_bits": (0, 4)}, "sh_bits: (0, 4)\nexpected two numbers, 1 to 8"),
+        ({"version": 0}, "version: the version is 0\nexpected 1, 2, 3 or 4"),
+        ({"version": 5}, "version: the version is 5\nexpected 1, 2, 3 or 4"),
+        ({"sh_bits": (0, 4)}, "sh_bits: the SH bits are (0, 4)\nexpected two numbers, 1 to 8"),
     ],
 )
 def test_options_that_cannot_be_are_refused(tmp_path, change, text):
@@ -282,21 +282,29 @@ def plain_file(**change: int) -> bytes:
 @pytest.mark.parametrize(
     ("change", "kind", "text"),
     [
-        ({"version": 0}, NotSupported, "byte 4: version 0\nexpected 1, 2, 3 or 4"),
-        ({"version": 4}, HeaderMalformed, "byte 4: version 4 in gzip\nexpected 1, 2 or 3"),
-        ({"count": 0}, ValueInvalid, "byte 8: 0 splats\nexpected at least one"),
-        ({"degree": 5}, HeaderMalformed, "byte 12: SH degree 5\nexpected 0 to 4"),
-        ({"fraction": 25}, HeaderMalformed, "byte 13: 25 fractional bits\nexpected 0 to 24"),
+        ({"version": 0}, NotSupported, "byte 4: the file has SPZ version 0\nexpected 1, 2, 3 or 4"),
+        (
+            {"version": 4},
+            HeaderMalformed,
+            "byte 4: the gzip file has SPZ version 4\nexpected 1, 2 or 3",
+        ),
+        ({"count": 0}, ValueInvalid, "byte 8: the file has 0 splats\nexpected at least one"),
+        ({"degree": 5}, HeaderMalformed, "byte 12: the SH degree is 5\nexpected 0 to 4"),
+        (
+            {"fraction": 25},
+            HeaderMalformed,
+            "byte 13: the positions have 25 fractional bits\nexpected 0 to 24",
+        ),
         (
             {"count": 3},
             FileTruncated,
-            "3 splats, unpacked: 60 bytes needed from byte 16 on, 40 are left\n"
+            "3 splats, unpacked: the data need 60 bytes from byte 16 on, but 40 are left\n"
             "expected a file of 76 bytes or more; it has 56\ncopy or download the file again",
         ),
         (
             {"count": 1},
             HeaderMalformed,
-            "unpacked data: more than the 36 bytes of 1 splats of degree 0\n"
+            "unpacked data: the file has more than the 36 bytes of 1 splats of degree 0\n"
             "expected 36 bytes\ncopy or download the file again",
         ),
     ],
@@ -308,14 +316,16 @@ def test_a_header_that_cannot_be_is_refused(tmp_path, change, kind, text):
 def test_a_count_beyond_what_gzip_can_hold_is_refused_before_unpacking(tmp_path):
     bomb = plain_file(count=2**31)
     text = refusal(tmp_path, bomb, FileTruncated)
-    assert text.startswith(f"byte 8: {2**31} splats in a file of {len(bomb)} bytes\nexpected ")
+    assert text.startswith(
+        f"byte 8: the header declares {2**31} splats in a file of {len(bomb)} bytes\nexpected "
+    )
 
 
 def test_what_unpacks_to_more_than_allowed_is_refused(tmp_path):
     write_spz(tmp_path / "a.spz", scene(50, 0))
     content = (tmp_path / "a.spz").read_bytes()
     text = refusal(tmp_path, content, SizeExceeded, max_bytes=1000)
-    assert text.startswith("unpacks to 1016 bytes\nexpected 1000 bytes or fewer\n")
+    assert text.startswith("the file unpacks to 1016 bytes\nexpected 1000 bytes or fewer\n")
 
 
 def test_other_files_are_not_recognised(tmp_path):
@@ -352,7 +362,7 @@ def test_a_declared_coordinate_system_is_followed(tmp_path):
 
 def test_a_space_of_swapped_axes_is_refused(tmp_path):
     text = refusal(tmp_path, with_record(0xADBE0003, struct.pack("<I", 9)), NotSupported)
-    assert text.startswith("extension SPZ_ADOBE_coordinate_system: coordinate system 9\n")
+    assert text.startswith("extension SPZ_ADOBE_coordinate_system: the coordinate system is 9\n")
 
 
 def test_an_unknown_extension_is_warned_of(tmp_path):
@@ -367,9 +377,9 @@ def test_an_unknown_extension_is_warned_of(tmp_path):
 @pytest.mark.parametrize(
     ("at", "value", "text"),
     [
-        (15, 5, "byte 15: 5 streams\nexpected 6, one for each attribute"),
-        (16, 8, "byte 16: table of contents at byte 8\nexpected 32 or more"),
-        (40, 1, "byte 40: positions of 257 bytes\nexpected 360"),
+        (15, 5, "byte 15: the file has 5 streams\nexpected 6, one for each attribute"),
+        (16, 8, "byte 16: the table of contents is at byte 8\nexpected byte 32 or more"),
+        (40, 1, "byte 40: stream positions unpacks to 257 bytes\nexpected 360 bytes"),
     ],
 )
 def test_a_table_of_contents_that_cannot_be_is_refused(tmp_path, at, value, text):

@@ -76,6 +76,7 @@ def test_the_wheel_holds_every_room_and_its_data(wheel: Path) -> None:
         "gsgen/formats/py.typed",
         "gsgen/runtime/py.typed",
         "gsgen/reference_plugins/py.typed",
+        "pytest_gsgen.py",
     ):
         assert part in names
     assert "gsgen/__init__.py" not in names  # it would hide the other portions
@@ -95,6 +96,24 @@ def test_without_extras_models_are_validated(fresh: Path, tmp_path: Path) -> Non
     ran = run(fresh / "gsgen", "validate", broken, cwd=tmp_path)
     assert ran.returncode == 1
     assert "GV003 error" in ran.stdout
+
+
+def test_the_environment_is_small(fresh: Path) -> None:
+    """As `scripts/check_wheel.py` measures it, with pip and without compiled files."""
+    files = [path for path in fresh.parent.rglob("*") if not path.is_symlink()]
+    assert sum(path.stat().st_size for path in files) <= 250 * 2**20
+
+
+def test_a_consumer_s_types_are_checked(fresh: Path, tmp_path: Path) -> None:
+    """Each package has a py.typed, or mypy would take every name for Any."""
+    shutil.copytree(Path(__file__).parent / "consumer", tmp_path / "consumer")
+    mypy = [sys.executable, "-m", "mypy", "--strict", "--python-executable", fresh / "python"]
+    right = run(*mypy, "consumer/consumer.py", cwd=tmp_path)
+    assert right.returncode == 0, right.stdout
+    wrong = run(*mypy, "consumer/wrong.py", cwd=tmp_path)
+    assert wrong.returncode == 1, wrong.stdout
+    assert "[arg-type]" in wrong.stdout
+    assert "[attr-defined]" in wrong.stdout
 
 
 def test_packed_rows_export_without_torch(fresh: Path, tmp_path: Path) -> None:
@@ -176,6 +195,10 @@ def test_a_third_party_s_tests_run_by_pytest_alone(acme: Acme) -> None:
     assert "acme/AC001 (Acme draws three.)" in known
     assert "PASSED check_acme.py::test_the_rule_s_example_breaks_it_and_no_other" in own.stdout
     assert "FAILED" not in own.stdout
+    strict = acme(
+        "pytest", "check_acme.py", "-W", "error::pytest.PytestAssertRewriteWarning", *quiet
+    )
+    assert strict.returncode == 0, strict.stderr
     model = acme("pytest", "--gsgen", "long.onnx", "--gsgen-target", "acme", *quiet)
     assert model.returncode == 1
     (failed,) = [line for line in model.stdout.splitlines() if line.startswith("FAILED")]

@@ -17,9 +17,13 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.reference_plugins.anchors import octree_gs_plugin, scaffold_gs_plugin
-from gsgen.reference_plugins.deformation import deformable_3dgs_plugin, hexplane_4dgs_plugin
+from gsgen.reference_plugins.deformation import (
+    deformable_3dgs_plugin,
+    hexplane_4dgs_plugin,
+    sc_gs_plugin,
+)
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.reference_plugins.spacetime import spacetime_gaussians_plugin
+from gsgen.reference_plugins.spacetime import rotor_4dgs_plugin, spacetime_gaussians_plugin
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,
@@ -39,6 +43,8 @@ BUILD: dict[str, Callable[..., GaussianGenerator]] = {
     "octree_a": octree_gs_plugin.build,
     "hexplane_dnerf": hexplane_4dgs_plugin.build,
     "deform_blender": deformable_3dgs_plugin.build,
+    "scgs_blender": sc_gs_plugin.build,
+    "rotor4d_dnerf": partial(rotor_4dgs_plugin.build, time_duration=(0.0, 1.0)),
     "stg_lite": spacetime_gaussians_plugin.build,
     "stg_full": partial(spacetime_gaussians_plugin.build, decode="per-splat"),
 }
@@ -77,7 +83,9 @@ def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
 def test_the_manifest_says_which_weights_it_was_made_of(case: Case) -> None:
     folder = shared(f"data/checkpoints/{case.name}/ckpt")
     files = [
-        path for path in folder.rglob("iteration_*/*") if path.suffix in (".ply", ".pt", ".pth")
+        path
+        for path in (*folder.rglob("iteration_*/*"), *folder.glob("chkpnt*"))
+        if path.suffix in (".ply", ".pt", ".pth")
     ]
     contents = b"".join(path.read_bytes() for path in sorted(files))
     producer = case.exported.manifest.producer

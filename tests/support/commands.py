@@ -3,7 +3,6 @@
 import gc
 import io
 import os
-import resource
 import subprocess
 import sys
 from contextlib import chdir, redirect_stderr, redirect_stdout
@@ -77,13 +76,20 @@ def gsgen_here(
 
 
 def _children_seconds() -> float:
+    if os.name == "nt":  # has no `resource`
+        return 0.0
+    import resource
+
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def children_peak_bytes() -> int:
     """Return the largest resident size that any finished child process had."""
-    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * unit
 
 
 def shared(relative: str) -> Path:

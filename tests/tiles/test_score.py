@@ -19,7 +19,7 @@ from support.commands import gsgen
 def test_cuts_are_those_counted_by_hand(tmp_path: Path, make) -> None:
     make().write(tmp_path / "tileset.json")
     tileset = open_tileset(tmp_path)
-    cuts = [[tile.level for tile, _ in level_cut(tileset, level)] for level in range(5)]
+    cuts = [[tile.level for tile, _ in level_cut(tileset.root, level)] for level in range(5)]
     if make is explicit_sketch:
         assert cuts == [[0], [1, 1], [1, 1], [1, 1], [1, 1]]
     else:  # the first level of the tree hangs below a root without content

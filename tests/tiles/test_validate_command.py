@@ -89,7 +89,10 @@ def test_the_level_says_how_far_it_goes(good: Path) -> None:
     assert [level.level for level in static.levels] == [Level.STATIC]
     render = validate(good, Settings(level=Level.RENDER))
     ran = {level.level: level.ran for level in render.levels}
-    assert ran == {Level.STATIC: True, Level.VALUES: True, Level.RENDER: False}
+    assert ran == {Level.STATIC: True, Level.VALUES: True, Level.RENDER: True}
+    assert {render.outcome(rule).status for rule in ("GT021", "GT022")} == {"pass"}
+    values = validate(good, Settings(level=Level.VALUES))
+    assert values.outcome("GT021").status == "skipped"
 
 
 def test_time_that_is_up_skips_and_does_not_pass(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ __all__ = ["build", "main"]
 import atexit
 import errno
 import gc
+import os
 import sys
 from contextlib import suppress
 from importlib.metadata import version
@@ -16,8 +17,10 @@ from typer.core import TyperCommand, TyperGroup
 from gsgen.cli.text_streams import accept_any_text
 from gsgen.contract._extensions import Command, escape_markup, find_commands
 from gsgen.contract.commands.options import OPTION_ORDER
+from gsgen.contract.commands.progress import clear
 from gsgen.contract.errors import ExitCode, GsgenError, UnknownName
 from gsgen.contract.process.interrupts import ending_at_interrupts
+from gsgen.contract.process.missing_files import similar_file_hint
 
 # Objects between two garbage collections: more than all imports of a command create.
 _COLLECT_AFTER = 500_000
@@ -48,7 +51,7 @@ def _run() -> None:
         arguments = [*arguments[1:], "--help"]
     command_name = next((word for word in arguments if not word.startswith("-")), None)
     if command_name is not None and command_name not in commands:
-        _fail(UnknownName.among("command", command_name, commands))
+        _fail(_unknown_command(command_name, commands))
     selected = [commands[command_name]] if command_name else list(commands.values())
     try:
         try:
@@ -68,6 +71,13 @@ def _run() -> None:
         _crash()
 
 
+def _unknown_command(name: str, commands: dict[str, Command]) -> UnknownName:
+    error = UnknownName.among("command", name, commands)
+    if os.path.exists(name):
+        error.hint = f"To validate the file, type `gsgen validate {name}`."
+    return error
+
+
 def _fail_unwritten(error: OSError) -> Never:
     try:
         sys.stdout.flush()
@@ -82,12 +92,16 @@ def _fail_unwritten(error: OSError) -> Never:
 def _crash() -> Never:
     import traceback
 
+    clear()
     typer.echo(traceback.format_exc(), err=True)
     typer.echo("gsgen: internal error: this is a fault of gsgen, not yours", err=True)
     sys.exit(ExitCode.INTERNAL)
 
 
 def _fail(error: GsgenError) -> Never:
+    clear()
+    if not error.hint and "No such file" in error.message:
+        error.hint = similar_file_hint(str(error).partition(": ")[0])
     typer.echo(f"gsgen: {error}", err=True)
     sys.exit(error.exit_code)
 
@@ -121,7 +135,23 @@ class _Ordered(TyperCommand):
         """Parse command-line arguments, and record parameter names in the order typed."""
         *_, order = self.make_parser(ctx).parse_args(args=list(args))
         ctx.meta[OPTION_ORDER] = [parameter.name for parameter in order]
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            bounds = getattr(error.param, "type", None)
+            if "not a valid" in error.message and isinstance(getattr(bounds, "name", None), str):
+                error.message += _number_hint(bounds)
+            raise
+
+
+def _number_hint(bounds: Any) -> str:
+    """Return what an option takes that is a number; nothing for other options."""
+    noun = {"int": "a whole number", "float": "a number"}.get(bounds.name.split()[0])
+    if noun is None:
+        return ""
+    least, most = getattr(bounds, "min", None), getattr(bounds, "max", None)
+    above = "" if least is None else f" from {least:g}"
+    return f" Give {noun}{above}{'' if most is None else f' to {most:g}'}."
 
 
 class _Sorted(TyperGroup):

@@ -1,4 +1,4 @@
-"""Lets stdout and stderr take any text: characters that their encoding lacks are transliterated.
+"""Lets stdout and stderr accept any text, by transliterating characters they cannot encode.
 
 Output that is piped or redirected has the encoding of the system's locale: cp1252 on most Windows
 machines, ASCII in the C locale. Printing ``→`` there raises UnicodeEncodeError.
@@ -28,7 +28,7 @@ _MARKS: Final = {"<super>": "^", "<sub>": "_"}
 
 
 def accept_any_text() -> None:
-    """Configure stdout and stderr of this process so that no text fails to be encoded."""
+    """Configure stdout and stderr so that printing any text never raises an encoding error."""
     codecs.register_error(_HANDLER, transliterate)
     codecs.register(_ascii_codec)
     for stream in (sys.stdout, sys.stderr):
@@ -46,7 +46,7 @@ def _accept_any_text(stream: TextIO | None) -> None:
 
 
 def transliterate(error: UnicodeError) -> tuple[str, int]:
-    """Return ASCII text for the characters that an encoding lacks, and where they end.
+    """Return ASCII text for characters that an encoding lacks, as a Python codec error handler.
 
     An error handler of :mod:`codecs`. A JSON document gets escapes instead, which mean the same.
     """
@@ -75,7 +75,7 @@ def _substitute(character: str) -> str:
 
 
 def _escape(character: str) -> str:
-    """Return the escapes of a character, as JSON writes them: one or two of four hex digits."""
+    """Return the JSON escape sequences (hexadecimal) of a character."""
     pairs = character.encode("utf-16-be", "surrogatepass").hex()
     return "".join(f"\\u{pairs[start : start + 4]}" for start in range(0, len(pairs), 4))
 

@@ -62,9 +62,13 @@ def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]
     try:
         data = tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
-        raise ConfigInvalid(f"cannot be read: {error.strerror}", where=where) from error
+        raise ConfigInvalid(
+            f"the file of expected failures cannot be read: {error.strerror}", where=where
+        ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigInvalid(f"is not TOML: {error}", where=where) from error
+        raise ConfigInvalid(
+            f"the file of expected failures is not TOML: {error}", where=where
+        ) from error
     _refuse_strange_keys(data, (_TABLE,), where)
     tables = data.get(_TABLE, [])
     if not (isinstance(tables, list) and all(isinstance(entry, dict) for entry in tables)):
@@ -84,7 +88,7 @@ def _entry(table: dict[str, Any], where: str, source: str, registry: Registry) -
             )
     for key in ("rule", "reason"):
         if key not in table:
-            raise ConfigInvalid(f"the entry lacks the key {key!r}", where=where)
+            raise ConfigInvalid(f"the table [[{_TABLE}]] lacks the key {key!r}", where=where)
     rule = registry.find(table["rule"], where).id
     return ExpectedFailure(rule, table["reason"], table.get("model", ""), source)
 

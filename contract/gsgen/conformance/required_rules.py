@@ -6,5 +6,5 @@ from gsgen.contract.validation.rule import Registry, Rule
 
 
 def needed_by(rule: Rule, registry: Registry) -> Registry:
-    """Return a rule with all rules that must hold before it is checked, in catalogue order."""
+    """Return a rule together with all rules that must pass before, in catalogue order."""
     return Registry(registry.with_needs([rule.id]).rules)

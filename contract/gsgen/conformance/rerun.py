@@ -97,7 +97,8 @@ def replay(
 ) -> Iterator[Replay]:
     """Run some test inputs of a model again in the sandbox; results last for the ``with`` block."""
     path, names = subject.file.path, fetched_outputs(subject)
-    with execute(path, names, probes, subject.granted) as execution:
+    stored = tuple(replace(probe, survey=False) for probe in probes)
+    with execute(path, names, stored, subject.granted) as execution:
         yield Replay(subject, tuple(probes), execution, settings)
 
 

@@ -108,7 +108,7 @@ SUITES: tuple[Suite, ...] = (
         "avatar",
         "Poses and body shapes, at rest and at their extremes.",
         _takes("pose", "shape", "expression", "root_translation", "root_rotation"),
-        _ids("GI009", "GI010", "GB013", "GB035", "GB036", "GB041", "GB042"),
+        _ids("GI009", "GI010", "GB013", "GB035", "GB036", "GB041", "GB042", "GB043", "GB044"),
     ),
     Suite(
         "appearance",

@@ -118,6 +118,8 @@ class UnknownName(ConfigInvalid):
         names = sorted(known)
         close = get_close_matches(name, names, n=1, cutoff=0.5)
         short = len(names) <= _MOST_LISTED
-        listed = f"Known: {', '.join(names) or 'none'}." if short else f"{len(names)} are known."
+        nearest = get_close_matches(name, names, n=3, cutoff=0.0)
+        some = f"{len(names)} are known, such as {', '.join(nearest)}."
+        listed = f"Known: {', '.join(names) or 'none'}." if short else some
         hint = f"Did you mean {close[0]!r}?" if close else listed
         return cls(f"unknown {noun} {name!r}", where=where, hint=hint)

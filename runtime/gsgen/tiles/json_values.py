@@ -28,19 +28,17 @@ def parse_object(data: bytes, location: str, *, fault: Fault = Fault.SCHEMA) -> 
     Raises:
         TilesetInvalid: It is not JSON, nests too deeply, or holds something else.
     """
+    file = location.removesuffix(", ")  # that joins a file with the path of a member
     try:
         document = json.loads(data, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         reason = "it nests too deeply" if isinstance(error, RecursionError) else error
         raise TilesetInvalid(
-            f"the text is not JSON ({reason})",
-            location=location,
-            expected="a JSON object",
-            fault=fault,
+            f"the text is not JSON ({reason})", location=file, expected="a JSON object", fault=fault
         ) from error
     if not isinstance(document, dict):
         raise TilesetInvalid(
-            shorten(document), location=location, expected="a JSON object", fault=fault
+            shorten(document), location=file, expected="a JSON object", fault=fault
         )
     return JsonObject(document, location, fault)
 

@@ -219,7 +219,7 @@ class _Loader:
         matrix = entry.numbers("transform", 16).reshape(4, 4).T
         if not np.array_equal(matrix[3], [0, 0, 0, 1]):
             raise TilesetInvalid(
-                f"the last row of the matrix is {shorten(matrix[3].tolist())}",
+                f"the last row of the transform is {shorten(matrix[3].tolist())}",
                 location=entry.at("transform"),
                 expected="0 0 0 1: 16 numbers, column by column",
                 fault=Fault.TRANSFORM,

@@ -1,4 +1,4 @@
-"""Reads and writes files of Gaussian splats, with NumPy.
+"""Reads and writes files of Gaussian splats, such as PLY and SPZ, with NumPy.
 
 Two formats need another package: SOG needs Pillow, version 4 of SPZ needs zstandard.
 

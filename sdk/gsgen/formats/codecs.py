@@ -1,4 +1,4 @@
-"""The table of splat file formats: names, suffixes, magic bytes, readers and writers.
+"""The table of splat file formats: name, suffixes, magic bytes, reader and writer of each.
 
 Help texts, hints, error messages and the documentation read this table. A new format is a module
 that reads it, an entry of the table, and a sample in ``tests/support/splat_files.py``.
@@ -45,7 +45,7 @@ _JSON_MARKS = (b'{"', b"{\n", b"{ ", b"{\r", b"{\t")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Codec:
-    """One file format of splats, with its reader and writer.
+    """One splat file format, with its reader and writer.
 
     Attributes:
         name: The name on a command line.
@@ -196,18 +196,18 @@ CODECS: Final = (
 
 
 def format_titles() -> str:
-    """Return the titles of all splat formats as an enumeration: ``PLY, …, SPLAT or NPZ``."""
+    """Return the titles of all splat file formats as a phrase: ``PLY, …, SPLAT or NPZ``."""
     *titles, last = (codec.title for codec in CODECS)
     return f"{', '.join(titles)} or {last}"
 
 
 def codec_named(name: str) -> Codec:
-    """Return the splat format called ``name``."""
+    """Return the splat file format called ``name``."""
     return {codec.name: codec for codec in CODECS}[name]
 
 
 def codec_of_suffix(path: FilePath) -> Codec | None:
-    """Return the splat format of the longest matching suffix of ``path``, or None."""
+    """Return the splat file format with the longest suffix that ``path`` ends with, or None."""
     name = Path(path).name.lower()
     matches = [
         (len(suffix), codec.name)
@@ -219,7 +219,7 @@ def codec_of_suffix(path: FilePath) -> Codec | None:
 
 
 def recognised(path: FilePath, data: Data) -> Codec | None:
-    """Return the splat format that a file's content shows, or None."""
+    """Detect the splat file format from the first bytes of a file; None if unknown."""
     marked = [codec for codec in CODECS if bytes(data[:6]).startswith(codec.marks)]
     if data[: len(ZIP_MAGIC)] == ZIP_MAGIC:
         with unpacking("archive"), zipfile.ZipFile(path) as archive:

@@ -1,4 +1,4 @@
-"""Converts files of splats to another format and measures the loss."""
+"""Converts splat files to another format, and measures the loss."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ MAX_COMPARED: Final = 2 << 30
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conversion:
-    """The result of a conversion, with its losses.
+    """The result of converting a splat file, with the measured losses.
 
     Attributes:
         source: The files that were read.
@@ -70,7 +70,7 @@ def convert(
     write: Callable[[FilePath, Splats], None] | None = None,
     step: Callable[[str], None] = lambda words: None,
 ) -> Conversion:
-    """Convert ``source`` to ``target``, then compare the written file with what was to be written.
+    """Convert splat file ``source`` to ``target``, and compare the written splats with the source.
 
     Args:
         source: A file that ``open_splats`` reads, or several, which are merged in this order.
@@ -138,7 +138,7 @@ def _writer_of(codec: Codec, target: FilePath) -> Callable[[FilePath, Splats], N
     if codec.write is None:
         names = [entry.name for entry in CODECS if entry.write]
         raise NotSupported(
-            f"{codec.title} is a format that gsgen only reads",
+            f"gsgen reads {codec.title}, but cannot write this format",
             expected=f"one of {', '.join(names)}",
             path=str(target),
         )
@@ -146,7 +146,7 @@ def _writer_of(codec: Codec, target: FilePath) -> Callable[[FilePath, Splats], N
 
 
 def merged(parts: Sequence[Splats]) -> Splats:
-    """Return all splats as one set; harmonics that a part lacks are zero.
+    """Concatenate sets of splats; SH coefficients that a set lacks are zero.
 
     Raises:
         ValueInvalid: One part is antialiased or has linear colours, and another one not.
@@ -155,7 +155,7 @@ def merged(parts: Sequence[Splats]) -> Splats:
         values = {getattr(part, flag) for part in parts}
         if len(values) > 1:
             raise ValueInvalid(
-                f"differs between the sources: {' and '.join(sorted(map(str, values)))}",
+                f"the value differs between the sources: {' and '.join(sorted(map(str, values)))}",
                 where=flag,
                 expected="the same for all",
                 hint="such splats cannot be drawn right in one file",

@@ -38,7 +38,7 @@ _MOST_DEGREE = 2
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Section:
-    """The header of a section of a KSPLAT file: its counts, sizes and quantisation.
+    """The header of one section of a KSPLAT file: counts, sizes and quantisation.
 
     Attributes:
         start: The byte where the section's data begin.
@@ -63,7 +63,7 @@ class _Section:
 
 
 def read_ksplat(path: FilePath) -> Splats:
-    """Read the KSPLAT file at ``path``; the result has the highest SH degree of its sections.
+    """Read the KSPLAT file at ``path`` as splats of the highest SH degree in the file.
 
     Raises:
         FileUnreadable: The file is missing or empty, or may not be read.
@@ -80,7 +80,7 @@ def read_ksplat(path: FilePath) -> Splats:
 
 
 def looks_like_ksplat(data: Data) -> bool:
-    """Return whether ``data`` begins like a KSPLAT file, with a known version and valid sizes."""
+    """Return whether ``data`` starts like a KSPLAT file, with a known version and valid sizes."""
     if len(data) < HEADER:
         return False
     major, minor, sections, _, _, _, level, *_ = _MAIN.unpack_from(data)
@@ -90,7 +90,7 @@ def looks_like_ksplat(data: Data) -> bool:
 
 
 def decode_ksplat(data: Data) -> Splats:
-    """Return the splats of the KSPLAT file ``data``, without a check of their values."""
+    """Return the splats of the KSPLAT file ``data``, without checking their values."""
     require_room(data, 0, HEADER, "header")
     fields = _MAIN.unpack_from(data)
     major, minor, sections, _, _, _, level, _, _, _, sh_low, sh_high = fields
@@ -99,9 +99,13 @@ def decode_ksplat(data: Data) -> Splats:
             data[:4].hex(" "), where="first bytes", expected="00 01 00 00, the start of KSPLAT 0.1"
         )
     if minor != 1:
-        raise NotSupported(f"version 0.{minor}", where="byte 1", expected="0.1")
+        raise NotSupported(
+            f"the file has KSPLAT version 0.{minor}", where="byte 1", expected="version 0.1"
+        )
     if level > 2:
-        raise HeaderMalformed(f"compression level {level}", where="byte 20", expected="0, 1 or 2")
+        raise HeaderMalformed(
+            f"the compression level is {level}", where="byte 20", expected="0, 1 or 2"
+        )
     # The number of used sections (byte 8) is not read: writers leave it 0, and the others empty.
     require_room(data, HEADER, sections * SECTION, "section headers")
     sh_range = (sh_low or _SH_RANGE[0], sh_high or _SH_RANGE[1])
@@ -110,7 +114,7 @@ def decode_ksplat(data: Data) -> Splats:
         for section in _sections(data, sections, HEADER + sections * SECTION, level)
     ]
     if not parts:
-        raise ValueInvalid("0 splats", where="sections", expected="at least one")
+        raise ValueInvalid("the file has 0 splats", where="sections", expected="at least one")
     return joined(parts)
 
 
@@ -129,22 +133,24 @@ def _section(data: Data, index: int, start: int, level: int) -> _Section:
     count, most, size, buckets, block, storage, scale, full, partial, degree = fields
     where = f"section {index}, byte {offset}"
     if degree > _MOST_DEGREE:
-        raise HeaderMalformed(f"SH degree {degree}", where=where, expected="0, 1 or 2")
+        raise HeaderMalformed(f"the SH degree is {degree}", where=where, expected="0, 1 or 2")
     if count > most:
         raise HeaderMalformed(
-            f"{count} splats, capacity {most}", where=where, expected=f"at most {most}"
+            f"the section has {count} splats, but a capacity of {most}",
+            where=where,
+            expected=f"at most {most} splats",
         )
     if level and not count <= full * size + partial * size:
         raise HeaderMalformed(
-            f"{count} splats in {full} full and {partial} other buckets of {size}",
+            f"the section has {count} splats in {full} full and {partial} partial buckets of {size}",
             where=where,
-            expected=f"at most {full * size + partial * size}",
+            expected=f"at most {full * size + partial * size} splats",
         )
     if level and count and (full + partial > buckets or storage < 12 or not np.isfinite(block)):
         raise HeaderMalformed(
-            f"{buckets} buckets of {storage} bytes and {block:g} units",
+            f"the section has {buckets} buckets of {storage} bytes and size {block:g}",
             where=where,
-            expected=f"{full + partial} or more of 12 bytes or more, and finite",
+            expected=f"at least {full + partial} buckets of at least 12 bytes and a finite size",
         )
     middles = start + 4 * partial
     rows = middles + storage * buckets
@@ -196,11 +202,11 @@ def _positions(
 
 
 def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
-    """Return the centre of each splat's bucket in a KSPLAT section; full buckets come first."""
+    """Return the centre of the KSPLAT bucket (spatial block) that each splat belongs to."""
     lengths = take(data, "<u4", (section.partial,), section.start, "bucket lengths")
     if (lengths > section.bucket_size).any():
         raise HeaderMalformed(
-            f"a bucket of {int(lengths.max())} splats",
+            f"a bucket holds {int(lengths.max())} splats",
             where=f"bucket lengths, byte {section.start}",
             expected=f"{section.bucket_size} or fewer",
             hint=DOWNLOAD_HINT,
@@ -215,7 +221,7 @@ def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
     )
     if section.count and (not len(ends) or ends[-1] < section.count):
         raise HeaderMalformed(
-            f"{section.count} splats, {int(ends[-1]) if len(ends) else 0} in buckets",
+            f"the section has {section.count} splats, its buckets {int(ends[-1]) if len(ends) else 0}",
             where=f"bucket lengths, byte {section.start}",
             expected="all splats in buckets",
             hint=DOWNLOAD_HINT,
@@ -227,7 +233,7 @@ def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
 def _harmonics(
     stored: Shaped[np.ndarray, "n m"], level: int, sh_range: tuple[float, float]
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Return the KSPLAT harmonics above degree 0; each degree is stored channel by channel."""
+    """Decode the KSPLAT SH coefficients above degree 0, stored channel by channel per degree."""
     values = stored.astype(np.float32)
     if level == 2:
         low, high = sh_range

@@ -1,4 +1,4 @@
-"""Measures the loss of a file format: source splats against the splats read back."""
+"""Measures the loss of a splat file format: source splats against the splats read back."""
 
 import math
 from collections.abc import Iterator
@@ -36,14 +36,16 @@ class Difference:
 
 
 def differences(before: Splats, after: Splats) -> tuple[Difference, ...]:
-    """Compare two sets of splats row by row, after activation.
+    """Compare two sets of splats row by row, in activated quantities such as opacity in [0, 1].
 
     Positions are in scene units, rotations in degrees, scales in percent (flat axes aside),
     opacities and constant colours from 0 to 1, harmonics unscaled up to the lower degree.
     """
     if len(before) != len(after):
         raise ValueInvalid(
-            f"{len(after)} splats", where="after", expected=f"{len(before)}, as before"
+            f"the written file has {len(after)} splats",
+            where="after",
+            expected=f"{len(before)} splats",
         )
     units = {"position": "units", "rotation": "°", "scale": "%"}
     names = ("position", "rotation", "scale", "opacity", "color", "harmonics")
@@ -85,7 +87,7 @@ def _minus(
 def _degrees(
     before: Float[np.ndarray, "n 4"], after: Float[np.ndarray, "n 4"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return the angles between rotations in degrees: 4 asin(|p − q| / 2) of the nearer ±q."""
+    """Return the angles in degrees between the rotations of two sets of quaternions."""
     p, q = (unit(turns).astype(np.float64) for turns in (before, after))
     distances = [np.linalg.norm(p - sign * q, axis=1) for sign in (1, -1)]
     return np.asarray(np.degrees(4 * np.arcsin(np.minimum(np.minimum(*distances) / 2, 1))))

@@ -63,18 +63,19 @@ def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | Pack
 
 
 def _choose(names: list[str]) -> tuple[str, str]:
-    """Return the names of the two arrays to read from an .npz archive."""
+    """Choose the two arrays to read from an .npz archive: Gaussians, or points and colours."""
     if set(_PACKED) <= set(names):
         return _PACKED
     positions = [name for name in _POINTS if name in names]
     if not positions or _COLORS not in names:
         raise PropertyMissing(
-            f"holds {listed(names, limit=40)}",
+            f"the archive holds the arrays {listed(names, limit=40)}",
             expected="gaussians and appearance, or colors and one of points, xyz, means3d",
         )
     if len(positions) > 1:
         raise NotSupported(
-            f"holds {listed(positions)}", expected="only one of them, as all are positions"
+            f"the archive holds several arrays of positions: {listed(positions)}",
+            expected="only one of them",
         )
     return positions[0], _COLORS
 
@@ -100,7 +101,7 @@ def _cloud(
     require_rows(len(position), f"array {key}")
     if len(color) != len(position):
         raise ValueInvalid(
-            f"{len(color)} rows",
+            f"the array has {len(color)} rows",
             where=f"array {_COLORS}",
             expected=f"{len(position)}, the number of rows of {key}",
         )
@@ -119,7 +120,9 @@ def _triples(
     if not typed or array.shape[1:] != (3,):
         dtypes = f"{np.dtype(also).name} or float" if also else "float"
         raise ValueInvalid(
-            f"{array.dtype} {list(array.shape)}", where=f"array {key}", expected=f"{dtypes} [n, 3]"
+            f"the array is {array.dtype} {list(array.shape)}",
+            where=f"array {key}",
+            expected=f"{dtypes} [n, 3]",
         )
     # A double beyond float32 becomes infinite, which the check of values refuses.
     with np.errstate(over="ignore", invalid="ignore"):

@@ -21,12 +21,12 @@ class SplatReader(Protocol):
         ...
 
     def read_leaves(self, source: FilePath) -> Splats:
-        """Return all splats of a set of files at the finest level of detail."""
+        """Return all splats of a tiled file set at the finest level of detail."""
         ...
 
 
 def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointCloud | PackedRows:
-    """Read a splat file whose format is detected from its content, not from its name.
+    """Read a splat file of any supported format, detected from its content.
 
     ``CODECS`` lists the formats. SPLAT has no header: it is a number of plausible records that
     no other format recognises. If no format fits, the suffix chooses the reader that explains

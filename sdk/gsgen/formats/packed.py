@@ -1,4 +1,4 @@
-"""Converts packed rows, such as a frame of a generator, to splats."""
+"""Converts packed rows of a generator, i.e. one frame, to splats."""
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
@@ -12,7 +12,7 @@ __all__ = ["scales_and_quaternions", "splats_of_rows"]
 
 
 def splats_of_rows(rows: PackedRows) -> Splats:
-    """Convert packed rows to splats with the same covariances, opacities and colours.
+    """Convert a generator's packed rows to splats of equal covariance, opacity and colour.
 
     Scales and rotations are those of :func:`scales_and_quaternions`. Three or four channels are
     raw colour.
@@ -20,7 +20,11 @@ def splats_of_rows(rows: PackedRows) -> Splats:
     rows64 = rows.gaussians.astype(np.float64)
     if not np.isfinite(rows64).all():
         row = int(np.argmin(np.isfinite(rows64).all(axis=1)))
-        raise ValueInvalid(f"row {row} is not finite", where="gaussians", expected="finite numbers")
+        raise ValueInvalid(
+            f"row {row} of the packed Gaussians is not finite",
+            where="gaussians",
+            expected="finite numbers",
+        )
     scales, quaternions = scales_and_quaternions(rows64[:, 4:])
     return Splats(
         position=rows.gaussians[:, :3].astype(np.float32),
@@ -34,7 +38,7 @@ def splats_of_rows(rows: PackedRows) -> Splats:
 def scales_and_quaternions(
     covariance: Float[np.ndarray, "n 6"],
 ) -> tuple[Float64[np.ndarray, "n 3"], Float32[np.ndarray, "n 4"]]:
-    """Decompose covariances into standard deviations and rotations by their eigenvectors.
+    """Decompose covariances into standard deviations and quaternions by their eigenvectors.
 
     The eigenvalues ascend. Signs of eigenvectors, which no solver defines, are fixed: the largest
     component of the second and the third is positive, and the first makes the axes right-handed.
@@ -61,8 +65,8 @@ def _harmonics(appearance: Float32[np.ndarray, "n c"]) -> Float32[np.ndarray, "n
         return np.asarray((appearance[:, None, :3] - 0.5) / SH_C0, np.float32)
     if channels not in [3 * count for count in SH_COUNTS]:
         raise ValueInvalid(
-            f"{channels} channels",
+            f"the appearance has {channels} channels",
             where="appearance",
-            expected="3 or 4 of colour, or 12, 27, 48 or 75 of harmonics",
+            expected="3 or 4 channels of RGB, or 12, 27, 48 or 75 of SH",
         )
     return appearance.reshape(len(appearance), channels // 3, 3)

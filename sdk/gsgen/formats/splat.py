@@ -1,4 +1,4 @@
-"""Reads and writes SPLAT files: 32 bytes a splat, no header, no harmonics above degree 0.
+"""Reads and writes SPLAT files: 32 bytes per splat, no header, SH of degree 0 only.
 
 The format is that of antimatter15/splat: position and linear scale as three float32 each,
 red, green, blue and opacity as bytes, and the quaternion (w, x, y, z) as bytes v for
@@ -40,11 +40,11 @@ def read_splat(path: FilePath) -> Splats:
 
 
 def decode_splat(data: Data) -> Splats:
-    """Return the splats of SPLAT records, without a check of their values."""
+    """Return the splats of the SPLAT file ``data``, without checking their values."""
     count, remainder = divmod(len(data), RECORD.itemsize)
     if remainder:
         raise FileTruncated(
-            f"{len(data)} bytes are {count} records of 32 and {remainder} bytes more",
+            f"the file of {len(data)} bytes holds {count} records of 32, and {remainder} bytes more",
             where=f"byte {count * RECORD.itemsize}",
             expected="a multiple of 32 bytes, as of a SPLAT file",
             hint=DOWNLOAD_HINT,
@@ -94,7 +94,7 @@ def _records(splats: Splats, scale: Float32[np.ndarray, "n 3"], part: slice) -> 
 
 
 def looks_like_splat(data: Data) -> bool:
-    """Return whether ``data`` can be a SPLAT file, which has no header.
+    """Return whether ``data`` can be a SPLAT file, by its size and its first records.
 
     The first records must hold finite positions, scales of at least 0 and quaternions of length
     one.

@@ -1,4 +1,4 @@
-"""Wrap a torch module, export it, and verify that the exported model is correct.
+"""Wrap a torch module as a generator, export it to ONNX, and verify the exported model.
 
 The names below are loaded when first used, so that ``import gsgen.sdk`` does not import torch.
 """

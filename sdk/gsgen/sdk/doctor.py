@@ -1,4 +1,4 @@
-"""Checks of `gsgen doctor`: packages and the WebGPU adapter that the SDK needs."""
+"""Checks of `gsgen doctor`: the Python packages and the WebGPU adapter that the SDK needs."""
 
 __all__ = ["checks"]
 
@@ -11,7 +11,7 @@ _LIVE = "level live"
 
 
 def checks() -> Iterator[Check]:
-    """Yield the state of the Python packages for exporting, and of those for running in WebGPU."""
+    """Yield the state of the Python packages needed for exporting and for WebGPU."""
     remedy = "pip install 'gsgen[sdk]'"
     for name in ("torch", "onnxscript", "onnx-ir"):
         yield check_package(name, remedy, purpose="export from torch")

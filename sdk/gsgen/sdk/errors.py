@@ -12,15 +12,15 @@ if TYPE_CHECKING:
 
 
 class GeneratorInvalid(GsgenError):
-    """A generator declares or returns something that the contract does not allow."""
+    """Raised if a generator declares or returns something that the contract does not allow."""
 
 
 class ExportFailed(GsgenError):
-    """Torch could not turn the module into an ONNX graph."""
+    """Raised if torch cannot convert a module to an ONNX graph."""
 
 
 class ParityFailed(GsgenError):
-    """The exported model computes something else than the torch module.
+    """Raised if an exported model computes other outputs than the torch module.
 
     Attributes:
         parity: The differences; None if the model did not run.
@@ -34,7 +34,7 @@ class ParityFailed(GsgenError):
 
 
 class ExportRejected(GsgenError):
-    """The exported model breaks a rule of the contract.
+    """Raised if an exported model breaks a rule of the contract.
 
     Attributes:
         report: The validator's report.
@@ -46,4 +46,4 @@ class ExportRejected(GsgenError):
 
 
 class RewriteFailed(GsgenError):
-    """A model cannot be rewritten, or the result would compute something else."""
+    """Raised if a graph cannot be rewritten, or would compute other outputs."""

@@ -1,4 +1,4 @@
-"""Run a model file in the sandbox, a few probes at a time, so that large outputs never add up."""
+"""Runs a model file in the sandbox, a few test inputs at a time, to bound the memory."""
 
 __all__ = ["KEPT_BYTES", "run_in_groups"]
 
@@ -25,7 +25,7 @@ def run_in_groups(
     frame_bytes: int,
     failure: Callable[[str], GsgenError],
 ) -> Iterator[dict[str, np.ndarray]]:
-    """Yield the outputs of a model for each probe, by name; each is valid until the next is asked for.
+    """Yield a model's outputs by name for each set of test inputs; each is valid until the next.
 
     Args:
         path: The model file.

@@ -1,4 +1,4 @@
-"""Compares an exported model with the torch module it came from, each field in its own unit.
+"""Compares an exported model with its torch module, each output field in its own unit.
 
 Positions are compared in standard deviations of their Gaussian, covariances relative to their
 trace, opacity absolutely, and appearance as the colour seen from 64 directions. The rounding of
@@ -41,7 +41,7 @@ _TYPICAL = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The expected outputs of a model for one set of inputs, unpacked; at export, those of torch."""
+    """The expected outputs of a model for one set of inputs, such as those of torch, unpacked."""
 
     probe: Probe  # the inputs
     gaussians: layout.DecodedGaussians  # the Gaussians; those of torch are neither packed nor cast
@@ -98,7 +98,7 @@ class ModelOutput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldParity:
-    """The largest error in one field of a Gaussian, such as its position."""
+    """The largest error in one field of Gaussians, such as position."""
 
     # ``position``, ``covariance``, ``opacity`` or ``appearance``; for cells ``cell position``,
     # ``cell covariance`` or ``cell visibility``
@@ -111,7 +111,7 @@ class FieldParity:
 
 @dataclass(frozen=True, slots=True)
 class Parity:
-    """The result of a comparison of two models: the largest error of each field, over all inputs."""
+    """The result of comparing two models: the largest error of each field over all test inputs."""
 
     fields: tuple[FieldParity, ...]  # one entry a field
     probes: int  # number of compared probes
@@ -120,7 +120,7 @@ class Parity:
 
     @property
     def holds(self) -> bool:
-        """Whether every field agrees within its tolerance; NaN counts as a failure."""
+        """Whether every compared field agrees within its tolerance; NaN counts as a failure."""
         return all(field.excess <= 1 for field in self.fields)
 
     def describe(self) -> str:
@@ -175,7 +175,7 @@ def _keep_worse(worst: dict[str, FieldParity], field: FieldParity) -> None:
 
 
 def references_equal(a: Reference, b: Reference, tolerance: float = 0.0) -> bool:
-    """Return whether two sets of outputs have equal bits, or agree within a relative tolerance."""
+    """Return whether two sets of model outputs agree bit for bit, or within a tolerance."""
     pairs = [
         (getattr(a.gaussians, name), getattr(b.gaussians, name))
         for name in ("position", "opacity", "covariance", "sh", "rgb")
@@ -209,7 +209,7 @@ def _compare_probe(
     roundings: int,
     nearby: Nearby | None,
 ) -> tuple[list[FieldParity], int]:
-    """Return each field's largest error for a test input, and the count of excused rows."""
+    """Return each field's largest error for one set of test inputs, and the excused row count."""
     label, n = reference.probe.label, reference.count
     if output.count != n:
         return [_failure("count", abs(output.count - n), label)], 0
@@ -250,7 +250,7 @@ def _failure(field: str, error: float, probe: str) -> FieldParity:
 def _excused(
     measured: "_Measure", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
 ) -> tuple["_Errors", int]:
-    """Return each field's error at a test input or a nearby one, and the count of excused rows."""
+    """Return each row's smallest error at a set of test inputs or nearby ones, and excused rows."""
     errors = measured(rows, reference)
     jumps = np.zeros(len(rows), bool)
     for neighbour in nearby:
@@ -273,7 +273,7 @@ def _collect(
     counts: Bool[np.ndarray, " n"],
     probe: str,
 ) -> None:
-    """Update each field's largest error by the errors of the compared rows."""
+    """Update the largest error of each field with the errors of the compared rows."""
     if not counts.any():
         return
     for name, (error, ratio) in errors.items():
@@ -296,7 +296,7 @@ def _ratios(
     part: np.ndarray,
     reference: Reference,
 ) -> _Errors:
-    """Return each field's error, and the error divided by its tolerance; NaN counts as infinite."""
+    """Return the error of each field, and as a multiple of its tolerance; NaN becomes infinite."""
     measured = {}
     for name, error, allowed in fields(reference, part, output, tolerances, roundings):
         ratio = error / allowed
@@ -318,7 +318,7 @@ def _fields(
     tolerances: Tolerances,
     roundings: int,
 ) -> Iterator[Measured]:
-    """Yield the error and the tolerance of each field of Gaussians, row by row."""
+    """Yield the error and the tolerance of each field of Gaussians, for every row."""
     expected = reference.gaussians
     rows = output.rows[part].astype(np.float64)
     dtype = output.rows.dtype.name
@@ -338,7 +338,7 @@ def _cell_fields(
     tolerances: Tolerances,
     roundings: int,
 ) -> Iterator[Measured]:
-    """Yield the error and the tolerance of each field of cells, cell by cell."""
+    """Yield the error and the tolerance of each field of cells (groups of Gaussians)."""
     expected = reference.cells
     assert expected is not None
     assert output.cells is not None
@@ -354,7 +354,7 @@ def _cell_fields(
 
 
 def _visible_cells(reference: Reference) -> Bool[np.ndarray, " c"]:
-    """Return which cells are visible and contain a visible Gaussian."""
+    """Return the mask of cells that are visible and contain a visible Gaussian."""
     assert reference.cells is not None
     opacity = reference.gaussians.opacity
     live = np.where(np.arange(len(opacity)) < reference.count, opacity, 0.0)
@@ -369,7 +369,7 @@ def _ellipsoids(
     tolerances: Tolerances,
     roundings: int,
 ) -> Iterator[Measured]:
-    """Yield the errors and tolerances of the positions and covariances of ellipsoids."""
+    """Yield errors and tolerances of the positions and covariances of Gaussians or cells."""
     position, covariance = expected
     rounding = roundings * _rounding(dtype)
     tiny = 2 * roundings * _SUBNORMAL[dtype]
@@ -404,7 +404,7 @@ def _appearance(
 
 
 def _rounding(dtype: str) -> float:
-    """Return the relative error that storage and float32 kernels may add to a number."""
+    """Return the relative error that storage and float32 arithmetic may cause."""
     return _EPSILON[dtype] + _ULPS * _EPSILON["float32"]
 
 

@@ -76,7 +76,11 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
             2,
             "--encoding: applies to ply files, but the output format is spz\n",
         ),
-        (("/dev/null/no/a.ply",), 1, "/dev/null/no/a.ply: cannot be written: Not a directory\n"),
+        (
+            ("/dev/null/no/a.ply",),
+            1,
+            "/dev/null/no/a.ply: the file cannot be written: Not a directory\n",
+        ),
     ],
 )
 def test_what_cannot_be_done_is_said_with_a_code(source, tmp_path, words, code, message):
@@ -114,7 +118,7 @@ def test_rows_that_cannot_be_drawn_are_left_out_where_asked(trained: Path) -> No
     target = trained.with_name("kept.ply")
     ran = gsgen_here("convert", trained, target)
     assert ran.code == 4
-    assert "property x: 1 of 50 rows, row 7 is nan" in ran.err
+    assert "property x: 1 of 50 rows are invalid: row 7 is nan" in ran.err
     assert "--drop-invalid" in ran.err
     assert not target.exists()
     ran = gsgen_here("convert", trained, target, "--drop-invalid")
@@ -186,7 +190,7 @@ def test_several_sources_are_merged(source: Path, tmp_path: Path) -> None:
     write_ply(tmp_path / "mip.ply", scene(3, 0, antialiased=True))
     ran = gsgen_here("convert", source, tmp_path / "mip.ply", tmp_path / "no.ply")
     assert ran.code == 1
-    assert "antialiased: differs between the sources: False and True" in ran.err
+    assert "antialiased: the value differs between the sources: False and True" in ran.err
 
 
 def test_statistics_are_printed_and_drawn(source: Path, tmp_path: Path) -> None:

@@ -89,7 +89,12 @@ def test_a_baseline_forgives_what_it_lists_and_no_more(
 
 
 @pytest.mark.parametrize(
-    ("text", "message"), [(None, "cannot be read"), ("{", "is not JSON"), ("{}", "is not a report")]
+    ("text", "message"),
+    [
+        (None, "the baseline cannot be read"),
+        ("{", "the baseline is not JSON"),
+        ("{}", "the baseline is not a validation report"),
+    ],
 )
 def test_a_baseline_that_is_none_exits_2(
     good: Path, tmp_path: Path, text: str | None, message: str

@@ -107,10 +107,12 @@ def ran(*words: str) -> tuple[int, str, str]:
 def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
     finished = gsgen("render", "nowhere.ply", "-o", "a.png", cwd=tmp_path)
     assert finished.code == 4
-    assert finished.err == "gsgen: nowhere.ply: cannot be read: No such file or directory\n"
+    assert (
+        finished.err == "gsgen: nowhere.ply: the file cannot be read: No such file or directory\n"
+    )
     finished = gsgen("render", find("drift").write(tmp_path), "-o", "a.png", "--time", "7")
     assert finished.code == 2
-    assert "drift.onnx, frame 0, input time: is 7, expected 0 … 1" in finished.err
+    assert "drift.onnx, frame 0, input time: the value is 7, expected 0 … 1" in finished.err
     assert "Traceback" not in finished.err
     assert not list(tmp_path.glob("a.*"))
 
@@ -139,7 +141,11 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
             "expected a gaussian-generator\n  Run post-process models on the drawn frames with `--post`",
         ),
         (("MODEL", "--size", "J=2"), 2, "--size: unknown open dimension 'J'"),
-        (("MODEL", "--size", "J"), 2, "--size: is 'J', expected SYMBOL=SIZE, such as J=24"),
+        (
+            ("MODEL", "--size", "J"),
+            2,
+            "--size: the value is 'J', expected SYMBOL=SIZE, such as J=24",
+        ),
         (("OPEN",), 2, "Give its size: `--size J=24`"),
         (("MODEL", "--input", "tme=1"), 2, "unknown input 'tme'\n  Did you mean 'time'?"),
         (("MODEL", "--input", "time"), 2, "--input: 'time' has no name or no value\n  Give"),
@@ -400,3 +406,12 @@ def test_both_forms_of_weighted_sums_are_drawn(tmp_path: Path) -> None:
             np.load(result[form])[..., :3], expected.rgba[..., :3], atol=2e-5
         )
     assert not np.allclose(*(np.load(entry) for entry in result.values()), atol=1e-2)
+
+
+def test_the_size_of_the_image_is_one_option(file: Path, tmp_path: Path) -> None:
+    done = gsgen_here("render", file, "-o", tmp_path / "a.png", "--size", "64x48", "--json")
+    assert done.code == 0, done.err
+    assert (json.loads(done.out)["width"], json.loads(done.out)["height"]) == (64, 48)
+    twice = gsgen_here("render", file, "-o", tmp_path / "b.png", "--size", "64x48", "--width", "9")
+    assert twice.code == 2
+    assert "the size of the image is given twice" in twice.err

@@ -72,7 +72,7 @@ def test_numbers_are_numbers_in_json(logits: Path, good: Path) -> None:
 
 def test_a_model_without_inputs_has_one_vector(logits: Path) -> None:
     ran = gsgen_here("vectors", logits, "--count", "2")
-    assert (ran.code, "2 vectors, but the model has only 1 probe\n" in ran.err) == (2, True)
+    assert (ran.code, "2 test vectors, but the model has only 1 probe\n" in ran.err) == (2, True)
     model = find("still_rgb").write(Path())
     assert gsgen_here("vectors", model).code == 0
     assert [path.name for path in Path("still_rgb-vectors").glob("test*")] == ["test_data_set_0"]

@@ -100,7 +100,7 @@ def test_pictures_are_drawn_again_until_a_weight_changes(tmp_path: Path) -> None
     second_run = ("references", copy, "-o", copy, "--width", str(WIDTH), "--count", "1")
     refused = gsgen_here(*second_run)
     assert refused.code == 2
-    assert "holds 0.png already" in refused.err
+    assert "the folder already holds 0.png" in refused.err
     ran = gsgen_here(*second_run, "--force", "--json")
     assert ran.code == 0, ran.err
     assert len(json.loads(ran.out)["reference_images"]) == 1

@@ -47,10 +47,13 @@ def test_a_file_whose_name_looks_like_a_glob_is_that_file(folder: Path) -> None:
 def test_no_match_is_an_error_not_a_pass(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     ran = gsgen_here("validate", f"{folder}/*.ort")
-    assert (ran.code, ran.err.split("\n")[0]) == (2, f"gsgen: {folder}/*.ort: matches no file")
+    assert (ran.code, ran.err.split("\n")[0]) == (
+        2,
+        f"gsgen: {folder}/*.ort: the pattern matches no file",
+    )
     ran = gsgen_here("validate", tmp_path / "empty")
     assert ran.code == 2
-    assert "holds no model" in ran.err
+    assert "the folder holds no ONNX model" in ran.err
 
 
 def test_several_jobs_give_the_report_of_one(folder: Path) -> None:
@@ -110,7 +113,7 @@ def test_a_required_rule_outside_of_only_is_a_contradiction(good: Path) -> None:
 def test_an_output_in_an_unknown_folder_is_refused_before_the_work(good: Path) -> None:
     ran = gsgen_here("validate", good, "-o", good.parent / "nowhere" / "report.txt")
     assert ran.code == 2
-    assert "is in a folder that does not exist" in ran.err
+    assert "the output is in a folder that does not exist" in ran.err
     assert not (good.parent / "nowhere").exists()
 
 

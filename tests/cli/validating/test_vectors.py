@@ -179,7 +179,7 @@ def test_what_cannot_be_promised_is_refused_and_leaves_nothing(tmp_path: Path) -
             record_vectors(find(name).write(tmp_path), out, count=1)
         assert f"{name}.onnx" in caught.value.where
         assert not out.exists()
-    with pytest.raises(ConfigInvalid, match="10 vectors, but the model has only 9 probes"):
+    with pytest.raises(ConfigInvalid, match="10 test vectors, but the model has only 9 probes"):
         record_vectors(written(tmp_path, "drift"), out, count=10)
 
 
@@ -203,7 +203,7 @@ def test_standing_vectors_are_replaced_only_by_force(tmp_path: Path) -> None:
     record_vectors(source, tmp_path / "out", count=3)
     second_run = gsgen_here("vectors", source, "--into", tmp_path / "out")
     assert second_run.code == 2
-    assert "holds test_data_set_0 already" in second_run.err
+    assert "the folder already holds test_data_set_0" in second_run.err
     forced = gsgen_here(
         "vectors", source, "--into", tmp_path / "out", "--count", "1", "--force", "--json"
     )

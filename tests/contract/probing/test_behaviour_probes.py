@@ -71,13 +71,24 @@ def test_paces_lie_a_sixtieth_of_a_second_apart():
     np.testing.assert_allclose(steps, 1 / 60, atol=1e-5)
 
 
-@pytest.mark.parametrize(("frames", "visited"), [(1, 0), (2, 2), (12, 12), (500, 32)])
+@pytest.mark.parametrize(
+    ("frames", "visited"), [(1, 0), (2, 2), (12, 12), (64, 64), (65, 32), (500, 32)]
+)
 def test_frames_are_visited_within_them(frames, visited):
     _, made = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=frames))
     assert len(made["frames"]) == visited
     for probe in made["frames"]:
         number = int(probe.label.split()[1])
         assert int(probe.inputs["time"][0] * frames) == number
+
+
+@pytest.mark.parametrize(("frames", "visited"), [(2, 2), (64, 64), (65, 8)])
+def test_frame_numbers_are_visited_from_the_first_to_the_last(frames, visited):
+    entry = Input(name="frame", role="frame_index", range=(10.0, 9.0 + frames), frames=frames)
+    _, made = trials(entry)
+    numbers = values(made["frames"], "frame")
+    assert len(numbers) == len(set(numbers)) == visited
+    assert 10 <= min(numbers) <= max(numbers) <= 9 + frames
 
 
 def test_every_trial_is_extra_and_only_one_is_not_optimised():

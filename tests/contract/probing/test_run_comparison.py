@@ -11,7 +11,9 @@ def compared(*outputs, samples=None, variants=None, revisited=None):
     """What is seen when the runs, from first to last, gave ``outputs``."""
     probes = tuple(Probe(label=f"probe {index}", inputs={}) for index in range(len(outputs)))
     numbers = samples or range(len(outputs))
-    runs = tuple(Run(index, sample, 0.1) for index, sample in enumerate(numbers))
+    runs = tuple(
+        Run(probe=index, sample=sample, seconds=0.1) for index, sample in enumerate(numbers)
+    )
     kept = tuple(Sample(index=index, outputs=output) for index, output in enumerate(outputs))
     plan = Plan(
         probes=probes, values=1, repeated=(0, 1), revisited=revisited, variants=variants or {}
@@ -74,7 +76,11 @@ def test_every_role_is_compared_with_its_base():
 
 def test_an_extra_run_that_no_time_was_left_for_is_noted_by_whoever_asks_for_it():
     probes = tuple(Probe(label=f"probe {index}", inputs={}, extra=index > 1) for index in range(5))
-    runs = (Run(0, 0, 0.1), Run(1, 0, 0.1), Run(2, 0, 0.1), Run(3, -1, 0), Run(4, -1, 0, "bad"))
+    samples, errors = (0, 0, 0, -1, -1), ("", "", "", "", "bad")
+    runs = tuple(
+        Run(probe=number, sample=sample, seconds=0.1, error=error)
+        for number, (sample, error) in enumerate(zip(samples, errors, strict=True))
+    )
     trials = {"edges": (2, 3), "outside": (4,)}
     plan = Plan(probes=probes, values=1, repeated=(0, 1), trials=trials)
     execution = Execution(

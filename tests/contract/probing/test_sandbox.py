@@ -209,7 +209,7 @@ def test_a_crash_is_told_by_its_signal_and_probe(folder, monkeypatch):
 
 
 def test_a_child_that_cannot_start_is_told_by_its_last_words(folder, monkeypatch):
-    monkeypatch.setattr(sandbox, "_write_job", lambda *_: None)
+    monkeypatch.setattr(sandbox, "_write_job", lambda *_, **options: None)
     fault, execution = fault_of(save(folder / "a.onnx", DOUBLE), ["y"], [pair(1, 2)])
     assert fault.stage == "crash"
     assert fault.message.startswith("exit status 1: FileNotFoundError: ")
@@ -348,8 +348,10 @@ def test_the_job_is_plain_data(folder):
     assert job == {
         "model": str(path),
         "outputs": ["y"],
-        "probes": [["x"]],
+        "probes": [[["x", 0]]],
         "extra": [False],
+        "survey": [False],
+        "placements": [None],
         "optimise": [True],
         "memory": 5,
         "seconds": 120.0,

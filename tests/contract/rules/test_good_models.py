@@ -3,8 +3,10 @@
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from gsgen.conformance.fixtures.valid.avatars import posed
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
@@ -40,3 +42,12 @@ def test_they_are_of_every_producer_and_many(capsys: pytest.CaptureFixture[str])
     assert min(producers.values()) >= 7
     assert targets["visionary"] >= 8
     assert targets["webgpu"] >= 20
+
+
+def test_three_joints_of_a_pose_are_no_matrix(tmp_path: Path) -> None:
+    """[3, 3] is a matrix for a root alone: a pose of three joints has that shape, too."""
+    skin = np.random.default_rng(2).dirichlet(np.ones(3), 5).astype(np.float32)
+    spec = posed(shape=(3, 3)).reworded("float[4,3] pose", "float[3,3] pose").weighing(skin=skin)
+    spec.write(tmp_path / "three.onnx")
+    report = validate(tmp_path / "three.onnx")
+    assert report.verdict == "conforms", report.findings

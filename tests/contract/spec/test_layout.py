@@ -131,14 +131,17 @@ def parts(n=2, **changes):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"position": (2, 4)}, "Gaussians.position: shape is [2, 4], expected [2, 3]"),
-        ({"opacity": (2, 1)}, "Gaussians.opacity: shape is [2, 1], expected [2]"),
-        ({"covariance": (1, 6)}, "Gaussians.covariance: shape is [1, 6], expected [2, 6]"),
-        ({"rgb": (2, 4)}, "Gaussians.rgb: shape is [2, 4], expected [2, 3]"),
-        ({"rgb": None, "sh": (2, 5, 3)}, "Gaussians.sh: shape is [2, 5, 3], expected [2, 16, 3]"),
-        ({"rgb": None, "sh": (2, 12)}, "Gaussians.sh: shape is [2, 12], expected [2, 16, 3]"),
-        ({"rgb": None}, "Gaussians: give exactly one of sh and rgb"),
-        ({"sh": (2, 1, 3)}, "Gaussians: give exactly one of sh and rgb"),
+        ({"position": (2, 4)}, "Gaussians.position: the shape is [2, 4], expected [2, 3]"),
+        ({"opacity": (2, 1)}, "Gaussians.opacity: the shape is [2, 1], expected [2]"),
+        ({"covariance": (1, 6)}, "Gaussians.covariance: the shape is [1, 6], expected [2, 6]"),
+        ({"rgb": (2, 4)}, "Gaussians.rgb: the shape is [2, 4], expected [2, 3]"),
+        (
+            {"rgb": None, "sh": (2, 5, 3)},
+            "Gaussians.sh: the shape is [2, 5, 3], expected [2, 16, 3]",
+        ),
+        ({"rgb": None, "sh": (2, 12)}, "Gaussians.sh: the shape is [2, 12], expected [2, 16, 3]"),
+        ({"rgb": None}, "Gaussians: give colours as exactly one of sh and rgb"),
+        ({"sh": (2, 1, 3)}, "Gaussians: give colours as exactly one of sh and rgb"),
     ],
 )
 def test_gaussians_of_another_shape_are_refused(changes, text):
@@ -150,20 +153,35 @@ def test_gaussians_of_another_shape_are_refused(changes, text):
 @pytest.mark.parametrize(
     ("rows", "appearance", "space", "text"),
     [
-        ((2, 9), (2, 3), "rgb", "gaussians: shape is [2, 9], expected [N, 10]"),
-        ((1, 2, 10), (2, 3), "rgb", "gaussians: shape is [1, 2, 10], expected [N, 10]"),
-        ((2, 10), (2, 5), "rgb", "appearance: shape is [2, 5], expected [2, C] with C in (3, 4)"),
+        (
+            (2, 9),
+            (2, 3),
+            "rgb",
+            "gaussians: the packed Gaussians have shape [2, 9], expected [N, 10]",
+        ),
+        (
+            (1, 2, 10),
+            (2, 3),
+            "rgb",
+            "gaussians: the packed Gaussians have shape [1, 2, 10], expected [N, 10]",
+        ),
+        (
+            (2, 10),
+            (2, 5),
+            "rgb",
+            "appearance: the appearance has shape [2, 5], expected [2, C] with C in (3, 4)",
+        ),
         (
             (2, 10),
             (3, 12),
             "sh",
-            "appearance: shape is [3, 12], expected [2, C] with C in (3, 12, 27, 48)",
+            "appearance: the appearance has shape [3, 12], expected [2, C] with C in (3, 12, 27, 48)",
         ),
         (
             (2, 10),
             (24,),
             "sh",
-            "appearance: shape is [24], expected [2, C] with C in (3, 12, 27, 48)",
+            "appearance: the appearance has shape [24], expected [2, C] with C in (3, 12, 27, 48)",
         ),
     ],
 )

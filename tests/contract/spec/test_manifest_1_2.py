@@ -41,7 +41,7 @@ def test_a_frame_is_shown_from_its_moment_on(low, length, frames, loop, data):
 @pytest.mark.parametrize("changes", [{"frames": None}, {"range": None}, {"role": "control"}])
 def test_only_a_time_with_frames_has_moments(changes):
     entry = replace(Input(name="t", role="time", range=(0.0, 1.0), frames=3), **changes)
-    with pytest.raises(ValueError, match="'t' is not a time with a range and frames"):
+    with pytest.raises(ValueError, match="input 't' is not a time input with a range and frames"):
         entry.moment(0)
 
 

@@ -130,8 +130,8 @@ def test_a_third_party_can_add_a_target(registered, name):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("absent", "does not load: KeyError('absent')"),
-        ("make_nothing", "returns None, expected a Target"),
+        ("absent", "the validation target cannot be loaded: KeyError('absent')"),
+        ("make_nothing", "the entry point returns None, expected a Target"),
     ],
 )
 def test_a_third_partys_target_that_does_not_load_is_named(registered, name, said):

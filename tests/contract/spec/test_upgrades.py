@@ -41,7 +41,7 @@ def test_the_document_given_is_left_as_it_is():
 @pytest.mark.parametrize("reached", ["1.0", "0.9"])
 def test_a_step_that_does_not_lead_onwards_is_a_fault(reached):
     steps = {(1, 0): lambda document: document | {"contract": reached}}
-    with pytest.raises(ValueError, match=r"^the upgrade from \(1, 0\) led to"):
+    with pytest.raises(ValueError, match=r"^the manifest upgrade from \(1, 0\) led to"):
         upgrade({"contract": "1.0"}, (1, 0), steps)
 
 

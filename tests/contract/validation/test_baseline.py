@@ -135,12 +135,18 @@ def test_what_is_waived_now_is_not_gone(reports, saved):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is not JSON: Expecting value"),
-        ("[" * 100_000, "is not JSON: "),
-        ("[]", "is not a report: no schema; expected schema 'gsgen-report/1'"),
-        ('{"version": "2.1.0"}', "is not a report: no schema"),
-        ('{"schema": "gsgen-report/2"}', "is not a report: schema 'gsgen-report/2'"),
-        ('{"schema": "gsgen-report/1", "reports": 3}', "is not a report: "),
+        ("", "the baseline is not JSON: Expecting value"),
+        ("[" * 100_000, "the baseline is not JSON: "),
+        (
+            "[]",
+            "the baseline is not a validation report: no schema; expected schema 'gsgen-report/1'",
+        ),
+        ('{"version": "2.1.0"}', "the baseline is not a validation report: no schema"),
+        (
+            '{"schema": "gsgen-report/2"}',
+            "the baseline is not a validation report: schema 'gsgen-report/2'",
+        ),
+        ('{"schema": "gsgen-report/1", "reports": 3}', "the baseline is not a validation report: "),
     ],
 )
 def test_what_is_no_report_is_refused_with_the_command_that_makes_one(tmp_path, text, message):
@@ -154,10 +160,10 @@ def test_what_is_no_report_is_refused_with_the_command_that_makes_one(tmp_path, 
 
 
 def test_what_cannot_be_read_is_refused(tmp_path):
-    with pytest.raises(ConfigInvalid, match="cannot be read: Is a directory"):
+    with pytest.raises(ConfigInvalid, match="the baseline cannot be read: Is a directory"):
         read_baseline(tmp_path)
     (tmp_path / "b.json").write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigInvalid, match="is not JSON: 'utf-8' codec"):
+    with pytest.raises(ConfigInvalid, match="the baseline is not JSON: 'utf-8' codec"):
         read_baseline(tmp_path / "b.json")
 
 
@@ -166,5 +172,5 @@ def test_a_finding_without_a_fingerprint_is_named_by_its_place(reports, tmp_path
     del document["findings"][1]["fingerprint"]
     path = tmp_path / "b.json"
     path.write_text(json.dumps(document))
-    with pytest.raises(ConfigInvalid, match="is not a report: "):
+    with pytest.raises(ConfigInvalid, match="the baseline is not a validation report: "):
         read_baseline(path)

@@ -1,4 +1,5 @@
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -247,3 +248,15 @@ def test_arithmetic_on_a_models_numbers_does_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert judge(board(rule), rule).outcomes["GV901"].status == "fail"
+
+
+@pytest.mark.parametrize(("is_cause", "status"), [(True, "not-applicable"), (False, "fail")])
+def test_a_consequence_is_withdrawn_where_its_cause_fails(is_cause, status):
+    consequence = replace(made_up("GV901", breaking), explained_by=("GB902",))
+    cause = made_up("GB902", breaking) if is_cause else made_up("GB902")
+    results = judge(board(consequence, cause), consequence, cause)
+    results.withdraw_consequences()
+    assert results.outcomes["GV901"].status == status
+    assert {finding.rule for finding in results.findings()} == {"GB902" if is_cause else "GV901"}
+    if is_cause:
+        assert results.outcomes["GV901"].reason == "because GB902 explains what it found"

@@ -100,7 +100,8 @@ def test_another_slug_is_refused(slug):
 )
 def test_a_rule_without_sentence_reason_or_remedy_is_refused(doc):
     with pytest.raises(
-        ValueError, match=r"^GV999: the docstring lacks a part: expected a statement, a `Why:` and"
+        ValueError,
+        match=r"^rule GV999: the docstring lacks a part, expected a statement, a `Why:` and",
     ):
         declared(doc=doc)
 

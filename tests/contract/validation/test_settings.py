@@ -145,7 +145,7 @@ def test_what_a_file_ignores_comes_on_top(read):
         (
             "[validate\n",
             ConfigInvalid,
-            ": is not TOML: Expected ']' at the end of a table declaration (at line 1, ",
+            ": the settings file is not TOML: Expected ']' at the end of a table declaration (at line 1, ",
         ),
     ],
 )
@@ -163,13 +163,15 @@ def test_a_time_that_is_no_number_is_refused(read):
 def test_a_file_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(ConfigInvalid) as caught:
         read_config(tmp_path / "absent.toml", REGISTRY)
-    expected = f"{tmp_path / 'absent.toml'}: cannot be read: No such file or directory"
+    expected = (
+        f"{tmp_path / 'absent.toml'}: the settings file cannot be read: No such file or directory"
+    )
     assert str(caught.value) == expected
 
 
 def test_a_file_that_is_no_text_is_an_error(tmp_path):
     (tmp_path / "gsgen.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigInvalid, match="is not TOML: 'utf-8' codec"):
+    with pytest.raises(ConfigInvalid, match="the settings file is not TOML: 'utf-8' codec"):
         read_config(tmp_path / "gsgen.toml", REGISTRY)
 
 

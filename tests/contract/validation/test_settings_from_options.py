@@ -37,7 +37,7 @@ def test_words_win_over_the_file_of_the_current_folder(
         ({"severity": ["GV003"]}, "--severity: 'GV003' has no '='"),
         ({"severity": ["GV003=bad"], "prefix": "--gsgen-"}, "--gsgen-severity: unknown"),
         ({"timeout": 0.0}, "expected limits above 0"),
-        ({"config": Path("none.toml")}, "none.toml: cannot be read"),
+        ({"config": Path("none.toml")}, "none.toml: the settings file cannot be read"),
     ],
 )
 def test_a_wrong_word_names_itself(words: dict[str, str], message: str) -> None:

@@ -93,7 +93,7 @@ def test_floaters_have_too_few_neighbours(seed, size, least):
 
 
 def test_cells_that_cannot_be_numbered_are_refused():
-    with pytest.raises(ValueInvalid, match="fewer than a million cells a side"):
+    with pytest.raises(ValueInvalid, match="cells of more than a millionth of the scene"):
         without_floaters(scene(10, 0), 1e-9, 1)
 
 

@@ -194,20 +194,50 @@ def edited(tmp_path, before: bytes, after: bytes, *, degree: int = 1) -> str:
 @pytest.mark.parametrize(
     ("before", "after", "kind", "text"),
     [
-        (b"chunk 2", b"chunk 1", HeaderMalformed, "element 'chunk': 1 rows\nexpected 2 or more"),
-        (b"vertex 300", b"vertex 0  ", ValueInvalid, "element 'vertex': 0 rows\n"),
+        (
+            b"chunk 2",
+            b"chunk 1",
+            HeaderMalformed,
+            "element 'chunk': the element has 1 rows\nexpected 2 or more",
+        ),
+        (b"vertex 300", b"vertex 0  ", ValueInvalid, "element 'vertex': the data have 0 rows\n"),
         (
             b"sh 300",
             b"sh 299",
             HeaderMalformed,
-            "element 'sh': 299 rows\nexpected 300, the rows of",
+            "element 'sh': the element has 299 rows\nexpected 300, as vertex has",
         ),
-        (b"element chunk", b"element chank", PropertyMissing, "no element 'chunk'\n"),
-        (b"uchar f_rest_8", b"uchar f_rest_9", PropertyMissing, "element 'sh': f_rest_8 miss"),
-        (b"property uchar f_rest_8\n", b"", PropertyMissing, "element 'sh': 8 properties\n"),
+        (
+            b"element chunk",
+            b"element chank",
+            PropertyMissing,
+            "the PLY file has no element 'chunk'\n",
+        ),
+        (
+            b"uchar f_rest_8",
+            b"uchar f_rest_9",
+            PropertyMissing,
+            "element 'sh': the properties f_rest_8 are miss",
+        ),
+        (
+            b"property uchar f_rest_8\n",
+            b"",
+            PropertyMissing,
+            "element 'sh': the element has 8 properties\n",
+        ),
         (b"uint packed_scale", b"int packed_scale", PropertyMissing, "element 'vertex': "),
-        (b"float max_b", b"int max_b", PropertyMissing, "element 'chunk': max_b missing or"),
-        (b"vertex 300", b"vertex 99999999999", HeaderMalformed, "element 'chunk': 2 rows\n"),
+        (
+            b"float max_b",
+            b"int max_b",
+            PropertyMissing,
+            "element 'chunk': the properties max_b are missing or",
+        ),
+        (
+            b"vertex 300",
+            b"vertex 99999999999",
+            HeaderMalformed,
+            "element 'chunk': the element has 2 rows\n",
+        ),
     ],
 )
 def test_a_file_that_cannot_be_is_refused(tmp_path, before, after, kind, text):
@@ -230,7 +260,9 @@ def test_a_box_of_nan_is_refused(tmp_path):
     write_compressed_ply(file, scene(20, 0))
     head, _, body = file.read_bytes().partition(b"end_header\n")
     file.write_bytes(head + b"end_header\n" + struct.pack("<f", math.nan) + body[4:])
-    with pytest.raises(ValueInvalid, match=r"position\[:, 0\]: 20 of 20 rows, row 0 is nan"):
+    with pytest.raises(
+        ValueInvalid, match=r"position\[:, 0\]: 20 of 20 rows are invalid: row 0 is nan"
+    ):
         read_ply(file)
 
 

@@ -273,7 +273,7 @@ def test_what_cannot_be_drawn_is_refused_by_name_row_and_count(
     with pytest.raises(FormatError) as caught:
         read_ply(file)
     assert str(caught.value) == (
-        f"{file}: property {name}: 2 of 5 rows, row 2 is {value}\nexpected {wanted}\n"
+        f"{file}: property {name}: 2 of 5 rows are invalid: row 2 is {value}\nexpected {wanted}\n"
         "`gsgen convert --drop-invalid` writes a file without such rows"
     )
     text = (
@@ -296,7 +296,7 @@ def test_where_no_row_can_be_drawn_nothing_is_read(tmp_path, names):
     rows = [[np.nan, *[0.5] * (len(names) - 1)] for _ in range(3)]
     file = tmp_path / "bad.ply"
     file.write_bytes(naive_ply(dict.fromkeys(names, "float"), rows))
-    with pytest.raises(ValueInvalid, match="property x: 3 of 3 rows, row 0 is nan"):
+    with pytest.raises(ValueInvalid, match="property x: 3 of 3 rows are invalid: row 0 is nan"):
         open_splats(file, drop_invalid=True)
 
 
@@ -317,7 +317,7 @@ def test_a_double_too_large_for_a_float_is_refused(tmp_path):
     row = [1e300 if name == "y" else 0.5 for name in names]
     file = tmp_path / "large.ply"
     file.write_bytes(naive_ply(dict.fromkeys(names, "double"), [row]))
-    with pytest.raises(FormatError, match=r"property y: 1 of 1 rows, row 0 is inf"):
+    with pytest.raises(FormatError, match=r"property y: 1 of 1 rows are invalid: row 0 is inf"):
         read_ply(file)
 
 

@@ -127,7 +127,7 @@ def test_a_header_is_looked_for_in_one_mebibyte_only(tmp_path):
 def test_a_header_is_ascii(tmp_path):
     content = "ply\nformat ascii 1.0\ncomment Gauß\nend_header\n".encode()
     assert refusal(tmp_path, content, HeaderMalformed) == (
-        "header: byte 0xc3 at offset 32\nexpected ASCII only"
+        "header: the PLY header has byte 0xc3 at offset 32\nexpected ASCII only"
     )
 
 
@@ -147,15 +147,17 @@ def test_missing_properties_of_splats_are_named_and_no_others(tmp_path, gone):
     kept = [name for name in CORE.split() if name not in gone]
     text = refusal(tmp_path, ply(floats(" ".join(kept))), PropertyMissing)
     first, second = text.splitlines()
-    assert first.startswith(f"element 'vertex': {', '.join(gone)} missing, found ")
+    assert first.startswith(
+        f"element 'vertex': the properties {', '.join(gone)} are missing; found "
+    )
     assert second == "expected all properties of a 3DGS PLY"
 
 
 def test_one_property_of_splats_asks_for_the_others(tmp_path):
     text = refusal(tmp_path, ply([*CLOUD, "float f_rest_0"]), PropertyMissing)
     assert text == (
-        "element 'vertex': f_dc_0, f_dc_1, f_dc_2, opacity, scale_0, scale_1, scale_2, "
-        "rot_0, rot_1, rot_2, rot_3 missing, "
+        "element 'vertex': the properties f_dc_0, f_dc_1, f_dc_2, opacity, scale_0, scale_1, scale_2, "
+        "rot_0, rot_1, rot_2, rot_3 are missing; "
         "found x, y, z, red, green, blue, f_rest_0\n"
         "expected all properties of a 3DGS PLY"
     )
@@ -163,7 +165,7 @@ def test_one_property_of_splats_asks_for_the_others(tmp_path):
 
 def test_two_scales_look_like_2dgs(tmp_path):
     text = refusal(tmp_path, ply(floats(CORE.replace("scale_2 ", ""))), PropertyMissing)
-    assert "scale_2 missing" in text
+    assert "the properties scale_2 are missing" in text
     assert text.endswith(
         "\ntwo scales look like a 2DGS file: flat splats, which gsgen does not read"
     )
@@ -173,19 +175,19 @@ def test_two_scales_look_like_2dgs(tmp_path):
 def test_a_number_of_coefficients_of_no_degree_is_refused(tmp_path, count):
     rest = [f"float f_rest_{index}" for index in range(count)]
     text = refusal(tmp_path, ply(floats(CORE) + rest), PropertyMissing)
-    assert text.startswith(f"element 'vertex': {count} properties f_rest: f_rest_0")
+    assert text.startswith(f"element 'vertex': the file has {count} properties f_rest: f_rest_0")
     assert text.endswith("\nexpected 0, 9, 24, 45 or 72, for SH degree 0 to 4")
 
 
 def test_a_gap_between_coefficients_is_named(tmp_path):
     rest = [f"float f_rest_{index}" for index in [0, 1, 2, 3, 4, 5, 6, 7, 9]]
     text = refusal(tmp_path, ply(floats(CORE) + rest), PropertyMissing)
-    assert text.startswith("element 'vertex': f_rest_8 missing")
+    assert text.startswith("element 'vertex': the properties f_rest_8 are missing")
 
 
 def test_points_need_a_colour(tmp_path):
     assert refusal(tmp_path, ply(CLOUD[:4]), PropertyMissing) == (
-        "element 'vertex': green, blue missing, found x, y, z, red\n"
+        "element 'vertex': the properties green, blue are missing; found x, y, z, red\n"
         "expected x, y, z and a colour, or all properties of a 3DGS PLY"
     )
 
@@ -193,7 +195,7 @@ def test_points_need_a_colour(tmp_path):
 def test_colours_are_bytes_or_floats(tmp_path):
     mixed = [*CLOUD[:3], "float red", "uchar green", "ushort blue"]
     assert refusal(tmp_path, ply(mixed), NotSupported) == (
-        "properties red, green, blue: colours of types f4, u1, u2\n"
+        "properties red, green, blue: the colours have the types f4, u1, u2\n"
         "expected uchar (0 to 255) for all, or float (0 to 1) for all"
     )
 
@@ -201,14 +203,14 @@ def test_colours_are_bytes_or_floats(tmp_path):
 def test_colours_in_floats_lie_in_the_unit_range(tmp_path):
     content = ply(floats("x y z red green blue")) + struct.pack("<6f", 0, 0, 0, 0, 255, 0)
     assert refusal(tmp_path, content, ValueInvalid) == (
-        "property green: 1 of 1 rows, row 0 is 255\nexpected 0 <= value <= 1\n"
+        "property green: 1 of 1 rows are invalid: row 0 is 255\nexpected 0 <= value <= 1\n"
         "store colours from 0 to 255 as bytes (uchar, uint8)"
     )
 
 
 def test_an_empty_cloud_is_refused(tmp_path):
     assert refusal(tmp_path, ply(CLOUD, count=0), ValueInvalid) == (
-        "element 'vertex': 0 rows\nexpected at least one\n"
+        "element 'vertex': the data have 0 rows\nexpected at least one\n"
         "the program that wrote the file may have dropped every point"
     )
 
@@ -216,7 +218,7 @@ def test_an_empty_cloud_is_refused(tmp_path):
 def test_a_file_without_points_says_what_it_holds(tmp_path):
     content = b"ply\nformat ascii 1.0\nelement face 0\nelement edge 0\nend_header\n"
     assert refusal(tmp_path, content, PropertyMissing) == (
-        "no element 'vertex', found face, edge\nexpected element 'vertex'"
+        "the PLY file has no element 'vertex', only face, edge\nexpected element 'vertex'"
     )
 
 
@@ -226,7 +228,7 @@ def test_columns_of_a_compressed_file_mean_nothing_alone(tmp_path):
     with pytest.raises(NotSupported) as caught:
         ply_properties(file)
     assert str(caught.value) == (
-        f"{file}: element 'vertex', property packed_position: a compressed PLY\n"
+        f"{file}: element 'vertex', property packed_position: the file is a compressed PLY\n"
         "expected a plain 3DGS PLY\n"
         "unpack it: `gsgen convert packed.ply plain.ply`"
     )
@@ -234,27 +236,27 @@ def test_columns_of_a_compressed_file_mean_nothing_alone(tmp_path):
 
 def test_points_cannot_hold_lists(tmp_path):
     assert refusal(tmp_path, ply([*CLOUD, "list uchar int near"]), NotSupported) == (
-        "element 'vertex': near in lists\nexpected plain numbers"
+        "element 'vertex': the properties near are lists\nexpected plain numbers"
     )
 
 
 def test_more_points_than_the_file_can_hold_are_refused_with_numbers(tmp_path):
     header = ply(CLOUD, count=10**17)
     assert refusal(tmp_path, header + bytes(100), FileTruncated) == (
-        "element 'vertex': 100000000000000000 rows of 15 bytes take 1500000000000000000 "
-        f"bytes, 100 are left from byte {len(header)} on\n{AGAIN}"
+        "element 'vertex': the 100000000000000000 rows of 15 bytes need 1500000000000000000 "
+        f"bytes, but 100 are left from byte {len(header)} on\n{AGAIN}"
     )
 
 
 def test_one_byte_too_few_is_one_too_few(tmp_path):
     text = refusal(tmp_path, ply(CLOUD, count=2) + bytes(29), FileTruncated)
-    assert "2 rows of 15 bytes take 30 bytes, 29 are left" in text
+    assert "2 rows of 15 bytes need 30 bytes, but 29 are left" in text
 
 
 def test_more_lines_than_the_file_can_hold_are_refused_with_numbers(tmp_path):
     content = ply(CLOUD, count=10**17, encoding="ascii") + b"1 2 3 4 5 6\n"
     assert refusal(tmp_path, content, FileTruncated) == (
-        "element 'vertex': 100000000000000000 rows take 1199999999999999999 bytes or more, "
+        "element 'vertex': the 100000000000000000 rows need 1199999999999999999 bytes or more, but "
         f"12 are left\n{AGAIN}"
     )
 
@@ -291,7 +293,7 @@ def test_a_line_without_end_is_not_read_into_memory(tmp_path, monkeypatch):
     monkeypatch.setattr("gsgen.formats.ply.ascii.MAX_LINE", 40)
     header = ply(CLOUD, encoding="ascii")
     assert refusal(tmp_path, header + b"1" * 41, BodyMalformed) == (
-        f"byte {len(header)}: a line of more than 40 bytes"
+        f"byte {len(header)}: the line is longer than the limit of 40 bytes"
     )
 
 
@@ -304,7 +306,7 @@ def test_a_list_of_negative_length_is_refused(tmp_path):
     content = with_faces("char", b"\x01\0\0\0\0\xff" + bytes(40))
     start = content.index(b"end_header\n") + len(b"end_header\n")
     assert refusal(tmp_path, content, BodyMalformed) == (
-        f"property 'ids', row 1, byte {start + 5}: a list of -1 values\nexpected 0 values or more"
+        f"property 'ids', row 1, byte {start + 5}: the list has -1 values\nexpected 0 values or more"
     )
 
 

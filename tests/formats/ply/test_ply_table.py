@@ -30,7 +30,7 @@ def test_columns_are_grouped_by_name_whatever_their_type(tmp_path: Path) -> None
 def test_all_missing_properties_are_named(tmp_path: Path) -> None:
     path = tmp_path / "t.ply"
     path.write_text(TEXT)
-    with pytest.raises(PropertyMissing, match="x, y missing, found b, a, c"):
+    with pytest.raises(PropertyMissing, match="the properties x, y are missing; found b, a, c"):
         read_ply_columns(path, {"place": ("x", "a", "y")})
 
 
@@ -38,5 +38,5 @@ def test_all_missing_properties_are_named(tmp_path: Path) -> None:
 def test_values_have_to_be_finite(value: str, tmp_path: Path) -> None:
     path = tmp_path / "t.ply"
     path.write_text(TEXT.replace("4 5 255", f"{value} 5 255"))
-    with pytest.raises(ValueInvalid, match="property b: 1 of 2 rows, row 1 is"):
+    with pytest.raises(ValueInvalid, match="property b: 1 of 2 rows are invalid: row 1 is"):
         read_ply_columns(path, {"b": ("b",)})

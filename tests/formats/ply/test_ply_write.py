@@ -120,16 +120,16 @@ def test_other_colours_come_back_to_within_half_a_step(tmp_path):
     [
         (
             PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)),
-            "element 'vertex': 0 rows\nexpected at least one\n"
+            "element 'vertex': the data have 0 rows\nexpected at least one\n"
             "the program that wrote the file may have dropped every point",
         ),
         (
             PointCloud(np.full((2, 3), np.nan, np.float32), np.zeros((2, 3), np.float32)),
-            "property x: 2 of 2 rows, row 0 is nan\nexpected a finite number",
+            "property x: 2 of 2 rows are invalid: row 0 is nan\nexpected a finite number",
         ),
         (
             PointCloud(np.zeros((2, 3), np.float32), np.full((2, 3), 2, np.float32)),
-            "property red: 2 of 2 rows, row 0 is 2\nexpected 0 <= value <= 1\n"
+            "property red: 2 of 2 rows are invalid: row 0 is 2\nexpected 0 <= value <= 1\n"
             "store colours from 0 to 255 as bytes (uchar, uint8)",
         ),
     ],
@@ -168,7 +168,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_part(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "replace", full)
     with pytest.raises(FileUnwritable) as caught:
         write_ply(file, some_points(2))
-    assert str(caught.value) == f"{file}: cannot be written: No space left on device"
+    assert str(caught.value) == f"{file}: the file cannot be written: No space left on device"
     assert file.read_text() == "old"
     assert [*tmp_path.iterdir()] == [file]
 

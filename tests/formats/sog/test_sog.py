@@ -123,19 +123,31 @@ MEANS = {"mins": [-1, -2, -3], "maxs": [1, 2, 3], "files": ["l.webp", "u.webp"]}
 @pytest.mark.parametrize(
     ("meta", "kind", "text"),
     [
-        ({"version": 1}, NotSupported, "meta.json: version '1'\nexpected 2"),
-        ({"lodLevels": 3}, NotSupported, "meta.json: a streamed SOG of several levels"),
+        ({"version": 1}, NotSupported, "meta.json: the SOG version is '1'\nexpected version 2"),
+        ({"lodLevels": 3}, NotSupported, "meta.json: the file is a streamed SOG of several levels"),
         ({"count": 0}, HeaderMalformed, "meta.json, count: '0'\nexpected a whole number from 1"),
         ({"count": "x"}, HeaderMalformed, "meta.json, count: 'x'\n"),
         ({"count": True}, HeaderMalformed, "meta.json, count: 'True'\n"),
         ({"count": 10**30}, HeaderMalformed, "meta.json, count: "),
-        ({"count": 10**9}, SizeExceeded, "1000000000 splats of some 236 bytes\n"),
-        ({"count": 10**7}, FileTruncated, "meta.json, count: 10000000 splats, whose posi"),
+        ({"count": 10**9}, SizeExceeded, "the 1000000000 splats take about 236 bytes each\n"),
+        (
+            {"count": 10**7},
+            FileTruncated,
+            "meta.json, count: meta.json declares 10000000 splats, but their posi",
+        ),
         ({"count": 1000}, FileTruncated, "means: an image of 4 × 3 pixels\nexpected 1000 pix"),
-        ({"means": 3}, HeaderMalformed, "meta.json: no means\nexpected an object"),
+        (
+            {"means": 3},
+            HeaderMalformed,
+            "meta.json: the JSON object lacks the key 'means'\nexpected an object",
+        ),
         ({"means": MEANS | {"files": ["l.webp"]}}, HeaderMalformed, "meta.json, means.files"),
         ({"means": MEANS | {"files": [1, 2]}}, HeaderMalformed, "meta.json, means.files: "),
-        ({"means": MEANS | {"files": ["x", "y"]}}, PropertyMissing, "archive: no 'x'"),
+        (
+            {"means": MEANS | {"files": ["x", "y"]}},
+            PropertyMissing,
+            "archive: the archive holds no file 'x'",
+        ),
         ({"means": MEANS | {"mins": [0, 0]}}, HeaderMalformed, "meta.json, means.mins: "),
         ({"means": MEANS | {"mins": [0, 0, "a"]}}, HeaderMalformed, "meta.json, means.mins:"),
         ({"shN": {"count": 70000}}, HeaderMalformed, "meta.json, shN.count: '70000'\n"),
@@ -150,11 +162,15 @@ def test_a_meta_that_cannot_be_is_refused(tmp_path, meta, kind, text):
 @pytest.mark.parametrize(
     ("content", "kind", "text"),
     [
-        (b"{", NotRecognised, "meta.json: invalid JSON (Expecting property name"),
-        (b"[1]", NotRecognised, "meta.json: a list\n"),
-        (b"{}", NotRecognised, "meta.json: JSON without means\n"),
-        (b"\xff\xfe", NotRecognised, "meta.json: invalid JSON ("),
-        (b"[" * 100_000, NotRecognised, "meta.json: invalid JSON (maximum recursion depth"),
+        (b"{", NotRecognised, "meta.json: the file has invalid JSON (Expecting property name"),
+        (b"[1]", NotRecognised, "meta.json: the JSON value is a list\n"),
+        (b"{}", NotRecognised, "meta.json: the JSON object lacks the key 'means'\n"),
+        (b"\xff\xfe", NotRecognised, "meta.json: the file has invalid JSON ("),
+        (
+            b"[" * 100_000,
+            NotRecognised,
+            "meta.json: the file has invalid JSON (maximum recursion depth",
+        ),
     ],
 )
 def test_a_meta_that_is_none_is_not_recognised(tmp_path, content, kind, text):
@@ -165,8 +181,8 @@ def test_a_meta_that_is_none_is_not_recognised(tmp_path, content, kind, text):
 @pytest.mark.parametrize(
     ("name", "content", "kind", "text"),
     [
-        ("quats.webp", b"RIFF....WEBPVP8L", ArchiveDamaged, "quats: an image cannot be unp"),
-        ("quats.webp", b"", ArchiveDamaged, "quats: an image cannot be unpacked (Unident"),
+        ("quats.webp", b"RIFF....WEBPVP8L", ArchiveDamaged, "quats: the SOG image cannot be unp"),
+        ("quats.webp", b"", ArchiveDamaged, "quats: the SOG image cannot be unpacked (Unident"),
         ("sh0.webp", webp(np.zeros((9, 4)), 3), FileTruncated, "sh0: an image of 3 × 3 pix"),
         ("sh0.webp", webp(np.zeros((90_000, 4)), 300), HeaderMalformed, "sh0: an image of 300"),
         ("centroids.webp", webp(np.zeros((640, 4)), 64), HeaderMalformed, "shN: an image of 64"),
@@ -174,7 +190,7 @@ def test_a_meta_that_is_none_is_not_recognised(tmp_path, content, kind, text):
             "labels.webp",
             webp(np.full((10, 4), 255), 4),
             HeaderMalformed,
-            "shN: label 65535\nexpected 0 to 64",
+            "shN: a palette label is 65535\nexpected 0 to 64",
         ),
     ],
 )
@@ -188,7 +204,7 @@ def test_a_zip_bomb_is_not_unpacked(tmp_path):
     files = sog_files() | {"l.webp": bytes(5_000_000)}
     file.write_bytes(zipped(files, zipfile.ZIP_DEFLATED))
     assert file.stat().st_size < 100_000
-    with pytest.raises(SizeExceeded, match=r"file 'l\.webp': more than 524448 bytes"):
+    with pytest.raises(SizeExceeded, match=r"file 'l\.webp': the file has more than 524448 bytes"):
         read_sog(file)
 
 
@@ -218,5 +234,5 @@ def test_a_sog_needs_pillow(tmp_path, monkeypatch):
 def test_a_zip_of_other_files_has_no_meta(tmp_path):
     file = tmp_path / "a.sog"
     file.write_bytes(zipped({"a.txt": b"a"}))
-    with pytest.raises(PropertyMissing, match=r"no 'meta\.json'"):
+    with pytest.raises(PropertyMissing, match=r"holds no file 'meta\.json'"):
         read_sog(file)

@@ -119,7 +119,9 @@ def test_ends_of_the_ranges_are_kept(tmp_path):
 
 
 def test_harmonics_of_degree_4_have_no_room(tmp_path):
-    with pytest.raises(NotSupported, match="harmonics of degree 4\nexpected degree 3 or less"):
+    with pytest.raises(
+        NotSupported, match="the splats have SH degree 4\nexpected degree 3 or less"
+    ):
         write_sog(tmp_path / "a.sog", scene(3, 4))
     assert not list(tmp_path.iterdir())
 

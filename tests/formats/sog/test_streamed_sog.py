@@ -110,6 +110,8 @@ def test_deep_trees_missing_files_and_sizes_are_refused(tree: dict, tmp_path: Pa
 
 
 def test_a_streamed_sog_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(NotSupported, match="a streamed SOG, which gsgen only reads"):
+    with pytest.raises(
+        NotSupported, match="the path is that of a streamed SOG, which gsgen cannot write"
+    ):
         write_sog(tmp_path / "lod-meta.json", scene(3, 0))
     assert not list(tmp_path.iterdir())

@@ -239,5 +239,5 @@ def test_proportions_are_exact_however_small(logit: float) -> None:
 
 def test_fewer_anchors_need_something_that_says_which(tmp_path: Path) -> None:
     read = read_anchors(write_scaffold(tmp_path, AnchorOptions(united=True)))
-    with pytest.raises(GsgenError, match="no culling selects them"):
+    with pytest.raises(GsgenError, match="no culling selects the anchors"):
         ScaffoldGS(read.cloud, read.nets, selection=Selection(anchors=10))

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from gsgen.formats import write_ply
+from gsgen.reference_plugins.deformation import hexplane_4dgs_plugin
 from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
 from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
 from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
@@ -141,3 +142,18 @@ def test_a_screw_without_turn_gives_numbers(tmp_path: Path) -> None:
     read = read_deformation(tmp_path)
     rows, _ = eager(Deformable3DGS(read.canonical, read.net), moment(0.3))
     assert np.isfinite(rows).all()
+
+
+def test_no_gaussian_of_the_demo_is_thrown_away_from_its_neighbours(tmp_path: Path) -> None:
+    """The product of six noisy planes has a heavy tail unless their values are bounded."""
+    demo = hexplane_4dgs_plugin.PLUGIN.demo
+    assert demo is not None
+    demo.write(tmp_path)
+    read = read_hexplanes(tmp_path)
+    generator = HexPlane4DGS(read.canonical, read.nets, read.flags)
+    for time in np.linspace(0, 1, 6):
+        with torch.no_grad():
+            moved = generator(torch.tensor([time], dtype=torch.float32)).position
+        distance = (moved - read.canonical.position).norm(dim=1).numpy()
+        assert np.median(distance) > 0.3  # the motion is visible
+        assert distance.max() < 2.2 * np.median(distance)

@@ -177,7 +177,7 @@ def test_what_a_network_is_told_has_to_fit(tmp_path: Path) -> None:
     encoded(path)
     with pytest.raises(GsgenError, match=r"(?s)from images of any size.*--time-ids HEIGHT"):
         command.build(folder, size="any")
-    with pytest.raises(GsgenError, match=r"10 \+ 5 × 4 is 30, expected 34"):
+    with pytest.raises(GsgenError, match=r"have 10 \+ 5 × 4 = 30 numbers, expected 34"):
         command.build(folder, size="6x8", time_ids="1,2,3,4,5")
     with pytest.raises(GsgenError, match="'1,two' is not a list of numbers"):
         command.build(folder, size="6x8", time_ids="1,two")
@@ -255,11 +255,12 @@ def test_damaged_safetensors_are_refused(data: bytes, tmp_path: Path) -> None:
 @pytest.mark.parametrize("field", ["shape", "data_offsets", "dtype"])
 def test_tensors_that_do_not_fit_their_bytes_are_refused(field: str, tmp_path: Path) -> None:
     wrong = {"shape": [-1, -4], "data_offsets": [0, 99], "dtype": "F8_E4M3"}
+    reason = {"shape": "integer `-1`"}.get(field, "invalid shape, data type, or offset for tensor")
     entry = {"dtype": "F32", "shape": [4], "data_offsets": [0, 16]} | {field: wrong[field]}
     text = json.dumps({"a": entry}).encode()
     path = tmp_path / "t.safetensors"
     path.write_bytes(len(text).to_bytes(8, "little") + text + bytes(16))
-    with pytest.raises(CheckpointInvalid, match="cannot be read: a "):
+    with pytest.raises(CheckpointInvalid, match=f"cannot be read: .*{reason}"):
         read_safetensors(path)
 
 

@@ -10,8 +10,8 @@ from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
 from gsgen.sdk.plugins.plugin import installed_plugins
 from support.checkpoints.method_runs import METHODS
 
-# LHM's files are like those of no other method.
-ALIKE = {name: both for name, both in METHODS.items() if name != "lhm"}
+# The files of these are like those of no other method.
+ALIKE = {name: both for name, both in METHODS.items() if name not in ("lhm", "rotor-4dgs")}
 
 
 @pytest.fixture(scope="module")

@@ -108,7 +108,7 @@ def test_what_is_wrong_with_a_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(CheckpointInvalid, match="is missing: the decoder of the full model"):
         read_spacetime(full)
     write_columns(cloud, {name: columns[name] for name in columns if name != "omega_2"})
-    with pytest.raises(CheckpointInvalid, match="omega_2 missing"):
+    with pytest.raises(CheckpointInvalid, match="omega_2 are missing"):
         read_spacetime(full)
     cfg = full / "cfg_args"
     cfg.write_text(cfg.read_text().replace("'sandwich'", "'ray'"))

@@ -218,7 +218,7 @@ def test_errors_name_model_input_and_frame(drift: GeneratorPlayer, models: Path)
     assert [next(frames).visible for _ in range(2)] == [5, 5]
     with pytest.raises(InputInvalid) as raised:
         next(frames)
-    assert str(raised.value) == f"{name}, frame 2, input time: is 7, expected 0 … 1"
+    assert str(raised.value) == f"{name}, frame 2, input time: the value is 7, expected 0 … 1"
     with pytest.raises(UnknownName) as unknown:
         drift.render(CAMERA, pose=np.zeros((4, 3)))
     assert str(unknown.value).startswith(f"{name}, frame 3: unknown input 'pose'")
@@ -248,7 +248,7 @@ def test_several_sources_play_together(models: Path, renderer: Renderer) -> None
     assert not np.array_equal(alone[0], alone[1])
     with pytest.raises(GsgenError, match=r"avatar\.onnx, frame 8, input pose: the value has shape"):
         player.render(FrameRequest(CAMERA, ({}, {"pose": np.zeros((3, 3))})))
-    with pytest.raises(GsgenError, match=r"drift\.onnx, frame 42, input time: is 7"):
+    with pytest.raises(GsgenError, match=r"drift\.onnx, frame 42, input time: the value is 7"):
         player.render(FrameRequest(CAMERA, ({"time": 7},), number=42))
     for source in sources:
         source.close()

@@ -227,13 +227,13 @@ def test_a_pool_refuses_what_it_cannot_hold() -> None:
         CapacityExceeded, match="tile 6: the tile needs 1 slots, but only 0 of 2 are free"
     ):
         pool.insert(6, rows[:1], color[:1], np.zeros(3))
-    with pytest.raises(SceneInvalid, match="tile 5: the tile is in the pool already"):
+    with pytest.raises(SceneInvalid, match="tile 5: the tile is in the splat pool already"):
         pool.insert(5, rows, color, np.zeros(3))
-    with pytest.raises(SceneInvalid, match=r"tile 7: rows \[1, 10\] and appearance \[1, 12\]"):
+    with pytest.raises(SceneInvalid, match=r"tile 7: has rows \[1, 10\] and appearance \[1, 12\]"):
         pool.insert(7, rows[:1], np.zeros((1, 12), np.float32), np.zeros(3))
-    with pytest.raises(SceneInvalid, match="tile 8: the tile is not in the pool"):
+    with pytest.raises(SceneInvalid, match="tile 8: the tile is not in the splat pool"):
         pool.draw({8: 1.0})
-    with pytest.raises(SceneInvalid, match="tile 8: the tile is not in the pool"):
+    with pytest.raises(SceneInvalid, match="tile 8: the tile is not in the splat pool"):
         pool.evict(8)
     with pytest.raises(IndexError):
         pool.locate(2 * SLOT - 1)

@@ -172,7 +172,7 @@ HOSTILE = {
     ),
     "ring.glb": (
         glb({"nodes": [{"children": [1]}, {"children": [0]}]}),
-        r"nodes\[1\]: is its own ancestor",
+        r"nodes\[1\]: the node is its own ancestor",
     ),
     "packed.glb": (
         glb({"extensionsRequired": ["KHR_draco_mesh_compression"]}),

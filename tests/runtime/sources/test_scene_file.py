@@ -264,13 +264,13 @@ def test_what_is_no_json_says_so(tmp_path: Path, text: str, match: str) -> None:
 
 def test_what_fails_when_it_is_opened_says_where(folder: Path) -> None:
     cases: list[tuple[object, type[GsgenError], str]] = [
-        ("gone.ply", SceneUnreadable, r"models\[0\]\.path: \S+gone\.ply: cannot be read"),
+        ("gone.ply", SceneUnreadable, r"models\[0\]\.path: \S+gone\.ply: the file cannot be read"),
         ("scene.json", SceneInvalid, r"models\[0\]\.path: is a scene file"),
         (A | {"inputs": {"tme": 1}}, UnknownName, r"models\[0\]\.inputs: unknown input 'tme'"),
         (
             {"path": "drift.onnx", "inputs": {"time": 7}},
             GsgenError,
-            r"models\[0\]: \S+drift\.onnx, frame 0, input time: is 7",
+            r"models\[0\]: \S+drift\.onnx, frame 0, input time: the value is 7",
         ),
     ]
     for model, kind, match in cases:

@@ -133,10 +133,13 @@ def test_cells_and_weights_go_together(
     [
         ({"position": torch.zeros(CELLS, 2)}, r"Cells.position: shape is \[8, 2\]"),
         ({"visibility": torch.zeros(CELLS, 3)}, r"Cells.visibility.*\[8\] or \[8, 1\]"),
-        ({"scale": None}, "Cells: expected either scale and rotation, or covariance"),
+        (
+            {"scale": None},
+            "Cells: the extent is missing or given twice, expected either scale and rotation, or covariance",
+        ),
         (
             {"covariance": torch.zeros(CELLS, 6)},
-            "Cells: expected either scale and rotation, or covariance",
+            "Cells: the extent is missing or given twice, expected either scale and rotation, or covariance",
         ),
     ],
 )

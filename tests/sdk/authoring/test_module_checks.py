@@ -55,11 +55,11 @@ class NamedInputs(Cloud):
 @pytest.mark.parametrize(
     ("made", "where", "what", "hint"),
     [
-        (NotSetUp, "NotSetUp", "__init__ does not call its parent's", "super().__init__()"),
+        (NotSetUp, "NotSetUp", "__init__ does not call super().__init__()", "super().__init__()"),
         (
             OneInput,
             "OneInput.inputs",
-            "is a single input, expected a tuple of inputs",
+            "the attribute is a single input, expected a tuple of inputs",
             "(inputs.time(),)",
         ),
         (
@@ -68,13 +68,18 @@ class NamedInputs(Cloud):
             "'time' is not an input",
             "gsgen.sdk.authoring.inputs",
         ),
-        (NamedInputs, "NamedInputs.inputs", "is str, expected a tuple of inputs", "inputs.time()"),
-        (lambda: Cloud, "Cloud", "is a class, expected an instance", "Cloud()"),
-        (dict, "dict", "is not a torch module", "GaussianGenerator"),
+        (
+            NamedInputs,
+            "NamedInputs.inputs",
+            "the attribute is str, expected a tuple of inputs",
+            "inputs.time()",
+        ),
+        (lambda: Cloud, "Cloud", "the generator is a class, expected an instance", "Cloud()"),
+        (dict, "dict", "the object is not a torch module", "GaussianGenerator"),
         (
             lambda: Cloud(-3.0),
             "Gaussians.scale",
-            "is negative in 7 of 7 rows, down to -3; expected standard deviations",
+            "the scale is negative in 7 of 7 rows, down to -3; expected standard deviations",
             "torch.exp",
         ),
     ],
@@ -108,5 +113,5 @@ def test_a_factory_is_judged_as_well(tmp_path: Path) -> None:
         "    def forward(self): return None\n"
     )
     factory = load_factory("unready:Mine", tmp_path)
-    with pytest.raises(GeneratorInvalid, match="does not call its parent's"):
+    with pytest.raises(GeneratorInvalid, match="does not call super"):
         factory.build({})

@@ -90,7 +90,7 @@ def test_the_command_says_what_was_not_measured(models, tmp_path):
     [
         (["--provider", "gpu"], 2, "'gpu' is not one of"),
         (["--frames", "0"], 2, "--frames"),
-        (["--size", "J"], 2, "is 'J', expected SYMBOL=SIZE"),
+        (["--size", "J"], 2, "the value is 'J', expected SYMBOL=SIZE"),
         ([os.devnull], 4, "is not a regular file"),
     ],
 )

@@ -44,15 +44,18 @@ def session(tmp_path_factory):
         ({"pos": 0}, "unknown input 'pos'"),
         ({"pose": np.zeros(3)}, "input pose: the value has shape [3], expected shape [1, 3]"),
         ({"pose": 1}, "input pose: the value has shape [], expected shape [1, 3]"),
-        ({"pose": [[1, 2], [3]]}, "input pose: is not an array: "),
-        ({"pose": [["x", "y", "z"]]}, "input pose: is <U1, expected float32"),
-        ({"a": 1.5}, "input a (role control): is 1.5, expected 0 … 1"),
-        ({"a": np.nan}, "input a (role control): is nan, expected 0 … 1"),
-        ({"a": None}, "input a (role control): is object, expected float32"),
-        ({"a": 1j}, "input a (role control): is complex128, expected float32"),
-        ({"index": 0.5}, "input index (role frame_index): is float64, expected int32"),
-        ({"index": 10}, "input index (role frame_index): is 10, expected 0 … 9"),
-        ({"index": 1 << 40}, "is 1099511627776 … 1099511627776, which int32 cannot hold"),
+        ({"pose": [[1, 2], [3]]}, "input pose: the value cannot be converted to an array: "),
+        ({"pose": [["x", "y", "z"]]}, "input pose: the value is <U1, expected float32"),
+        ({"a": 1.5}, "input a (role control): the value is 1.5, expected 0 … 1"),
+        ({"a": np.nan}, "input a (role control): the value is nan, expected 0 … 1"),
+        ({"a": None}, "input a (role control): the value is object, expected float32"),
+        ({"a": 1j}, "input a (role control): the value is complex128, expected float32"),
+        ({"index": 0.5}, "input index (role frame_index): the value is float64, expected int32"),
+        ({"index": 10}, "input index (role frame_index): the value is 10, expected 0 … 9"),
+        (
+            {"index": 1 << 40},
+            "the value is 1099511627776 … 1099511627776, which int32 cannot represent",
+        ),
         ({"control": 0.5}, "2 inputs have role 'control', expected one of a, b"),
     ],
 )
@@ -192,7 +195,7 @@ def test_open_dimensions_need_a_size(tmp_path):
     )
     with pytest.raises(GsgenError, match="unknown open dimension 'j'"):
         FrameSession(path, provider="cpu", sizes={"j": 2})
-    with pytest.raises(ConfigInvalid, match="size J: is 0, expected at least 1"):
+    with pytest.raises(ConfigInvalid, match="size J: the size is 0, expected at least 1"):
         FrameSession(path, provider="cpu", sizes={"J": 0})
 
 
@@ -215,7 +218,9 @@ def test_what_is_no_model_is_refused(tmp_path):
 def test_outputs_that_nothing_can_hold_are_refused(provider, tmp_path):
     text = "g (float[1] t) => (float[8,1099511627776] y) { s = Constant <value_ints = [8, 1099511627776]> () y = Expand (t, s) }"
     path = save(tmp_path / "a.onnx", parser.parse_model(HEAD + text))
-    with pytest.raises(RunFailed, match=r"output y: shape \[8, 1.*\] takes 35184.4 GB, more than"):
+    with pytest.raises(
+        RunFailed, match=r"output y: the output of shape \[8, 1.*\] takes 35184.4 GB, more than"
+    ):
         FrameSession(path, provider=provider, capture=False)
 
 

@@ -120,10 +120,10 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("--size", "N"), 2, "--size: is 'N', expected SYMBOL=SIZE"),
-        (("--pin", "N=-3"), 2, "--pin: is 'N=-3', expected SYMBOL=SIZE"),
+        (("--size", "N"), 2, "--size: the value is 'N', expected SYMBOL=SIZE"),
+        (("--pin", "N=-3"), 2, "--pin: the value is 'N=-3', expected SYMBOL=SIZE"),
         (("--dry-run",), 1, "has no fault that gsgen can repair without guessing"),
-        (("--manifest", "none.json"), 2, "none.json: cannot be read"),
+        (("--manifest", "none.json"), 2, "none.json: the manifest cannot be read"),
         ((), 1, "has no fault that gsgen can repair without guessing"),
     ],
 )

@@ -59,5 +59,5 @@ def test_no_capacity_is_refused() -> None:
     for call in (math.keep_rows, math.top_rows):
         with pytest.raises(GeneratorInvalid, match="capacity is 0, expected 1 or more"):
             call(torch.ones(3), 0)
-    with pytest.raises(GeneratorInvalid, match="16777217 rows, expected 16777216 at most"):
+    with pytest.raises(GeneratorInvalid, match="have 16777217 rows, expected 16777216 at most"):
         math.keep_rows(torch.ones(1).expand((1 << 24) + 1), 3)

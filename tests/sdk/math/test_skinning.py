@@ -85,7 +85,7 @@ def test_points_are_blended_as_by_the_oracle() -> None:
 @pytest.mark.parametrize(
     ("parents", "words"),
     [
-        ([-1, 0], "3 turns, 2 parents"),
+        ([-1, 0], "3 rotations, 2 parents"),
         ([-1, 0, 3], "joint 2 has parent 3, expected -1 to 2"),
         ([-1, 2, 1], "joint 1 is its own ancestor"),
         ([-1, 0, 7], "joint 2 has parent 7, expected -1 to 2"),

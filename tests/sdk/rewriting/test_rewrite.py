@@ -373,11 +373,15 @@ def test_the_command_lists_its_passes() -> None:
         (["in.onnx"], 2, "is missing, expected the path of the copy"),
         (["in.onnx", "-o", "out.onnx", "--pass", "chunk"], 2, "Did you mean"),
         (["in.onnx", "-o", "out.onnx", "--target", "webgp"], 2, "Did you mean 'webgpu'?"),
-        (["in.onnx", "-o", "out.onnx", "--size", "N"], 2, "--size: is 'N', expected SYMBOL=SIZE"),
+        (
+            ["in.onnx", "-o", "out.onnx", "--size", "N"],
+            2,
+            "--size: the value is 'N', expected SYMBOL=SIZE",
+        ),
         (
             ["in.onnx", "-o", "out.onnx", "--freeze", "N"],
             2,
-            "--freeze: is 'N', expected SYMBOL=SIZE",
+            "--freeze: the value is 'N', expected SYMBOL=SIZE",
         ),
         (["in.onnx", "-o", "out.onnx", "--opset", "21"], 2, "above the model's"),
         (["gone.onnx", "-o", "out.onnx"], 4, "cannot be read"),

@@ -9,9 +9,11 @@ from gsgen.reference_plugins.anchors.anchor_checkpoint import read_anchors
 from gsgen.reference_plugins.anchors.cell_checkpoint import read_cells
 from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
+from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
+from gsgen.reference_plugins.spacetime.rotor_checkpoint import read_rotor
 from gsgen.reference_plugins.spacetime.spacetime_checkpoint import read_spacetime
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
@@ -24,6 +26,8 @@ from gsgen.reference_plugins.synthetic import (
     write_lhm,
     write_octree,
     write_r3,
+    write_rotor,
+    write_sc_gs,
     write_scaffold,
     write_spacetime,
 )
@@ -38,6 +42,8 @@ METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "duplex-gs": (lambda f: write_duplex(f, UNITED), read_cells),
     "hexplane-4dgs": (lambda f: write_hexplane(f, HexPlaneOptions(count=4)), read_hexplanes),
     "deformable-3dgs": (lambda f: write_deformable(f, count=4), read_deformation),
+    "sc-gs": (lambda f: write_sc_gs(f, count=4), read_sc_gs),
+    "rotor-4dgs": (lambda f: write_rotor(f, count=4), read_rotor),
     "spacetime-gaussians": (lambda f: write_spacetime(f, count=4, full=True), read_spacetime),
     "gauhuman": (lambda f: write_gauhuman(f, PERSON), read_gauhuman),
     "lhm": (lambda f: write_lhm(f, PERSON), read_lhm),

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gsgen.contract.spec.spherical_harmonics import basis
 from support.checkpoints.plugin_oracles import ExpectedGaussians
 
 
@@ -21,7 +22,7 @@ def raw_columns(path: Path) -> dict[str, np.ndarray]:
     return dict(zip(names, table.T, strict=True))
 
 
-def _rotation(q: np.ndarray) -> np.ndarray:
+def rotation_matrix(q: np.ndarray) -> np.ndarray:
     """Return the matrix of a quaternion (w, x, y, z): v ↦ q v q*, column by column."""
     w, *u = q / np.linalg.norm(q)
     axis = np.array(u)
@@ -56,7 +57,7 @@ def spacetime(folder: Path, time: float, camera: np.ndarray | None = None) -> Ex
         duration = np.exp(splat["trbf_scale"])
         opacity[row] = np.exp(-((dt / duration) ** 2)) / (1 + np.exp(-splat["opacity"]))
         q = np.array([splat[f"rot_{i}"] + dt * splat[f"omega_{i}"] for i in range(4)])
-        root = _rotation(q) @ np.diag([np.exp(splat[f"scale_{i}"]) for i in range(3)])
+        root = rotation_matrix(q) @ np.diag([np.exp(splat[f"scale_{i}"]) for i in range(3)])
         covariance[row] = upper(root @ root.T)
         color[row] = [splat[f"f_dc_{i}"] for i in range(3)]
         if camera is not None:
@@ -78,3 +79,72 @@ def _decoded(
     values = hidden @ np.concatenate([specular, changing, eye, ray])
     added: np.ndarray = out @ np.maximum(values, 0)
     return added
+
+
+def _hamilton(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Multiply two quaternions."""
+    real = p[0] * q[0] - p[1:] @ q[1:]
+    return np.array([real, *(p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:]))])
+
+
+def _rotor_matrix(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the 4-D rotation x ↦ l x r* of quaternions that count time, z, y, x."""
+    left, right = left / np.linalg.norm(left), right / np.linalg.norm(right)
+    conjugate = right * [1, -1, -1, -1]
+    columns = [_hamilton(_hamilton(left, axis[::-1]), conjugate)[::-1] for axis in np.eye(4)]
+    return np.stack(columns, axis=1)
+
+
+def rotor(
+    folder: Path,
+    time: float,
+    duration: tuple[float, float],
+    camera: np.ndarray | None = None,
+    prefilter: float = 0.0,
+) -> ExpectedGaussians:
+    """Rotor 4DGS (Yang et al. 2024), conditioned by way of the inverse 4-D covariance."""
+    (path,) = folder.glob("chkpnt*.pth")
+    values, _ = torch.load(path, weights_only=True)
+    degree, center, dc, rest, log_scale, left, logit = (
+        value if isinstance(value, int) else value.double().numpy() for value in values[:7]
+    )
+    temporal_center, log_temporal, right = (value.double().numpy() for value in values[13:16])
+    length = duration[1] - duration[0]
+    moment = duration[0] + time * length
+    sh = np.concatenate([dc, rest], axis=1)
+    rows: dict[str, list] = {name: [] for name in ("position", "opacity", "covariance", "color")}
+    factors = np.zeros(len(center))
+    for row, mean in enumerate(center):
+        dt = moment - temporal_center[row, 0]
+        if values[16]:
+            axes = _rotor_matrix(left[row], right[row])
+            scale = np.exp(np.concatenate([log_scale[row], log_temporal[row]]))
+            whole = axes @ np.diag(scale**2) @ axes.T
+            precision = np.linalg.inv(whole)
+            covariance = np.linalg.inv(precision[:3, :3])
+            shift = -covariance @ precision[:3, 3] * dt
+            variance = whole[3, 3]
+        else:
+            root = rotation_matrix(left[row]) @ np.diag(np.exp(log_scale[row]))
+            covariance, shift, variance = root @ root.T, np.zeros(3), np.exp(log_temporal[row, 0])
+        factors[row] = np.exp(-0.5 * dt * dt / (variance + max(prefilter, 0)))
+        coefficients = sh[row, :16].copy()
+        if sh.shape[1] == 48 and degree == 3:
+            for harmonic in range(1, values[18] + 1):
+                block = sh[row, 16 * harmonic : 16 * harmonic + 16]
+                coefficients += np.cos(2 * np.pi * harmonic * dt / length) * block
+        color = coefficients[: (degree + 1) ** 2]
+        if camera is not None:
+            eye = np.linalg.inv(camera.astype(np.float64).T)[:3, 3]
+            ray = (mean - eye) / np.linalg.norm(mean - eye)
+            color = np.maximum(basis(ray, degree) @ color + 0.5, 0)
+        if factors[row] > 0.05:
+            rows["position"].append(mean + shift)
+            rows["opacity"].append(factors[row] / (1 + np.exp(-logit[row, 0])))
+            rows["covariance"].append(upper(covariance))
+            rows["color"].append(color.reshape(-1))
+    return ExpectedGaussians(
+        factors > 0.05,
+        **{name: np.array(value) for name, value in rows.items()},
+        doubtful=np.abs(factors - 0.05) < 1e-5,
+    )

@@ -170,7 +170,12 @@ def test_a_faulty_scene_raises(tmp_path, scene):
     write_spz(tmp_path / "a.spz", replace(splats, antialiased=True))
     refused(ConfigInvalid, "antialiased is False", [tmp_path / "a.spz", scene], tmp_path / "tiles")
     _write_unchecked(tmp_path / "nan.ply", _with(splats, slice(None), position=math.nan))
-    refused(InputUnreadable, "no splat", [tmp_path / "nan.ply"], tmp_path / "tiles")
+    refused(
+        InputUnreadable,
+        "none of the 50 splats has finite values",
+        [tmp_path / "nan.ply"],
+        tmp_path / "tiles",
+    )
 
 
 def test_an_unfit_output_folder_raises(tmp_path, scene):

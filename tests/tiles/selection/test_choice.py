@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import LinearConstraint, milp
 
 from gsgen.tiles.selection.choose import choose_options
+from gsgen.tiles.selection.cut_filling import fill_cut
 from gsgen.tiles.selection.exact import DeadlineTile, choose_cut_exactly, choose_until_deadlines
 from gsgen.tiles.selection.hulls import OptionHulls, upper_hulls
 from gsgen.tiles.selection.tree_choice import CutOptions, TreeFrontier, choose_cut
@@ -90,7 +91,8 @@ def test_small_cuts_are_those_of_brute_force(seed: int) -> None:
     budget = float(rng.uniform(0.5, 1.2) * np.median([cost for cost, _ in all_cuts]))
     best = max((u for c, u in all_cuts if c <= budget), default=None)
     choice = choose_cut_exactly(options, budget)
-    live = choose_cut(TreeFrontier.of_options(options), budget)
+    frontier = TreeFrontier.of_options(options)
+    live = choose_cut(frontier, budget)
     if best is None:
         assert choice is None
         assert live is None
@@ -98,7 +100,9 @@ def test_small_cuts_are_those_of_brute_force(seed: int) -> None:
     assert choice is not None
     assert live is not None
     assert choice.utility == pytest.approx(best, rel=1e-12)
-    for result in (choice, live):
+    filled = fill_cut(frontier, live, budget)
+    assert filled.utility >= live.utility
+    for result in (choice, live, filled):
         assert is_cut(options, result.option)
         assert result.cost <= budget
         rows = np.flatnonzero(result.option >= 0)
@@ -123,6 +127,50 @@ def test_larger_cuts_are_those_of_an_integer_program(seed: int) -> None:
     assert choice.bound >= best - 1e-6
     assert is_cut(options, choice.option)
     assert choice.cost <= budget
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_the_frontier_leaves_is_spent_where_tiles_have_independent_worth(seed: int) -> None:
+    """Steps of the frontier open whole subtrees there: its points lack up to half the utility."""
+    rng = np.random.default_rng(seed)
+    options = random_tree(rng, 400, 3, branching=8)
+    options.utility[:] = np.sort(rng.uniform(0, 1, options.utility.shape), axis=1)
+    frontier = TreeFrontier.of_options(options)
+    low, high = frontier.costs[0], frontier.costs[-1]
+    before, after = [], []
+    for share in np.linspace(0.05, 0.95, 19):
+        budget = float(low + share * (high - low))
+        live = choose_cut(frontier, budget)
+        assert live is not None
+        filled = fill_cut(frontier, live, budget)
+        assert is_cut(options, filled.option)
+        rows = np.flatnonzero(filled.option >= 0)
+        cost = options.cost[rows, filled.option[rows]].sum()
+        gain = options.utility[rows, filled.option[rows]].sum()
+        assert filled.cost == pytest.approx(cost)
+        assert cost <= budget
+        assert live.utility <= filled.utility == pytest.approx(gain)
+        assert gain <= filled.bound * (1 + 1e-12)
+        before.append(live.certificate)
+        after.append(filled.certificate)
+    assert np.mean(after) < 0.01
+    assert max(after) < 0.05
+    assert np.mean(after) < 0.5 * np.mean(before)
+
+
+@pytest.mark.parametrize("nodes", [100, 1500])
+def test_a_chain_of_any_depth_has_a_choice(nodes: int) -> None:
+    rng = np.random.default_rng(nodes)
+    cost, utility = rng.uniform(1, 9, (2, nodes, 1))
+    options = CutOptions(np.arange(nodes) - 1, cost, utility)
+    frontier = TreeFrontier.of_options(options)
+    live = choose_cut(frontier, 5.0)
+    assert live is not None
+    filled = fill_cut(frontier, live, 5.0)
+    best = utility[cost <= 5].max()
+    assert live.utility <= filled.utility <= best <= filled.bound + 1e-9
+    if nodes == 100:
+        assert filled.utility == best
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -185,7 +185,7 @@ def test_a_scene_file_places_a_tileset_among_others(town: Path, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--cache", "lots"], "--cache: is 'lots', expected a number of bytes"),
+        (["--cache", "lots"], "--cache: 'lots' is not a number of bytes"),
         (["--predictor", "crystal-ball"], "crystal-ball"),
     ],
 )

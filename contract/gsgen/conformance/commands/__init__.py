@@ -1,1 +1,1 @@
-"""The commands of the conformance suite: `gsgen conformance`, `gsgen repro`, `gsgen viewer-kit`."""
+"""The commands `gsgen conformance`, `gsgen repro` and `gsgen viewer-kit`."""

@@ -24,7 +24,7 @@ class ModelFile(pytest.File):
         try:
             planned = bench.plan(self.path, bench.settings)
         except GsgenError as error:
-            raise self.CollectError(f"gsgen: {error}") from error
+            raise self.CollectError(f"gsgen: the model cannot be tested: {error}") from error
         for name, rules in planned.items():
             if not bench.suites or name in bench.suites:
                 yield SuiteNode.from_parent(self, name=name, rules=rules)

@@ -52,7 +52,7 @@ class ConformanceSession:
                 _ = bench.settings, bench.suites, bench.expected
                 _ = bench.option("dump") and bench.dumps
             except GsgenError as error:
-                raise pytest.UsageError(f"gsgen: {error}") from error
+                raise pytest.UsageError(f"gsgen: an option is invalid: {error}") from error
         return config.stash[_BENCH]
 
     def option(self, name: str) -> Any:

@@ -119,7 +119,7 @@ def checks_for(request: Request, bench: ConformanceSession, folder: Path) -> lis
     try:
         return _checks(request, bench, folder)
     except GsgenError as error:
-        raise pytest.UsageError(f"gsgen: {error}") from error
+        raise pytest.UsageError(f"gsgen: the model cannot be tested: {error}") from error
 
 
 def _checks(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:

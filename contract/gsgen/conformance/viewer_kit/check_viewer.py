@@ -160,7 +160,7 @@ def read_picture(folder: Path, name: str) -> np.ndarray:
     except PictureUnreadable as error:
         raise PictureUnreadable(f"{path}: {error}") from error
     except (OSError, ValueError, EOFError, KeyError, zlib.error, struct.error) as error:
-        raise PictureUnreadable(f"{path}: cannot be read: {error!r}") from error
+        raise PictureUnreadable(f"{path}: the picture cannot be read: {error!r}") from error
     if array.ndim != 3 or array.shape[2] not in (3, 4) or array.dtype.kind != "f":
         message = f"is {array.dtype}{list(array.shape)}, expected floats [height, width, 3 or 4]"
         raise PictureUnreadable(f"{path}: {message}")
@@ -178,7 +178,7 @@ def _over_black(picture: np.ndarray) -> np.ndarray:
 def decode_png(raw: bytes) -> np.ndarray:
     """Decode an 8-bit PNG, without palette or interlacing, to uint8 [h, w, c]."""
     if raw[:8] != _PNG_MAGIC:
-        raise PictureUnreadable(f"starts with bytes {raw[:8]!r}, expected a PNG")
+        raise PictureUnreadable(f"the picture is not a PNG, but starts with {raw[:8]!r}")
     chunks: dict[bytes, bytes] = {}
     offset = 8
     while offset + 8 <= len(raw):

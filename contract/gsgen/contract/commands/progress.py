@@ -1,21 +1,97 @@
-"""Shows the progress of a long command on one line of stderr, on terminals only."""
+"""Shows the progress of a long command in one line on stderr, on terminals only.
+
+A text such as ``frame 3 of 10`` becomes a bar with the rate and the remaining time.
+"""
 
 __all__ = ["clear", "progress"]
 
+import re
 import sys
+from typing import TYPE_CHECKING, Final
 
-import typer
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
-_LINE = "\r\x1b[2K"
+_COUNT: Final = re.compile(r"(?P<done>\d+) of (?P<total>\d+)\b")
+
+
+class _Line:
+    """The progress line of a command: a rich display and its current task."""
+
+    def __init__(self) -> None:
+        self.display: Progress | None = None
+        self.counted = ("", 0)
+
+    def show(self, words: str) -> None:
+        """Show a text on the progress line, with a progress bar if it has a count such as 3/9."""
+        if self.display is None:
+            self.display = _open_display()
+            self.display.start()
+        match = _COUNT.search(words)
+        counted = (_COUNT.sub("", words), int(match["total"])) if match else ("", 0)
+        task_ids = self.display.task_ids
+        if not task_ids or counted != self.counted or not match:
+            for task_id in task_ids:
+                self.display.remove_task(task_id)
+            self.display.add_task(words, total=counted[1] if match else None)
+            self.counted = counted
+        done = int(match["done"]) if match else None
+        self.display.update(self.display.task_ids[0], description=f"{words} …", completed=done)
+
+    def close(self) -> None:
+        """Erase the progress line, and show the terminal's cursor again."""
+        if self.display is not None:
+            self.display.stop()
+            self.display = None
+            self.counted = ("", 0)
+
+
+def _open_display() -> "Progress":
+    import atexit
+
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        ProgressColumn,
+        SpinnerColumn,
+        Task,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
+
+    class RateColumn(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text(f"{task.speed:.3g}/s" if task.total and task.speed else "")
+
+    class RemainingColumn(TimeRemainingColumn):
+        def render(self, task: Task) -> Text:
+            return super().render(task) if task.total else Text("")
+
+    atexit.register(clear)  # the display hides the cursor
+    return Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=24),
+        RateColumn(),
+        RemainingColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+
+
+_line: Final = _Line()
 
 
 def progress(words: str) -> None:
     """Replace the text of the progress line on stderr."""
     if sys.stderr.isatty():
-        typer.echo(f"{_LINE}{words} …", err=True, nl=False)
+        _line.show(words)
 
 
 def clear() -> None:
     """Erase the progress line on stderr."""
-    if sys.stderr.isatty():
-        typer.echo(_LINE, err=True, nl=False)
+    _line.close()

@@ -50,7 +50,7 @@ class InspectedModel:
 
     @property
     def manifest(self) -> Manifest | None:
-        """The embedded manifest, or else the inferred manifest, or None."""
+        """The model's manifest: the embedded one, else the inferred one, or None."""
         if self.parsed is not None:
             return self.parsed.manifest
         return self.candidate.manifest if self.candidate else None

@@ -36,6 +36,7 @@ from onnx import (
 
 from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.model.protobuf_scan import BYTES, STUB, StrippedModel, WireFault, scan, skeleton
+from gsgen.contract.process.missing_files import similar_file_hint
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import dumps
 
@@ -177,7 +178,10 @@ def _size(path: Path) -> int:
     try:
         entry = path.stat()
     except OSError as error:
-        raise ModelUnreadable(f"cannot be read: {error.strerror}", where=where) from error
+        hint = similar_file_hint(path) if isinstance(error, FileNotFoundError) else ""
+        raise ModelUnreadable(
+            f"cannot be read: {error.strerror}", where=where, hint=hint
+        ) from error
     if stat.S_ISDIR(entry.st_mode):
         models = sorted(path.glob("*.onnx"))
         hint = f"It holds {len(models)}: name {models[0]}, or {path}/*.onnx." if models else ""

@@ -1,4 +1,4 @@
-"""Interval arithmetic on an ONNX graph: bounds on the values of each tensor."""
+"""Interval arithmetic on an ONNX graph: lower and upper bounds of the values of each tensor."""
 
 __all__ = ["Interval", "intervals"]
 

@@ -23,7 +23,8 @@ PATH_OFFSET = (3.0, -2.0, 5.0)
 _STEP = 0.3
 # Relative overshoot beyond a declared range that rounding may cause.
 _BEYOND = 0.01
-# Upper bound of visited frames: both ends, and the middle.
+# Up to this number of frames all are visited; of more, the ends and the middle in such windows.
+_ALL_FRAMES = 64
 _WINDOW = 8
 _FEW_FRAMES = 4
 _INTO_FRAME = 0.3
@@ -240,20 +241,21 @@ def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
     middle = int(_INTO_FRAME * count)
     frame_numbers = {k for start in (0, middle - _WINDOW, middle, count - _WINDOW) for k in
               range(max(0, start), min(count, start + _WINDOW))}  # fmt: skip
-    for frame in sorted(frame_numbers):
+    for frame in range(count) if count <= _ALL_FRAMES else sorted(frame_numbers):
         probe = _at(entry, base, (frame + _INTO_FRAME) / count)
-        yield replace(probe, label=f"frame {frame}")
+        yield replace(probe, label=f"frame {frame}", survey=True)
 
 
 def _frame_numbers(entry: Input, base: Probe) -> Iterator[Probe]:
-    """Yield test inputs at the first frame numbers, and at some from mid-range on."""
+    """Yield test inputs at each frame number, or at some of them if there are many."""
     assert entry.range is not None
     if not entry.frames or entry.frames < 2:
         return
     low, high = int(entry.range[0]), int(entry.range[1])
     starts = (low, low + entry.frames // 2)
-    for number in sorted({k for start in starts for k in range(start, start + _FEW_FRAMES)}):
-        if number <= high:
-            frame = _filled(base.inputs[entry.name], number)
-            probe = _changed(base, f"at frame {number}", **{entry.name: frame})
-            yield replace(probe, label=f"frame {number}")
+    count, length = (1, _ALL_FRAMES) if entry.frames <= _ALL_FRAMES else (2, _FEW_FRAMES)
+    numbers = {k for start in starts[:count] for k in range(start, start + length)}
+    for number in sorted(numbers & set(range(low, min(high, low + entry.frames - 1) + 1))):
+        frame = _filled(base.inputs[entry.name], number)
+        probe = _changed(base, f"at frame {number}", **{entry.name: frame})
+        yield replace(probe, label=f"frame {number}", survey=True)

@@ -9,13 +9,17 @@ from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.behaviour_probes import trial_probes, turned_away
 from gsgen.contract.probing.probes import Probe, default_probes, dependency_probes
+from gsgen.contract.probing.survey_probes import survey_probes
 from gsgen.contract.probing.test_vectors import vector_probes
-from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.manifest import GeneratorManifest, Input
 from gsgen.contract.spec.severity import Level
 
 # Budget of bytes for all distinct outputs, which are temporary files.
 _BUDGET = 1 << 30
 _MOST, _FEWEST = 8, 3
+# Budget of bytes that survey probes compute, and the fewest of them: inside, in a Gaussian, far.
+_SURVEY_BUDGET = 1 << 28
+_FEWEST_SURVEYED = 3
 _VARIANTS = 2
 # Bytes of an element while inputs are drawn: float64.
 _WIDEST = 8
@@ -76,6 +80,10 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
         *vector_probes(manifest, shapes, dtypes, seed, count),
         *trial_probes(manifest, first[base], first),
     ]
+    if isinstance(manifest, GeneratorManifest):
+        limit = max(_FEWEST_SURVEYED, _SURVEY_BUDGET // max(_frame_bytes(subject), 1))
+        # Survey probes come before the last group, which needs a session of its own.
+        groups.insert(-1, ("survey", tuple(survey_probes(manifest, first, limit))))
     for name, group in groups:
         trials[name] = tuple(range(len(probes), len(probes) + len(group)))
         probes.extend(group)
@@ -125,6 +133,11 @@ def probed_bytes(subject: InspectedModel) -> int:
 
 def _affordable(subject: InspectedModel) -> int:
     """Return the number of test runs whose inputs and outputs fit the memory budget."""
+    return max(_FEWEST, min(_MOST, _BUDGET // max(_frame_bytes(subject), 1)))
+
+
+def _frame_bytes(subject: InspectedModel) -> int:
+    """Return the size in bytes of the inputs and outputs of one model run, as float32."""
     total = probed_bytes(subject)
     for tensor in (subject.gaussians, subject.appearance, subject.cells):
         dims = static_dims(tensor) if tensor else None
@@ -132,4 +145,4 @@ def _affordable(subject: InspectedModel) -> int:
         for dim in dims or (0,):
             size *= int(dim)
         total += size
-    return max(_FEWEST, min(_MOST, _BUDGET // max(total, 1)))
+    return total

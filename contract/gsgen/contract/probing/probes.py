@@ -5,7 +5,17 @@ other input is sampled within its range. The first probe is all zeros, which is 
 feed before the first real values.
 """
 
-__all__ = ["INPUT_PREFIX", "Array", "Probe", "as_tensor", "default_probes", "dependency_probes"]
+__all__ = [
+    "INPUT_PREFIX",
+    "ORBIT",
+    "Array",
+    "CameraPlacement",
+    "Probe",
+    "Surroundings",
+    "as_tensor",
+    "default_probes",
+    "dependency_probes",
+]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,7 +39,26 @@ _FOV = (np.deg2rad(50.0), np.deg2rad(70.0))
 _NEAR, _FAR = 0.01, 1000.0
 # Bounds beyond this count as unknown; its square is still a finite float32.
 _FARTHEST = 1e18
+# Distance of probe cameras from the centre, in half diagonals of the bounds.
+ORBIT = 2.2
 _UP = {"x": 0, "y": 1, "z": 2}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraPlacement:
+    """Tells the sandbox to move a test camera to the centre of a Gaussian of an earlier run.
+
+    Attributes:
+        rows: The output of packed rows, whose first visible row is taken.
+        order: Memory order of the view matrix.
+        view: The input with the view matrix; empty if the model lacks it.
+        position: The input with the camera's centre; empty if the model lacks it.
+    """
+
+    rows: str
+    order: str
+    view: str = ""
+    position: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +72,8 @@ class Probe:
         extra: Whether only behaviour rules use it: a part of its outputs is stored, and its
             failure is not a failure of the model.
         optimise: Whether ONNX Runtime may rewrite the graph.
+        survey: Whether only the digest and the extremes of the outputs are kept, and no rows.
+        placement: Where the sandbox moves the camera, if that depends on an earlier run.
     """
 
     label: str
@@ -50,6 +81,8 @@ class Probe:
     zeros: bool = False
     extra: bool = False
     optimise: bool = True
+    survey: bool = False
+    placement: CameraPlacement | None = None
 
 
 def default_probes(
@@ -115,8 +148,13 @@ def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray,
     return np.ascontiguousarray(tensor, np.float32)
 
 
+# The annotation of a generator is quoted: NumPy loads its random module when it is named.
 def _sample(
-    spec: Input, manifest: Manifest, shape: tuple[int, ...], along: float, rng: np.random.Generator
+    spec: Input,
+    manifest: Manifest,
+    shape: tuple[int, ...],
+    along: float,
+    rng: "np.random.Generator",
 ) -> Array:
     space = manifest.space if isinstance(manifest, GeneratorManifest) else None
     order = space.matrix_order if space else "column"
@@ -146,9 +184,9 @@ def _sample(
 
 
 def _history(
-    span: tuple[float, float], count: int, size: int, rng: np.random.Generator
+    span: tuple[float, float], count: int, size: int, rng: "np.random.Generator"
 ) -> Float[np.ndarray, "t s"]:
-    """Return a smooth camera path: state vectors of centre and rotation."""
+    """Return a smooth camera path for test inputs: state vectors of centre and rotation."""
     steps = np.arange(count)[:, None]
     sides = _between(*span, rng.random((2, 3)))
     pace = (sides[1] - sides[0]) / max(count - 1, 1)
@@ -166,7 +204,7 @@ def _between(low: float, high: float, along: Array) -> Array:
 
 
 def _cast(values: Array, dtype: str) -> Array:
-    """Convert numbers to another dtype, clamped to the dtype's range."""
+    """Convert numbers to another dtype; those beyond its range are clamped to the range."""
     kind = np.dtype(dtype)
     if kind.kind in "iuf":
         limits = np.finfo(kind) if kind.kind == "f" else np.iinfo(kind)
@@ -197,19 +235,38 @@ def _lens(along: float) -> Float[np.ndarray, "4 4"]:
 
 def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:
     """Return the view matrix of a test camera on a spiral around the declared bounds."""
-    bounds = getattr(manifest, "bounds", None) or Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
-    low, high = np.clip([bounds.min, bounds.max], -_FARTHEST, _FARTHEST)
-    center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
-    space = getattr(manifest, "space", None)
-    axis = space.up if space else "-y"
-    up = np.zeros(3)
-    up[_UP[axis[1]]] = 1.0 if axis[0] == "+" else -1.0
-    side = np.roll(up, 1)
+    scene = Surroundings.of(manifest)
+    side = np.roll(scene.up, 1)
     azimuth = 1.75 * np.pi * along + 0.3
     elevation = np.deg2rad(-30 + 80 * along)
-    ring = np.cos(azimuth) * side + np.sin(azimuth) * np.cross(up, side)
-    eye = center + 2.2 * radius * (np.cos(elevation) * ring + np.sin(elevation) * up)
-    return look_at(eye, center, up)
+    ring = np.cos(azimuth) * side + np.sin(azimuth) * np.cross(scene.up, side)
+    direction = np.cos(elevation) * ring + np.sin(elevation) * scene.up
+    return look_at(scene.center + ORBIT * scene.radius * direction, scene.center, scene.up)
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """The bounding box around which test cameras are placed, and the up direction."""
+
+    center: Float[np.ndarray, " 3"]
+    half: Float[np.ndarray, " 3"]
+    up: Float[np.ndarray, " 3"]
+
+    @classmethod
+    def of(cls, manifest: Manifest) -> "Surroundings":
+        """Return the bounding box in which test cameras are placed, from the manifest's bounds."""
+        bounds = getattr(manifest, "bounds", None) or Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
+        low, high = np.clip([bounds.min, bounds.max], -_FARTHEST, _FARTHEST)
+        space = getattr(manifest, "space", None)
+        axis = space.up if space else "-y"
+        up = np.zeros(3)
+        up[_UP[axis[1]]] = 1.0 if axis[0] == "+" else -1.0
+        return cls((low + high) / 2, (high - low) / 2, up)
+
+    @property
+    def radius(self) -> float:
+        """Half the diagonal of the bounding box, at least a thousandth of a unit."""
+        return max(float(np.linalg.norm(self.half)), 1e-3)
 
 
 def _label(manifest: Manifest, inputs: dict[str, Array], index: int) -> str:

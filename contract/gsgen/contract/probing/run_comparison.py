@@ -10,7 +10,7 @@ import numpy as np
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.probing.sandbox import Execution, Sample
+from gsgen.contract.probing.sandbox import Execution, Extremes, Sample
 from gsgen.contract.probing.sandbox_worker import thinned
 
 
@@ -63,6 +63,11 @@ class ProbeRun:
     def digest(self) -> str:
         """The SHA-256 of all outputs of the run; empty if the run failed."""
         return self.sample.digest if self.sample is not None else ""
+
+    @property
+    def extremes(self) -> Extremes | None:
+        """The row count, minima and maxima of the live rows of a survey run."""
+        return self.sample.extremes if self.sample is not None else None
 
     @property
     def not_finite(self) -> tuple[str, ...]:
@@ -142,6 +147,9 @@ class Behaviour:
     def _visit(self, index: int) -> ProbeRun:
         run, probe = self.trial.execution.runs[index], self.trial.plan.probes[index]
         sample = self.trial.execution.samples[run.sample] if run.sample >= 0 else None
+        if run.center:
+            place = ", ".join(f"{value:.6g}" for value in run.center)
+            probe = replace(probe, label=f"{probe.label} ({place})")
         return ProbeRun(probe, sample, run.error)
 
     def _of(self, indices: Iterable[int]) -> list[tuple[Probe, dict[str, np.ndarray]]]:

@@ -4,7 +4,7 @@ The child (:mod:`gsgen.contract.probing.sandbox_worker`) may hang, crash or be k
 managed to write and says what happened.
 """
 
-__all__ = ["Execution", "Fault", "Run", "Sample", "execute"]
+__all__ = ["Execution", "Extremes", "Fault", "Run", "Sample", "execute"]
 
 import json
 import os
@@ -16,7 +16,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,6 +25,7 @@ import numpy as np
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
+from gsgen.contract.process.parent_watchdog import child_environment
 
 _WORKER = "gsgen.contract.probing.sandbox_worker"
 
@@ -41,6 +42,23 @@ class Fault:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Extremes:
+    """The row count of one run, with minimum and maximum of each column of its live rows.
+
+    Attributes:
+        count: The count as the model outputs it, or the capacity if it has none.
+        capacity: Rows of the output.
+        low: The lowest value of each field; empty without live rows.
+        high: The highest value of each field.
+    """
+
+    count: int
+    capacity: int
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
     """One distinct set of model outputs, shared by all runs that gave the same bytes.
 
@@ -48,8 +66,9 @@ class Sample:
         index: Its number, counted in order of appearance.
         outputs: Output name → array, memory-mapped from the child's file.
         digest: SHA-256 over all outputs, see :func:`gsgen.contract.probing.sandbox_worker.digest_of`.
-        thin: Only every so many rows were kept.
+        thin: Only every so many rows were kept; none, for a survey probe.
         not_finite: Outputs with a value that is NaN or infinite, where thin.
+        extremes: Of packed rows at a survey probe; else None.
     """
 
     index: int
@@ -57,20 +76,22 @@ class Sample:
     digest: str = ""
     thin: bool = False
     not_finite: tuple[str, ...] = ()
+    extremes: Extremes | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
     """One inference: its test inputs, the index of its stored outputs, and its duration.
 
     An extra probe may give none: then ``sample`` is −1, and ``error`` says why, or is empty where
-    there was no time left.
+    there was no time left. ``center`` is where the sandbox moved the probe's camera to.
     """
 
     probe: int
     sample: int
     seconds: float
     error: str = ""
+    center: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,6 +128,8 @@ def execute(
     probes: Sequence[Probe],
     limits: Limits,
     worker: str = _WORKER,
+    rows: str = "",
+    count: str = "",
     **options: object,
 ) -> Iterator[Execution]:
     """Run a model once for each set of test inputs, in order, in one sandboxed session.
@@ -117,12 +140,15 @@ def execute(
         probes: Inputs, one set a run.
         limits: Time and memory for the child.
         worker: The module that the child runs; another one may run the model another way.
+        rows: The output of packed rows, which survey probes and camera placements read.
+        count: The output of the row count, which survey probes read.
         options: What that worker wants to know besides; anything that JSON can hold.
     """
     folder = Path(tempfile.mkdtemp(prefix="gsgen-"))
     try:
         try:
-            _write_job(folder, model, outputs, probes, limits, **options)
+            names = {"rows": rows, "count": count}
+            _write_job(folder, model, outputs, probes, limits, **names, **options)
         except OSError as error:
             message = f"inputs cannot be written: {error.strerror or error}"
             hint = "Make room there, or set TMPDIR to a folder that has some."
@@ -142,16 +168,19 @@ def _write_job(
     limits: Limits,
     **options: object,
 ) -> None:
-    for index, probe in enumerate(probes):
-        with (folder / f"probe_{index}.npz").open("wb") as file:
-            # Names go by number: a tensor may be called "a/b" or "file".
-            arrays: dict[str, Any] = {f"input_{k}": a for k, a in enumerate(probe.inputs.values())}
-            np.savez(file, **arrays)
+    # Probes share most arrays: each is written once. Inputs go by number, since a name may be "a/b".
+    numbers: dict[int, int] = {}
+    for array in (array for probe in probes for array in probe.inputs.values()):
+        if id(array) not in numbers:
+            numbers[id(array)] = len(numbers)
+            np.save(folder / f"input_{numbers[id(array)]}.npy", array, allow_pickle=False)
     job = {
         "model": str(model.resolve()),
         "outputs": list(outputs),
-        "probes": [list(probe.inputs) for probe in probes],
+        "probes": [[(n, numbers[id(a)]) for n, a in probe.inputs.items()] for probe in probes],
         "extra": [probe.extra for probe in probes],
+        "survey": [probe.survey for probe in probes],
+        "placements": [probe.placement and asdict(probe.placement) for probe in probes],
         "optimise": [probe.optimise for probe in probes],
         "memory": limits.memory,
         "seconds": limits.seconds,
@@ -162,7 +191,7 @@ def _write_job(
 
 def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
     """Run the sandbox's child process; return its exit status, or None at the time limit."""
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    environment = child_environment() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
         child = subprocess.Popen(
             [sys.executable, "-P", "-m", worker, str(folder)],
@@ -192,7 +221,13 @@ def _stop(child: "subprocess.Popen[bytes]") -> None:
 def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -> Execution:
     events = _events(folder / "events.jsonl")
     runs = tuple(
-        Run(event["probe"], event["sample"], event["seconds"], event.get("error", ""))
+        Run(
+            probe=event["probe"],
+            sample=event["sample"],
+            seconds=event["seconds"],
+            error=event.get("error", ""),
+            center=tuple(event.get("center", ())),
+        )
         for event in events
         if event["event"] == "run"
     )
@@ -203,6 +238,7 @@ def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -
             digest=event["digest"],
             thin=event["thin"],
             not_finite=tuple(event["not_finite"]),
+            extremes=_extremes(event.get("extremes")),
         )
         for event in events
         if event["event"] == "sample"
@@ -217,6 +253,13 @@ def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -
         version=version,
         events=tuple(events),
     )
+
+
+def _extremes(facts: dict[str, Any] | None) -> Extremes | None:
+    if facts is None:
+        return None
+    low, high = tuple(facts["low"]), tuple(facts["high"])
+    return Extremes(count=facts["count"], capacity=facts["capacity"], low=low, high=high)
 
 
 def _events(path: Path) -> list[dict[str, Any]]:
@@ -236,8 +279,10 @@ def _load(folder: Path, files: dict[str, str]) -> dict[str, np.ndarray]:
 
 
 def _map(path: Path) -> np.ndarray:
+    # Windows cannot delete a file while it is mapped.
+    mode: Literal["r"] | None = None if os.name == "nt" else "r"
     try:
-        return np.asanyarray(np.load(path, mmap_mode="r", allow_pickle=False))
+        return np.asanyarray(np.load(path, mmap_mode=mode, allow_pickle=False))
     except ValueError:  # an empty array or a scalar cannot be mapped
         return np.asarray(np.load(path, allow_pickle=False))
 

@@ -8,10 +8,10 @@ __all__ = [
     "SHARE_FOR_EXTRAS",
     "Emit",
     "digest_of",
+    "input_reader",
     "keep_outputs",
     "main",
     "one_line",
-    "read_inputs",
     "serve",
     "stage_of",
     "thinned",
@@ -29,6 +29,7 @@ import numpy as np
 
 from gsgen.contract.process.limits import limit_memory
 from gsgen.contract.process.parent_watchdog import exit_with_parent
+from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
 
 _OUT_OF_MEMORY = (
     "bad_alloc",
@@ -41,6 +42,8 @@ _OUT_OF_MEMORY = (
 # Extra probes start only within this share of the time, so that they never use it up.
 SHARE_FOR_EXTRAS = 0.5
 _THIN_ROWS = 1 << 14
+# Arrays of inputs up to this size are kept in memory, since many probes share them.
+_SMALL_BYTES = 1 << 16
 
 Emit = Callable[..., None]
 
@@ -71,9 +74,11 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     known: dict[str, int] = {}
     probe: int | None = None
     optimised = True
+    center: np.ndarray | None = None
+    inputs_of = input_reader(folder, job)
     try:
         session = _session(job["model"], emit)
-        for probe, names in enumerate(job["probes"]):
+        for probe in range(len(job["probes"])):
             emit("begin", probe=probe)
             extra = job["extra"][probe]
             if extra and time.monotonic() > deadline:
@@ -84,18 +89,27 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
                     optimised = job["optimise"][probe]
                     del session  # first, so that two of them never need memory at once
                     session = _session(job["model"], emit, optimise=optimised)
-                inputs = read_inputs(folder / f"probe_{probe}.npz", names)
+                inputs = inputs_of(probe)
+                placement, facts = job["placements"][probe], dict[str, object]()
+                if placement is not None and center is not None:
+                    _place_camera(inputs, placement, center)
+                    facts["center"] = center.tolist()
                 started = time.perf_counter()
                 outputs = session.run(job["outputs"], inputs)
                 seconds = time.perf_counter() - started
                 by_name = dict(zip(job["outputs"], outputs, strict=True))
-                sample = keep_outputs(folder, by_name, known, emit, thin=extra)
+                if probe and center is None and job["rows"] in by_name:
+                    center = _drawn_center(by_name[job["rows"]])
+                if job["survey"][probe]:
+                    sample = _survey_outputs(by_name, known, emit, job)
+                else:
+                    sample = keep_outputs(folder, by_name, known, emit, thin=extra)
             except Exception as error:
                 if not extra:
                     raise
                 emit("run", probe=probe, sample=-1, seconds=0.0, error=one_line(error))
                 continue
-            emit("run", probe=probe, sample=sample, seconds=seconds)
+            emit("run", probe=probe, sample=sample, seconds=seconds, **facts)
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
         emit("fault", stage=stage_of(error, probe), message=one_line(error), probe=probe)
         return 0
@@ -117,10 +131,67 @@ def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
     return session
 
 
-def read_inputs(path: Path, names: list[str]) -> dict[str, np.ndarray]:
-    """Return the input arrays of one set of test inputs, by input name."""
-    with np.load(path, allow_pickle=False) as arrays:
-        return {name: arrays[f"input_{index}"] for index, name in enumerate(names)}
+def input_reader(folder: Path, job: dict[str, Any]) -> Callable[[int], dict[str, np.ndarray]]:
+    """Return a function that reads one set of test inputs by its index."""
+    cached: dict[int, np.ndarray] = {}
+
+    def array(number: int) -> np.ndarray:
+        if number in cached:
+            return cached[number]
+        value: np.ndarray = np.load(folder / f"input_{number}.npy", allow_pickle=False)
+        if value.nbytes <= _SMALL_BYTES:
+            cached[number] = value
+        return value
+
+    return lambda probe: {name: array(number) for name, number in job["probes"][probe]}
+
+
+def _drawn_center(rows: np.ndarray) -> np.ndarray | None:
+    """Return the centre of the first visible packed row, in float64; None if no row is visible."""
+    if rows.ndim != 2 or rows.shape[1] != ROW or rows.dtype.kind != "f":
+        return None
+    is_drawn = (rows[:, OPACITY] >= CULL_OPACITY) & np.isfinite(rows[:, POSITION]).all(axis=1)
+    first = int(is_drawn.argmax()) if len(rows) else 0
+    return rows[first, POSITION].astype(np.float64) if is_drawn.any() else None
+
+
+def _place_camera(
+    inputs: dict[str, np.ndarray], placement: dict[str, str], center: np.ndarray
+) -> None:
+    """Move the test camera in the inputs to a point, keeping its rotation."""
+    if view := placement["view"]:
+        tensor = inputs[view].copy()
+        matrix = tensor.T if placement["order"] == "column" else tensor
+        matrix[:3, 3] = -matrix[:3, :3].astype(np.float64) @ center
+        inputs[view] = tensor
+    if position := placement["position"]:
+        inputs[position] = center.astype(inputs[position].dtype)
+
+
+def _survey_outputs(
+    outputs: dict[str, np.ndarray], known: dict[str, int], emit: Emit, job: dict[str, Any]
+) -> int:
+    """Record the digest and extremes of a run's outputs; return the index of the record."""
+    digest = digest_of(outputs)
+    key = f"survey {digest}"
+    if key not in known:
+        known[key] = len(known)
+        not_finite = [name for name, value in outputs.items() if not _finite(value)]
+        facts = {"digest": digest, "outputs": {}, "thin": True, "not_finite": not_finite}
+        extremes = _extremes(outputs.get(job["rows"]), outputs.get(job["count"]))
+        emit("sample", sample=known[key], extremes=extremes, **facts)
+    return known[key]
+
+
+def _extremes(rows: np.ndarray | None, count: np.ndarray | None) -> dict[str, Any] | None:
+    """Return the row count, and minimum and maximum of each column of the live rows."""
+    if rows is None or rows.ndim != 2 or rows.dtype.kind != "f":
+        return None
+    live = int(count.reshape(-1)[0]) if count is not None and count.size else len(rows)
+    fields = rows[: min(max(live, 0), len(rows))].astype(np.float32, copy=False)
+    low, high = ([], []) if not len(fields) else (fields.min(axis=0), fields.max(axis=0))
+    lists = {"low": [float(x) for x in low], "high": [float(x) for x in high]}
+    return {"count": live, "capacity": len(rows), **lists}
 
 
 def keep_outputs(

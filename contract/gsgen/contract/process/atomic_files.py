@@ -11,6 +11,7 @@ __all__ = [
     "refuse_model",
 ]
 
+import os
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -37,7 +38,11 @@ def atomic_write(path: Path) -> Iterator[Path]:
     refuse_device(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        folder = tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.")
+        folder = tempfile.TemporaryDirectory(
+            dir=path.parent,
+            prefix=f".{path.name}.",
+            ignore_cleanup_errors=os.name == "nt",  # a file that is still mapped stays there
+        )
     except OSError as error:
         raise _unwritten(path, error) from error
     with folder as name:
@@ -76,7 +81,9 @@ def refuse_missing_folder(path: Path) -> None:
     """
     if not path.parent.exists():
         hint = f"Create it: mkdir -p {path.parent}"
-        raise ConfigInvalid("is in a folder that does not exist", where=str(path), hint=hint)
+        raise ConfigInvalid(
+            "the output is in a folder that does not exist", where=str(path), hint=hint
+        )
 
 
 def is_device(path: Path) -> bool:

@@ -1,8 +1,8 @@
 """Limits on the time and memory of a worker process."""
 
-__all__ = ["Limits", "limit_memory"]
+__all__ = ["Limits", "available_cores", "limit_memory"]
 
-import contextlib
+import os
 import sys
 from dataclasses import dataclass, replace
 
@@ -39,11 +39,26 @@ class Limits:
 
 
 def limit_memory(limit: int) -> None:
-    """Limit the data segment of this process to ``limit`` bytes, and disable core files."""
-    with contextlib.suppress(ImportError):  # Windows has no such module
-        import resource
+    """Limit the memory of this process to ``limit`` bytes, and disable core files.
 
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        _, most = resource.getrlimit(resource.RLIMIT_DATA)
-        most = sys.maxsize if most == resource.RLIM_INFINITY else most
-        resource.setrlimit(resource.RLIMIT_DATA, (min(limit, most), min(limit, most)))
+    Linux counts the data segment, which includes private mappings; Windows counts committed
+    memory. macOS accepts the limit and does not enforce it.
+    """
+    if os.name == "nt":
+        from gsgen.contract.process.windows import limit_commit
+
+        limit_commit(limit)
+        return
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _, most = resource.getrlimit(resource.RLIMIT_DATA)
+    most = sys.maxsize if most == resource.RLIM_INFINITY else most
+    resource.setrlimit(resource.RLIMIT_DATA, (min(limit, most), min(limit, most)))
+
+
+def available_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # Linux alone
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -73,13 +73,17 @@ class Counts:
     rules: dict[str, int]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LevelEntry:
-    """A validation level, and whether the validator ran it."""
+    """A validation level, whether the validator ran it, and its cost."""
 
     level: str
     status: Literal["ran", "skipped"]
     reason: str | None = None
+    runs: Annotated[int, Hint(text="How often the model ran in ONNX Runtime on the CPU.")] = 0
+    seconds: Annotated[
+        float | None, Hint(text="Time of runs and rules; only where times were asked for.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,6 +98,7 @@ def _facts(report: Report) -> str:
     if report.external_size:
         size += f" and {format_bytes(report.external_size)} external data"
     not_run = [f"{level.level.word}: {level.reason}" for level in report.levels if not level.ran]
+    runs = [f"{level.level.word}: {level.runs}" for level in report.levels if level.runs]
     facts = {
         "kind": report.kind or "unknown",
         "name": report.name,
@@ -106,6 +107,7 @@ def _facts(report: Report) -> str:
         "size": size,
         "validated for": f"{report.target.label} at level {report.level.word}",
         "did not run": "; ".join(not_run),
+        "runs of the model": "; ".join(runs),
         "took": f"{report.seconds:.2f} s" if report.timed else "",
     }
     return _list((name, _text(value)) for name, value in facts.items() if value)

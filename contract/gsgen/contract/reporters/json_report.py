@@ -76,8 +76,14 @@ def document_of(report: Report) -> Document:
         verdict=report.verdict,
         counts=_counts(report),
         levels=tuple(
-            LevelEntry(o.level.word, "ran" if o.ran else "skipped", o.reason or None)
-            for o in report.levels
+            LevelEntry(
+                level=entry.level.word,
+                status="ran" if entry.ran else "skipped",
+                reason=entry.reason or None,
+                runs=entry.runs,
+                seconds=round(entry.seconds, 4) if report.timed else None,
+            )
+            for entry in report.levels
         ),
         findings=tuple(_finding(finding, rules[finding.rule]) for finding in report.findings),
         causes=tuple(_cause(cause, report) for cause in report.causes),

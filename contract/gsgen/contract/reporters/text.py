@@ -75,6 +75,8 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     )
     if verbose:
         lines += _details(report)
+    if verbose or report.timed:
+        lines += _costs(report)
     if report.timed:
         inner = f"{report.runtime_seconds:.2f} s in ONNX Runtime's process"
         lines.append(Line(f"  took {report.seconds:.2f} s, of which {inner}"))
@@ -214,6 +216,16 @@ def _resolved(report: Report) -> list[Line]:
     for finding in report.resolved:
         lines.append(Line(f"  {finding.rule} resolved: {finding.slug}", "green"))
         lines += _wrapped(f"{finding.where}: {finding.message}")
+    return lines
+
+
+def _costs(report: Report) -> list[Line]:
+    """Return lines with the number of model runs of each validation level, and their time."""
+    lines = [Line("  levels:")]
+    for level in report.levels:
+        if level.ran:
+            took = f", {level.seconds:.2f} s" if report.timed else ""
+            lines.append(Line(f"    {level.level.word}: {plural(level.runs, 'run')}{took}"))
     return lines
 
 

@@ -10,7 +10,15 @@ from types import ModuleType
 
 from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
-from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness, root, trajectory
+from gsgen.contract.rules.behaviour import (
+    camera,
+    determinism,
+    motion,
+    robustness,
+    root,
+    survey,
+    trajectory,
+)
 from gsgen.contract.rules.graph import capture, graph, integers, naming, repeatability, replay
 from gsgen.contract.rules.interface import (
     avatar_inputs,
@@ -86,6 +94,7 @@ FAMILIES = (
     motion,
     root,
     robustness,
+    survey,
     trajectory,
     turning,
     effects,

@@ -1,4 +1,4 @@
-"""Rotations and covariances of Gaussians in float64: the oracle for all other implementations."""
+"""Rotations and covariances of Gaussians in float64, the reference for other implementations."""
 
 __all__ = [
     "COVARIANCE_INDEX",
@@ -19,7 +19,7 @@ COVARIANCE_INDEX = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 
 
 def rotation_matrix(quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
-    """Return the rotation matrices of quaternions (w, x, y, z), which are normalised first.
+    """Return the rotation matrices of quaternions (w, x, y, z), which need not be normalised.
 
     A zero quaternion has no direction; it gives the identity, as w = 1 would. One that holds
     NaN gives NaN.
@@ -51,7 +51,7 @@ def covariance_upper(
 
 
 def symmetric(upper: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 3 3"]:
-    """Return the full 3×3 matrices of upper triangles xx xy xz yy yz zz."""
+    """Return the symmetric 3×3 matrices of upper triangles xx xy xz yy yz zz."""
     return np.asarray(upper, np.float64)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
 
 

@@ -1,4 +1,4 @@
-"""Converts dataclasses to JSON Schema 2020-12, and their instances to and from JSON.
+"""Converts dataclasses to JSON Schema 2020-12, and dataclass instances to and from JSON.
 
 :func:`schema_of` writes the published schema of a dataclass, :func:`to_json` and
 :func:`from_json` convert its instances.
@@ -31,7 +31,7 @@ _EXTENSION = "^x-"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hint:
-    """Field metadata in ``Annotated[...]`` that becomes JSON Schema keywords."""
+    """Metadata of a dataclass field, in ``Annotated[...]``, that become JSON Schema keywords."""
 
     text: str = ""
     minimum: float | None = None
@@ -42,7 +42,7 @@ class Hint:
     enum: tuple[str, ...] = ()
 
     def keywords(self) -> dict[str, object]:
-        """Return the field metadata as JSON Schema keywords."""
+        """Return the metadata of a dataclass field as JSON Schema keywords."""
         by_keyword = {
             "description": self.text or None,
             "minimum": self.minimum,
@@ -114,7 +114,7 @@ def _type_schema(hint: Any, definitions: dict[str, object]) -> dict[str, object]
 
 
 def _constrain(entry: dict[str, object], hint: Hint) -> dict[str, object]:
-    """Add a field's constraints to its JSON Schema; descriptions may follow a ``$ref``."""
+    """Add the constraints of a dataclass field to its JSON Schema."""
     return entry | hint.keywords()
 
 
@@ -139,7 +139,7 @@ def to_json(value: Any) -> Any:
 
 
 def _key(field: "Field[Any]") -> str:
-    """Return a field's name in JSON: `from_` stands for `from`, a word of Python."""
+    """Return a dataclass field's name in JSON: `from_` becomes `from`, a Python keyword."""
     return field.name.removesuffix("_")
 
 
@@ -154,7 +154,7 @@ def _is_absent(field: "Field[Any]", value: Any) -> bool:
 
 
 def from_json(hint: Any, value: Any) -> Any:
-    """Build a typed value from JSON that fits the schema; unknown fields are ignored."""
+    """Build a dataclass instance from JSON that fits its schema; unknown keys are ignored."""
     origin = get_origin(hint)
     if origin is Annotated:
         return from_json(get_args(hint)[0], value)

@@ -1,4 +1,4 @@
-"""The packed layout: the tensor columns that represent a Gaussian, from model to renderer."""
+"""The packed layout: the columns of the tensors that represent Gaussians."""
 
 __all__ = [
     "APPEARANCE_CHANNELS",
@@ -9,6 +9,7 @@ __all__ = [
     "ITEMSIZE",
     "MOSTLY_INVISIBLE",
     "OPACITY",
+    "OPACITY_SLACK",
     "POSITION",
     "ROW",
     "UPPER_TRIANGLE",
@@ -36,6 +37,8 @@ FIELDS = ("x", "y", "z", "opacity", "xx", "xy", "xz", "yy", "yz", "zz")
 ROW = len(FIELDS)
 POSITION = slice(0, 3)
 OPACITY = 3
+# Opacities may leave [0, 1] by this much.
+OPACITY_SLACK = 1e-3
 COVARIANCE = slice(4, 10)
 # The columns of xx, yy and zz.
 VARIANCES = [4, 7, 9]
@@ -69,7 +72,7 @@ APPEARANCE_CHANNELS: dict[str, tuple[int, ...]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedGaussians:
-    """N unpacked Gaussians in the model's local space.
+    """N unpacked Gaussians in the model's local space, as float32 arrays.
 
     Exactly one of ``sh`` and ``rgb`` is given.
 
@@ -92,7 +95,7 @@ class DecodedGaussians:
         expected: dict[str, tuple[int, ...]] = {"position": (n, 3), "opacity": (n,)}
         expected["covariance"] = (n, 6)
         if (self.sh is None) == (self.rgb is None):
-            raise LayoutMismatch("give exactly one of sh and rgb", where="Gaussians")
+            raise LayoutMismatch("give colours as exactly one of sh and rgb", where="Gaussians")
         if self.rgb is not None:
             expected["rgb"] = (n, 3)
         elif self.sh is not None:
@@ -102,12 +105,13 @@ class DecodedGaussians:
             actual = getattr(self, name).shape
             if actual != shape:
                 raise LayoutMismatch(
-                    f"shape is {list(actual)}, expected {list(shape)}", where=f"Gaussians.{name}"
+                    f"the shape is {list(actual)}, expected {list(shape)}",
+                    where=f"Gaussians.{name}",
                 )
 
     @property
     def degree(self) -> int | None:
-        """The SH degree of the colours; None if they are raw RGB."""
+        """The SH degree of the Gaussians' colours; None if the colours are raw RGB."""
         return None if self.sh is None else degree_of(self.sh.shape[1])
 
     def __len__(self) -> int:
@@ -116,7 +120,7 @@ class DecodedGaussians:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """C unpacked cells of a weighted sum, in the model's local space.
+    """C unpacked cells (groups of Gaussians) for weighted blending, in local space.
 
     Attributes:
         position: Centres, [C, 3].
@@ -165,17 +169,20 @@ def decode(
     appearance: Float[np.ndarray, "n c"],
     space: Literal["sh", "rgb"],
 ) -> DecodedGaussians:
-    """Unpack packed rows into float32 Gaussians; the inverse of :func:`encode`.
+    """Unpack packed Gaussians and their appearance to float32; the inverse of :func:`encode`.
 
     Raises:
         LayoutMismatch: The arrays are not [N, 10] and [N, C] with a C that ``space`` has.
     """
     if rows.ndim != 2 or rows.shape[1] != ROW:
-        raise LayoutMismatch(f"shape is {list(rows.shape)}, expected [N, {ROW}]", where="gaussians")
+        raise LayoutMismatch(
+            f"the packed Gaussians have shape {list(rows.shape)}, expected [N, {ROW}]",
+            where="gaussians",
+        )
     allowed = APPEARANCE_CHANNELS[space]
     if appearance.ndim != 2 or appearance.shape[1] not in allowed or len(appearance) != len(rows):
         raise LayoutMismatch(
-            f"shape is {list(appearance.shape)}, expected [{len(rows)}, C] with C in {allowed}",
+            f"the appearance has shape {list(appearance.shape)}, expected [{len(rows)}, C] with C in {allowed}",
             where="appearance",
         )
     float_rows = rows.astype(np.float32)
@@ -191,12 +198,14 @@ def decode(
 
 
 def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
-    """Unpack rows of cells into float32 cells.
+    """Unpack rows of the cells output (groups of Gaussians) to float32.
 
     Raises:
         LayoutMismatch: The array is not [C, 10].
     """
     if rows.ndim != 2 or rows.shape[1] != ROW:
-        raise LayoutMismatch(f"shape is {list(rows.shape)}, expected [C, {ROW}]", where="cells")
+        raise LayoutMismatch(
+            f"the cells have shape {list(rows.shape)}, expected [C, {ROW}]", where="cells"
+        )
     float_rows = rows.astype(np.float32)
     return Cells(float_rows[:, POSITION], float_rows[:, VISIBILITY], float_rows[:, COVARIANCE])

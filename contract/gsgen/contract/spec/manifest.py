@@ -1,4 +1,4 @@
-"""The manifest: the JSON document inside a model that says what its tensors mean.
+"""The manifest: the JSON document inside a model that declares the meaning of its tensors.
 
 These dataclasses are the single source of truth. The published JSON Schemas
 (``schemas/*.schema.json``) are generated from them by :mod:`gsgen.contract.spec.json_schema`.
@@ -90,14 +90,14 @@ class Space:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """An axis-aligned box that holds the Gaussians' centres at every probe."""
+    """An axis-aligned box that holds the Gaussians' centres for all inputs (at every probe)."""
 
     min: Annotated[tuple[float, float, float], Hint(text="Lower corner, x y z.")]
     max: Annotated[tuple[float, float, float], Hint(text="Upper corner, x y z.")]
 
     @classmethod
     def around(cls, points: Float[np.ndarray, "n 3"], margin: float) -> "Bounds | None":
-        """Return the box around all finite points, or None without any point.
+        """Return the bounding box of all finite points, or None without any finite point.
 
         Args:
             points: Centres, in local units.
@@ -125,7 +125,7 @@ class Producer:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """One joint of a skeleton, in the order of the rows of a pose."""
+    """One joint of a skeleton; joints are listed in the order of a pose's rows."""
 
     name: Annotated[str, Hint(min_length=1)]
     parent: Annotated[str | None, Hint(text="Name of its parent; absent for a root.")] = None
@@ -137,7 +137,7 @@ class Joint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Input:
-    """One input of the model that a runtime feeds in every frame."""
+    """One model input that a runtime feeds in every frame."""
 
     name: Name
     role: RoleName
@@ -173,25 +173,25 @@ class Input:
     ] = None
 
     def moment(self, frame: int) -> float:
-        """Return the time at which a frame begins: the frames divide the range into equal parts."""
+        """Return the time at which a frame begins; frames divide the range equally."""
         low, high, count = self._frames()
         return low + (high - low) * frame / count
 
     def frame_at(self, time: float) -> int:
-        """Return the frame shown at a time; the end shows the last frame, or a loop's first."""
+        """Return the frame shown at a time; a loop's end shows the first frame, else the last."""
         low, high, count = self._frames()
         frame = math.floor(count * (time - low) / (high - low) + _FRAME_ROUNDING)
         return frame % count if self.loop else min(max(frame, 0), count - 1)
 
     def _frames(self) -> tuple[float, float, int]:
         if self.role != "time" or self.range is None or self.frames is None:
-            raise ValueError(f"{self.name!r} is not a time with a range and frames")
+            raise ValueError(f"input {self.name!r} is not a time input with a range and frames")
         return *self.range, self.frames
 
 
 @dataclass(frozen=True, slots=True)
 class GaussiansOutput:
-    """The output of packed Gaussians, [capacity, 10]: x y z opacity xx xy xz yy yz zz."""
+    """The output with packed Gaussians, [capacity, 10]: x y z opacity xx xy xz yy yz zz."""
 
     name: Name
     capacity: Annotated[int, Hint(text="Rows of the tensor, padding included.", minimum=1)]
@@ -201,7 +201,7 @@ class GaussiansOutput:
 
 @dataclass(frozen=True, slots=True)
 class AppearanceOutput:
-    """The output of the Gaussians' colours, [capacity, channels]."""
+    """The output with the Gaussians' colours, [capacity, channels]."""
 
     name: Name
     space: Annotated[
@@ -220,7 +220,7 @@ class AppearanceOutput:
 
 @dataclass(frozen=True, slots=True)
 class CountOutput:
-    """The output of the number of live rows, int32 [1]; rows behind it are inert."""
+    """The output with the number of live rows, int32 [1]; all rows after it are padding."""
 
     name: Name
     semantics: Annotated[
@@ -233,7 +233,7 @@ class CountOutput:
 
 @dataclass(frozen=True, slots=True)
 class CellsOutput:
-    """The output of the cells that a weighted sum is sorted by, [capacity / per_cell, 10].
+    """The output with cells (groups of Gaussians) for weighted blending, [capacity / per_cell, 10].
 
     A row is x y z visibility xx xy xz yy yz zz; Gaussian r belongs to cell r // per_cell.
     """
@@ -245,7 +245,7 @@ class CellsOutput:
 
 @dataclass(frozen=True, slots=True)
 class GeneratorOutputs:
-    """The outputs of a Gaussian Generator; GO001, GO005, GO010 require three, GM017 the cells."""
+    """The outputs of a Gaussian Generator: Gaussians, appearance, row count, optionally cells."""
 
     gaussians: GaussiansOutput | None = None
     appearance: AppearanceOutput | None = None
@@ -255,7 +255,7 @@ class GeneratorOutputs:
 
 @dataclass(frozen=True, slots=True)
 class WeightedSum:
-    """The weights of Gaussians that a renderer sums cell by cell; required by `blend: wsr`."""
+    """Parameters of weighted blending cell by cell, required by `blend: wsr`."""
 
     background: Annotated[Fraction, Hint(text="Weight of the background.")]
     depth_range: Annotated[
@@ -288,7 +288,7 @@ class Tolerances:
 
 @dataclass(frozen=True, slots=True)
 class VectorFile:
-    """One input of a test vector: a file with an ONNX TensorProto."""
+    """The file with one input of a test vector: an ONNX TensorProto."""
 
     input: Annotated[str, Hint(text="The tensor's name in the graph.", min_length=1)]
     path: Annotated[str, Hint(text="A file in the model's folder or below it.", min_length=1)]
@@ -297,7 +297,7 @@ class VectorFile:
 
 @dataclass(frozen=True, slots=True)
 class TestVector:
-    """The probe label and the output digest that a model promises to reproduce."""
+    """A named set of test inputs, and the digest of the outputs that the model promises for it."""
 
     inputs: Annotated[str, Hint(text="Which probe, by its label.")]
     expected_sha256: Sha256
@@ -309,7 +309,7 @@ class TestVector:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceImage:
-    """A picture beside the model that a render of the model matches, with its camera.
+    """A picture beside the model, and the camera from which a render of the model matches it.
 
     The camera looks along +z, x is right and y down; colours are over black.
     """
@@ -332,7 +332,7 @@ class ReferenceImage:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """The declared time and memory of one frame on one device."""
+    """The declared time and memory that one frame takes on one device."""
 
     device: Annotated[str, Hint(text="The device, as its driver calls it.", min_length=1)]
     milliseconds: Annotated[Fraction | None, Hint(text="Median time of one run.")] = None
@@ -343,7 +343,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class ExternalData:
-    """A file with a model's external weights, and the file's digest."""
+    """A file with external weights of the model, and the file's digest."""
 
     path: Annotated[str, Hint(text="As the model writes it: its `location`.", min_length=1)]
     sha256: Sha256
@@ -399,13 +399,13 @@ class GeneratorManifest(_Common):
     kind: Literal["gaussian-generator"] = "gaussian-generator"
 
     def depends(self, entry: Input) -> bool:
-        """Return whether outputs may change with an input, as `depends_on` declares."""
+        """Return whether the outputs may change with an input, as `depends_on` declares."""
         return self.depends_on.get(entry.name, self.depends_on.get(entry.role, True))
 
 
 @dataclass(frozen=True, slots=True)
 class ImageOutput:
-    """An image output, [1, 3 or 4, H, W], of the size of the input image."""
+    """The image output of a post-process model, [1, 3 or 4, H, W], as large as its input image."""
 
     name: Name
     dtype: Literal["float32", "float16"] = "float32"
@@ -434,7 +434,7 @@ class PostProcessManifest(_Common):
 
 @dataclass(frozen=True, slots=True)
 class FutureOutput:
-    """The output of predicted camera states, [steps, S], nearest first."""
+    """The output with predicted camera states, [steps, S], the nearest in time first."""
 
     name: Name
     steps: Positive
@@ -443,7 +443,7 @@ class FutureOutput:
 
 @dataclass(frozen=True, slots=True)
 class UncertaintyOutput:
-    """The output of the prediction's uncertainty, one row per step."""
+    """The output with the uncertainty of predicted camera states, one row per step."""
 
     name: Name
     semantics: Literal["standard-deviation", "covariance-upper"] = "standard-deviation"

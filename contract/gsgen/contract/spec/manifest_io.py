@@ -1,4 +1,4 @@
-"""Reads and writes manifests as text: parse, check against the schema, upgrade, write."""
+"""Reads and writes manifests as JSON text: parse, check against the schema, upgrade."""
 
 __all__ = ["Complaint", "Parsed", "dumps", "loads", "parse", "schema_name", "schemas"]
 
@@ -22,7 +22,7 @@ _MAX_BYTES = 4 << 20
 
 @dataclass(frozen=True, slots=True)
 class Complaint:
-    """One fault of a manifest: its location, the actual and the expected value.
+    """One fault of a manifest: its location, the actual value and the expected value.
 
     Attributes:
         cause: ``syntax``, ``schema`` or ``version``.
@@ -60,7 +60,7 @@ def schema_name(kind: str, version: Version = CURRENT) -> str:
 
 
 def schemas() -> dict[str, dict[str, object]]:
-    """Return the manifest schemas of the current version by file name, from dataclasses."""
+    """Return the JSON Schemas of manifests of the current version, by file name."""
     documents: dict[str, dict[str, object]] = {}
     for kind in KINDS:
         body = schema_of(manifest_type(kind), title=f"gsgen manifest: {kind}")
@@ -82,7 +82,7 @@ def _published_schema(kind: str, version: Version) -> dict[str, Any]:
 
 
 def _errors(document: dict[str, Any], schema: dict[str, Any]) -> list[Any]:
-    """Return every fault of ``document`` as jsonschema describes it."""
+    """Return all errors that jsonschema finds in the manifest ``document``."""
     if accepts(schema, document):
         return []
     from jsonschema import Draft202012Validator
@@ -174,7 +174,7 @@ def _failed(cause: str, where: str, actual: str, expected: str) -> Parsed:
 
 
 def _number(text: str) -> float:
-    """Parse a JSON number; raise for NaN, infinity and numbers beyond float64."""
+    """Parse a number of a JSON document; raise for NaN, infinity and numbers beyond float64."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"{_short(text)} is not a finite number")
@@ -182,7 +182,7 @@ def _number(text: str) -> float:
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Build a JSON object; raise if a key is repeated within it."""
+    """Build an object of a JSON document; raise if one of its keys is repeated."""
     document = dict(pairs)
     if len(document) != len(pairs):
         keys = [key for key, _ in pairs]

@@ -1,4 +1,4 @@
-"""Facts of the ONNX standard that rules, rewrites and runtimes share."""
+"""Facts of the ONNX standard that rules, rewrites and runtimes share: dtypes, operators."""
 
 __all__ = [
     "CONTROL_FLOW",

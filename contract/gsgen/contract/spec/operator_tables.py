@@ -26,7 +26,7 @@ CAPTURE = "capture"
 
 @dataclass(frozen=True, slots=True)
 class OperatorTable:
-    """The measured outcome (captured, CPU fallback, …) of each ONNX operator in one release.
+    """How one WebGPU runtime release executes each ONNX operator (captured, CPU fallback, …).
 
     Attributes:
         runtime: The release, as reports show it.
@@ -38,7 +38,7 @@ class OperatorTable:
     outcomes: dict[tuple[str, str], dict[int, str]]
 
     def outcome(self, operator: str, variant: str, dtype: str, opset: int) -> str:
-        """Return the outcome of an operator in this runtime release; empty if not measured."""
+        """Return how this runtime release executes an operator; empty if not measured."""
         steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
         steps = steps or self.outcomes.get((operator, dtype))
         if not steps:
@@ -55,7 +55,7 @@ class OperatorTable:
 
 @cache
 def operator_table(name: str) -> OperatorTable:
-    """Return the operator table called ``name``, such as ``onnxruntime-web-1.22.0``.
+    """Return the operator table of a runtime release, such as ``onnxruntime-web-1.22.0``.
 
     Raises:
         UnknownName: No table has that name.

@@ -27,7 +27,7 @@ REGISTERED: dict[str, Extension] = {}
 
 @dataclass(frozen=True, slots=True)
 class OperatorProfile:
-    """A set of operators of the ONNX domain, and the operator sets that define them.
+    """A named set of ONNX operators and operator set versions that a runtime supports.
 
     Attributes:
         name: What ``operator_profile`` says.
@@ -42,11 +42,11 @@ class OperatorProfile:
     summary: str
 
     def missing(self, operators: Iterable[str]) -> list[str]:
-        """Return the operators that an operator profile does not have, sorted."""
+        """Return the given operators that the operator profile does not contain, sorted."""
         return sorted(set(operators) - self.operators)
 
     def holds(self, operators: Iterable[str], opset: int) -> bool:
-        """Return whether a runtime of an operator profile runs a graph with given operators."""
+        """Return whether the operator profile contains the given operators and operator set."""
         return self.opset[0] <= opset <= self.opset[1] and not self.missing(operators)
 
 

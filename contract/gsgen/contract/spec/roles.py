@@ -1,4 +1,4 @@
-"""Input roles: the meaning of a frame input, which fixes its shape and dtype."""
+"""Input roles: the meaning of a model input, which fixes the input's shape and dtype."""
 
 __all__ = [
     "CAMERA_ROLES",
@@ -6,6 +6,7 @@ __all__ = [
     "IMAGE_CHANNELS",
     "JOINTS",
     "ROLES",
+    "ROTATION_ROLES",
     "STATE_SIZES",
     "Role",
     "Shape",
@@ -29,13 +30,16 @@ KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
 # Roles of the camera: they cull, fade and light, and from some places change nothing.
 CAMERA_ROLES = ("view", "projection", "camera_position", "viewport")
 
+# Roles whose numbers are rotations, as angles, quaternions or matrices.
+ROTATION_ROLES = ("pose", "root_rotation")
+
 STATE_SIZES = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
 """Numbers in a camera state by its representation: the centre, then the rotation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Role:
-    """The meaning, shapes and dtype of one kind of frame input, such as ``view`` or ``time``.
+    """An input role, such as ``view`` or ``time``: meaning, allowed shapes and dtype.
 
     Attributes:
         name: The word the manifest uses.
@@ -229,7 +233,7 @@ def role(name: str) -> Role:
 
 
 def matching_shape(entry: Role, dims: Shape) -> Shape | None:
-    """Return the input role's shape that a tensor's dimensions fit, or None.
+    """Return the first shape of an input role that a tensor's dimensions match, or None.
 
     A named size fits any positive number; ``*`` alone fits any shape.
     """
@@ -242,7 +246,7 @@ def matching_shape(entry: Role, dims: Shape) -> Shape | None:
 
 
 def matches_shape(shape: Shape, dims: Shape) -> bool:
-    """Return whether a tensor's dimensions fit an input role's shape; a named size fits any."""
+    """Return whether dimensions match an input role's shape; a symbolic size matches any."""
     return len(shape) == len(dims) and all(
         isinstance(expected, str) or expected == dim
         for expected, dim in zip(shape, dims, strict=True)

@@ -1,4 +1,4 @@
-"""Checks valid JSON documents quickly, without the library that explains invalid ones.
+"""Checks JSON documents against a JSON Schema quickly, without explaining faults.
 
 Importing jsonschema takes a sixth of a static validation. Documents that :func:`accepts` are valid;
 for all others, jsonschema decides and finds the faults.

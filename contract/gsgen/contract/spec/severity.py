@@ -8,16 +8,16 @@ from gsgen.contract.errors import UnknownName
 
 
 class _Named(IntEnum):
-    """Base of ordered enumerations whose member names are written in lower case."""
+    """Base of ordered enumerations whose members users name in lower case."""
 
     @property
     def word(self) -> str:
-        """The member's name in lower case, as users type it."""
+        """The lower-case name of a severity or level, as users type it."""
         return self.name.lower()
 
     @classmethod
     def words(cls) -> tuple[str, ...]:
-        """The lower-case names of all members, lowest first."""
+        """The lower-case names of all members of an enumeration, lowest first."""
         return tuple(member.word for member in cls)
 
 
@@ -37,7 +37,7 @@ class Severity(_Named):
 
 
 class Level(_Named):
-    """The depth of a validation; each level includes the lower ones."""
+    """The depth of a validation, such as static or values; each level includes the lower ones."""
 
     STATIC = 1
     VALUES = 2

@@ -43,7 +43,7 @@ def coefficients(degree: int) -> int:
 
 
 def degree_of(count: int) -> int:
-    """Return the SH degree that has ``count`` coefficients.
+    """Return the SH degree that ``count`` coefficients have.
 
     Raises:
         ValueError: ``count`` is not 1, 4, 9 or 16.
@@ -88,7 +88,7 @@ def basis(
 def largest_sum(
     weights: Float[np.ndarray, "d k"], sh: Float[np.ndarray, "n k c"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the largest |Σ Y_k c_k| of each Gaussian over directions and colour channels.
+    """Return the largest |Σ Y_k c_k| of each Gaussian over given directions and channels.
 
     ``weights`` are values of :func:`basis`; one matrix product serves all rows.
     """

@@ -1,4 +1,4 @@
-"""Targets: versioned data files with the limits and quirks of runtimes and viewers."""
+"""Validation targets: versioned data files with the limits and quirks of runtimes and viewers."""
 
 __all__ = ["Target", "known_targets", "load_target", "target_from_json"]
 
@@ -16,7 +16,7 @@ from gsgen.contract.spec.severity import Severity
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """The limits of one runtime or viewer that consumes models.
+    """The limits of one runtime or viewer that models are validated for.
 
     Attributes:
         name: What ``--target`` takes.
@@ -43,12 +43,12 @@ class Target:
 
     @property
     def runs_natively(self) -> bool:
-        """Whether validation at the level live runs a browser runtime release of the target."""
+        """Whether the level `live` runs a browser runtime's release natively for this target."""
         return not self.operators or any(name.startswith("ep-") for name in self.operators)
 
     @property
     def label(self) -> str:
-        """The target's name and version, as reports show them."""
+        """The name and version of the validation target, as reports show them."""
         return f"{self.name}@{self.version}"
 
 
@@ -72,7 +72,9 @@ def target_from_json(text: str, where: str) -> Target:
             operators=tuple(data.get("operators", ())),
         )
     except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
-        raise ConfigInvalid(f"is not a target's data file: {error!r}", where=where) from error
+        raise ConfigInvalid(
+            f"the file is not a valid data file of a validation target: {error!r}", where=where
+        ) from error
 
 
 @cache
@@ -90,7 +92,7 @@ def _own_targets() -> dict[str, Target]:
 
 @cache
 def known_targets() -> dict[str, Target]:
-    """Return every installed validation target by name, third parties' last.
+    """Return every installed validation target by name; those of third parties come last.
 
     A third party registers a :class:`Target`, or a function without arguments that returns one,
     under the entry point group ``gsgen.targets``. It may build on ours with :func:`load_target`.
@@ -111,9 +113,11 @@ def _loaded(point: EntryPoint) -> Target:
         loaded: Any = point.load()
         target = loaded() if callable(loaded) else loaded
     except Exception as error:  # a third party's code may fail in any way
-        raise ConfigInvalid(f"does not load: {error!r}", where=where) from error
+        raise ConfigInvalid(
+            f"the validation target cannot be loaded: {error!r}", where=where
+        ) from error
     if not isinstance(target, Target):
-        raise ConfigInvalid(f"returns {target!r}, expected a Target", where=where)
+        raise ConfigInvalid(f"the entry point returns {target!r}, expected a Target", where=where)
     return target
 
 

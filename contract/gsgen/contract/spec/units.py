@@ -1,4 +1,4 @@
-"""The limits of float16, and the formatting of byte counts."""
+"""The limits of float16 numbers, and functions that format byte counts."""
 
 __all__ = [
     "FLOAT16_EPSILON",
@@ -47,7 +47,7 @@ _POWERS: Final = {"K": 10, "M": 20, "G": 30, "T": 40}
 
 
 def parse_bytes(text: str, where: str) -> int:
-    """Return the number of bytes that a text such as ``2GB``, ``512 MiB`` or ``0`` means.
+    """Parse a number of bytes such as ``2GB``, ``512 MiB`` or ``0``.
 
     Units are powers of 1,024, with or without the ``i``.
 
@@ -57,6 +57,6 @@ def parse_bytes(text: str, where: str) -> int:
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:I?B)?", text.strip().upper())
     if match is None:
         hint = "Write for example 2GB, 512MB or 0."
-        raise ConfigInvalid(f"is {text!r}, expected a number of bytes", where=where, hint=hint)
+        raise ConfigInvalid(f"{text!r} is not a number of bytes", where=where, hint=hint)
     unit = 1 if not match[2] else 1 << _POWERS[match[2]]
     return int(float(match[1]) * unit)

@@ -1,4 +1,4 @@
-"""Upgrades of manifests of older contract versions: one pure function per minor version."""
+"""Upgrades manifests of older contract versions, by one function per minor version."""
 
 __all__ = [
     "CURRENT",
@@ -53,7 +53,7 @@ def upgrade(
         reached = (int(major), int(minor))
         if reached <= version:
             raise ValueError(
-                f"the upgrade from {version} led to {reached}: expected a newer version"
+                f"the manifest upgrade from {version} led to {reached}, expected a newer version"
             )
         version = reached
     return document

@@ -1,1 +1,1 @@
-"""Tools for models: compare two models, record test vectors; and checks of the installation."""
+"""Which tools work on models? Compare two models, record test vectors, check the installation."""

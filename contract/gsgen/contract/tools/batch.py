@@ -1,4 +1,4 @@
-"""Validates many files, in several processes if requested."""
+"""Validates several files, in parallel processes if requested."""
 
 __all__ = ["registry_for", "validate_all"]
 
@@ -24,7 +24,7 @@ def registry_for(paths: Sequence[Path]) -> Registry:
 def validate_all(
     paths: Sequence[Path], settings: Settings, *, jobs: int = 1, progress: Progress = silent
 ) -> list[Entry]:
-    """Validate every file, and return the results in the order of ``paths``.
+    """Validate every file, and return the reports in the order of ``paths``.
 
     Args:
         paths: The files.
@@ -48,7 +48,7 @@ def validate_all(
 def _validate_entry(
     path: Path, settings: Settings, registry: Registry, progress: Progress
 ) -> Entry:
-    """Validate one file; an unreadable file gives an entry with the error."""
+    """Validate one file; return its report, or the error if the file is unreadable."""
     try:
         return validate(path, settings, registry=registry, progress=progress)
     except InputUnreadable as error:

@@ -15,7 +15,7 @@ State = Literal["ok", "missing", "broken"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """The state of one dependency of gsgen, with the command that repairs it.
+    """The state of one dependency of gsgen, and the command that installs or repairs it.
 
     Attributes:
         name: The package, device or process.
@@ -43,7 +43,7 @@ def check_package(name: str, remedy: str, *, purpose: str = "") -> Check:
 
 
 def checks() -> Iterator[Check]:
-    """Yield the states of the dependencies that validation needs."""
+    """Yield the state of each package that validation needs."""
     yield Check(
         name="gsgen", state="ok", detail=f"{version('gsgen')} in {Path(__file__).parents[2]}"
     )
@@ -56,7 +56,7 @@ def checks() -> Iterator[Check]:
 
 
 def _sandbox() -> Check:
-    """Check the sandbox: run a minimal model in it, as validation does."""
+    """Check that a minimal model runs in the sandbox (child process), as validation needs."""
     import tempfile
 
     from onnx import ModelProto, NodeProto, TensorProto

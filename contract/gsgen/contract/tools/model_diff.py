@@ -26,7 +26,7 @@ _NOTHING = "(absent)"
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One fact that differs between two models.
+    """One difference between the declarations or graphs of two models.
 
     Attributes:
         kind: ``contract`` or ``graph``.
@@ -43,7 +43,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class OutputDifference:
-    """The largest difference between two outputs of the same role, over all probes.
+    """The largest difference between two models in one output, over all test inputs.
 
     Attributes:
         role: ``gaussians``, ``appearance``, ``count`` or ``cells``.

@@ -31,14 +31,14 @@ def _expand(name: Path) -> Iterator[Path]:
         matches = sorted(glob.glob(str(name), recursive=True))
         if not matches:
             hint = "Check the folder that the command runs in."
-            raise ConfigInvalid("matches no file", where=str(name), hint=hint)
+            raise ConfigInvalid("the pattern matches no file", where=str(name), hint=hint)
         for match in matches:
             yield from _expand(Path(match))
     elif name.is_dir() and find_validator(name) is None:
         models = sorted(path for path in name.rglob(f"*{MODEL_SUFFIX}") if _is_visible(path, name))
         if not models:
             hint = f"Name a folder with {MODEL_SUFFIX} files, or a file."
-            raise ConfigInvalid("holds no model", where=str(name), hint=hint)
+            raise ConfigInvalid("the folder holds no ONNX model", where=str(name), hint=hint)
         yield from models
     else:
         yield name

@@ -1,4 +1,4 @@
-"""Pictures of validated models for reports, drawn by an installed renderer.
+"""Adds pictures of validated models to reports, drawn by an installed renderer.
 
 A renderer is registered under the entry point group ``gsgen.pictures``: a function that takes a
 model, the label of a probe and settings, and returns a PNG or raises a GsgenError.
@@ -25,7 +25,7 @@ Draw = Callable[[Path, str, Settings], bytes]
 
 
 def with_picture(report: Report, settings: Settings) -> Report:
-    """Return a validation report with a picture of the probe that the first finding names."""
+    """Add to a validation report a picture of the model at the inputs of its first finding."""
     return replace(report, picture=_picture(report, settings))
 
 
@@ -45,7 +45,7 @@ def _picture(report: Report, settings: Settings) -> Picture:
 
 
 def _obstacle(report: Report) -> str:
-    """Return the reason why a model cannot be drawn; empty if the model can be drawn."""
+    """Return the reason why no picture of a model can be drawn; empty if one can."""
     if report.kind != GENERATOR:
         return "only generators are drawn"
     if not report.probes:
@@ -56,7 +56,7 @@ def _obstacle(report: Report) -> str:
 
 
 def _probe(report: Report) -> str:
-    """Return the label of the probe to draw: one that a finding names, or else a middle one."""
+    """Return the label of the test inputs to draw: those that a finding names, or middle ones."""
     labels = [label for label in report.probes if label != _ZEROS] or list(report.probes)
     named = (
         example.probe

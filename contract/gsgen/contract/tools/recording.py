@@ -1,4 +1,4 @@
-"""Records outputs of a model, such as test vectors, in the manifest of a copy."""
+"""Records data computed by a model, such as test vectors, in the manifest of a copy."""
 
 __all__ = [
     "RecordingRefused",
@@ -36,11 +36,11 @@ _Item = TypeVar("_Item")
 
 
 class RecordingRefused(GsgenError):
-    """Raised if a model's outputs cannot be recorded: it has no manifest, is invalid or fails."""
+    """Raised if outputs cannot be recorded in a manifest: no manifest, or an invalid model."""
 
 
 def refuse_existing(existing: Sequence[Path], folder: Path, alternative: str) -> None:
-    """Raise if an earlier recording in the model's manifest would be replaced.
+    """Raise if an earlier recording in the model's manifest would be overwritten.
 
     Args:
         existing: Files of the earlier recording.
@@ -48,7 +48,7 @@ def refuse_existing(existing: Sequence[Path], folder: Path, alternative: str) ->
         alternative: The option to change instead of using --force, for the hint.
     """
     if existing:
-        message = f"holds {existing[0].name} already"
+        message = f"the folder already holds {existing[0].name}"
         hint = f"Name another {alternative}, or replace them with --force."
         raise ConfigInvalid(message, where=str(folder), hint=hint)
 
@@ -60,7 +60,7 @@ def evenly_spaced(items: Sequence[_Item], count: int) -> list[_Item]:
 
 
 def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
-    """Inspect a model, and raise if its outputs cannot be recorded.
+    """Inspect a model, and raise if its outputs cannot be recorded in a manifest.
 
     Raises:
         ModelUnreadable: ``source`` is not an ONNX model.
@@ -74,18 +74,20 @@ def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
             f"`gsgen inspect {typed} --emit-manifest` derives one; correct it, and embed it "
             f"with `gsgen fix {typed} --manifest FILE -o OUT.onnx`."
         )
-        raise RecordingRefused("has no manifest to record outputs in", where=where, hint=hint)
+        raise RecordingRefused(
+            "the model has no manifest to record outputs in", where=where, hint=hint
+        )
     report = validate(source, replace(settings, level=Level.STATIC))
     broken = [finding for finding in report.findings if finding.severity >= Severity.ERROR]
     if broken:
-        message = f"breaks {broken[0].rule} at {broken[0].where}: {broken[0].message}"
+        message = f"the model breaks {broken[0].rule} at {broken[0].where}: {broken[0].message}"
         hint = f"Repair the model first; `gsgen validate {typed}` lists its faults."
         raise RecordingRefused(message, where=where, hint=hint)
     return subject
 
 
 def current_document(subject: InspectedModel) -> dict[str, Any]:
-    """Return a manifest's JSON, upgraded to the version that has all fields to record in."""
+    """Return a manifest's JSON, upgraded to the newest contract version to record in."""
     document: dict[str, Any] = json.loads(subject.file.manifest_text or "{}")
     version = subject.parsed.version if subject.parsed else None
     return upgrade(document, version) if version is not None else document
@@ -95,7 +97,7 @@ def current_document(subject: InspectedModel) -> dict[str, Any]:
 def run_at_probes(
     subject: InspectedModel, outputs: Sequence[str], probes: Sequence[Probe]
 ) -> Iterator[Execution]:
-    """Run a model at probes; the results exist until the ``with`` block ends.
+    """Run a model with the given test inputs; results exist until the ``with`` block ends.
 
     Raises:
         RecordingRefused: The model does not run.
@@ -103,14 +105,14 @@ def run_at_probes(
     path = subject.file.path
     with execute(path, outputs, probes, subject.granted) as execution:
         if execution.fault is not None:
-            message = f"does not run: {execution.fault.message}"
+            message = f"the model does not run: {execution.fault.message}"
             raise RecordingRefused(message, where=str(path))
         yield execution
 
 
 @contextmanager
 def write_recorded_copy(file: ModelFile, changed: Mapping[str, Any], model: Path) -> Iterator[Path]:
-    """Write a copy of a model with changed manifest fields; unknown fields are retained.
+    """Write a copy of a model with changed manifest fields; unknown fields are kept.
 
     Args:
         file: The model; it is not changed, unless ``model`` is the same file.
@@ -132,4 +134,6 @@ def write_recorded_copy(file: ModelFile, changed: Mapping[str, Any], model: Path
             write_manifest_text(file.path, json.dumps(document, ensure_ascii=False), draft)
             yield draft.parent
     except OSError as error:
-        raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(model)) from error
+        raise ConfigInvalid(
+            f"the model cannot be written: {error.strerror}", where=str(model)
+        ) from error

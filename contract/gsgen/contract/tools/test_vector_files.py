@@ -1,4 +1,4 @@
-"""Records test vectors: files for ONNX's backend tests, and digests in the manifest.
+"""Records test vectors of a model: inputs and outputs as files, digests in the manifest.
 
 The layout is that of the ONNX model zoo: a folder with ``model.onnx`` and, for each vector,
 ``test_data_set_0/input_0.pb …, output_0.pb …``, TensorProto messages in the order of the graph's
@@ -46,14 +46,14 @@ _SET = re.compile(r"^test_data_set_[0-9]+$")
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """The destination of recorded test vectors: probe seed, copy of the model, and folder."""
+    """The destination of recorded test vectors: seed, model copy, and folder."""
 
     seed: int
     model: Path
     folder: Path
 
     def location(self, name: str) -> str | None:
-        """Return the path of a test vector's file as the manifest writes paths.
+        """Return the path of a test vector's file relative to the model, as the manifest holds it.
 
         None if the folder is neither the model's nor below it: the manifest cannot name it.
         """
@@ -87,7 +87,7 @@ def record_vectors(
     force: bool = False,
     progress: Callable[[str], None] = lambda _: None,
 ) -> RecordedVectors:
-    """Run a model at ``count`` of its probes, and write inputs, outputs and digests.
+    """Run a model with ``count`` sets of test inputs; write inputs, outputs and digests.
 
     Args:
         source: A model with a manifest; it is not changed, unless ``model`` is the same file.
@@ -163,16 +163,16 @@ def _selected_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe
         count = min(_COUNT, len(probes))
     if count > len(probes):
         have = "1 probe" if len(probes) == 1 else f"{len(probes)} probes"
-        message = f"{count} vectors, but the model has only {have}"
+        message = f"{count} test vectors, but the model has only {have}"
         raise ConfigInvalid(message, where="--count", hint=f"--count {len(probes)} takes all.")
     if count < 1:
-        raise ConfigInvalid(f"{count} vectors: expected 1 or more", where="--count")
+        raise ConfigInvalid(f"{count} test vectors, expected 1 or more", where="--count")
     return evenly_spaced(probes, count)
 
 
 @contextmanager
 def _staging_folder(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder inside ``folder`` for incomplete files."""
+    """Yield a temporary folder inside ``folder`` for files that are not yet complete."""
     fresh = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -194,7 +194,7 @@ def _outputs(
     runs = execution.runs
     for probe, first, second in zip(probes, runs[::2], runs[1::2], strict=True):
         if first.sample != second.sample:
-            message = f"gives other outputs in a second run of probe {probe.label!r}"
+            message = f"the model gives other outputs in a second run of probe {probe.label!r}"
             hint = "Remove random operators and state that persists between runs."
             raise RecordingRefused(message, where=str(source), hint=hint)
         yield probe, execution.samples[first.sample].outputs

@@ -1,4 +1,4 @@
-"""Worker processes that validate files in parallel, imported only on demand."""
+"""Worker processes that validate files in parallel."""
 
 __all__ = ["WorkerDied", "validate_in_processes"]
 
@@ -55,7 +55,9 @@ def validate_in_processes(
             ]
         except BrokenProcessPool as error:
             hint = "Give it fewer --jobs, or less --memory."
-            raise WorkerDied("a process ended without a report", hint=hint) from error
+            raise WorkerDied(
+                "a worker process ended without a validation report", hint=hint
+            ) from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             for process in multiprocessing.active_children():
@@ -76,7 +78,7 @@ def _start_worker() -> None:
 
 
 def _reduce_rule(rule: Rule) -> tuple[Callable[[str], Rule], tuple[str]]:
-    """Pickle a rule as its id, since the parent process has the same rules installed."""
+    """Pickle a rule as its id only, since the parent process has the same rules installed."""
     return _find_rule, (rule.id,)
 
 

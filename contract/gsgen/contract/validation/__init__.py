@@ -1,1 +1,1 @@
-"""How is a model validated? Rules, findings, settings, engine and report."""
+"""How is a model validated? Rules, findings, settings, validation engine and report."""

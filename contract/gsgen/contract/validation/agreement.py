@@ -49,7 +49,7 @@ class FieldError:
 def field_errors(
     first: ModelOutputs, second: ModelOutputs, tolerances: Sequence[Tolerance]
 ) -> Iterator[FieldError]:
-    """Yield the output fields that differ by more than their tolerance plus storage rounding.
+    """Yield the fields of Gaussians in which two runs differ beyond tolerance and rounding.
 
     Rows and cells that neither execution draws are compared by opacity and visibility alone.
     Outputs of another size, or without packed rows, yield no error: other rules report them.
@@ -96,7 +96,7 @@ Measured = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 
 
 def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
-    """Yield for each output field the error and the rounding of every row."""
+    """Yield for each field of the Gaussians the error and the rounding error of every row."""
     assert first.gaussians is not None
     assert second.gaussians is not None
     a, b = (rows.astype(np.float64) for rows in (first.gaussians, second.gaussians))
@@ -111,7 +111,7 @@ def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, 
 
 
 def _cells_measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
-    """Yield for each cell field the error and the rounding of every cell."""
+    """Yield for each field of the cells output the error and the rounding error of every cell."""
     assert first.cells is not None
     assert second.cells is not None
     a, b = (values.astype(np.float64) for values in (first.cells, second.cells))
@@ -130,7 +130,7 @@ def _packed_measured(
     drawn: Bool[np.ndarray, " n"],
     dtype: str,
 ) -> Iterator[tuple[str, Measured]]:
-    """Yield the differences in opacity, position and covariance of packed rows or cells."""
+    """Yield the differences in opacity, position and covariance between two sets of packed rows."""
     rounding, tiny = _ROUNDING[dtype], _TINY[dtype]
     yield "opacity", (_distance(a, b, OPACITY), np.full(len(a), rounding))
     trace = np.maximum(a[:, VARIANCES].sum(axis=1), _SMALLEST_TRACE)
@@ -152,19 +152,19 @@ def _ratio(distance: np.ndarray, unit: np.ndarray) -> np.ndarray:
 
 
 def _distance(a: np.ndarray, b: np.ndarray, columns: int | slice) -> np.ndarray:
-    """Return the largest difference in each row; equal values and NaN pairs count as zero."""
+    """Return the largest difference in each row of two arrays; NaN equals NaN."""
     x, y = a[:, columns].reshape(len(a), -1), b[:, columns].reshape(len(b), -1)
     return np.asarray(np.abs(_difference(x, y)).max(axis=1))
 
 
 def _difference(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return x − y, with zero for equal values, infinities and NaN included."""
+    """Return x − y of two arrays, with zero for equal infinities and for two NaN."""
     same = (x == y) | (np.isnan(x) & np.isnan(y))
     return np.asarray(np.where(same, 0.0, x - y))
 
 
 def _color_errors(a: np.ndarray, b: np.ndarray, *, is_sh: bool) -> Measured:
-    """Return each row's colour difference along six directions, and its colour magnitude."""
+    """Return the colour difference of each Gaussian seen from six directions, and its magnitude."""
     if not is_sh:
         part = slice(0, 3)
         return _distance(a, b, part), np.abs(a[:, part]).max(axis=1)

@@ -1,4 +1,4 @@
-"""Baselines: earlier reports, whose known findings do not fail a model."""
+"""Baselines: earlier reports, whose findings no longer make a validation fail."""
 
 __all__ = ["Baseline", "KnownFindings", "read_baseline"]
 
@@ -22,7 +22,7 @@ _CHECKED = ("pass", "fail")
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """Known findings of one or several models, which do not make validation fail.
+    """Known findings of one or more models, which do not make a validation fail.
 
     Attributes:
         path: The report it was read from.
@@ -33,7 +33,7 @@ class Baseline:
     known: Mapping[str, KnownFindings]
 
     def apply(self, report: Report) -> Report:
-        """Mark a report's findings that the baseline knows, and list the resolved findings.
+        """Mark the findings of a report that the baseline contains, and list the resolved ones.
 
         A finding is resolved only if its rule was checked this time.
         """
@@ -52,7 +52,7 @@ class Baseline:
         return replace(report, findings=findings, baseline=self.path, resolved=resolved)
 
     def known_findings(self, path: str) -> KnownFindings:
-        """Return the findings that the baseline lists for the model at ``path``.
+        """Return the baseline's findings for the model at ``path``.
 
         A baseline of one model applies to every path. Among several models, the path decides, then
         the file name: other machines keep the same models in other folders.
@@ -76,9 +76,13 @@ def read_baseline(path: Path) -> Baseline:
     try:
         document = json.loads(path.read_text("utf-8"))
     except OSError as error:
-        raise ConfigInvalid(f"cannot be read: {error.strerror}", where=where) from error
+        raise ConfigInvalid(
+            f"the baseline cannot be read: {error.strerror}", where=where
+        ) from error
     except (ValueError, RecursionError) as error:
-        raise ConfigInvalid(f"is not JSON: {error}", where=where, hint=_HINT) from error
+        raise ConfigInvalid(
+            f"the baseline is not JSON: {error}", where=where, hint=_HINT
+        ) from error
     _check_shape(document, where)
     known: dict[str, dict[str, ResolvedFinding]] = {}
     for report in document.get("reports", [document]):
@@ -100,7 +104,9 @@ def _check_shape(document: Any, where: str) -> None:
     name = document.get("schema") if isinstance(document, dict) else None
     if name != "gsgen-report/1":
         actual = f"schema {name!r}" if isinstance(name, str) else "no schema"
-        message = f"is not a report: {actual}; expected schema 'gsgen-report/1'"
+        message = (
+            f"the baseline is not a validation report: {actual}; expected schema 'gsgen-report/1'"
+        )
         raise ConfigInvalid(message, where=where, hint=_HINT)
     text = (
         resources.files("gsgen.contract").joinpath("schemas", REPORT_SCHEMA_FILE).read_text("utf-8")
@@ -109,4 +115,8 @@ def _check_shape(document: Any, where: str) -> None:
     if error is not None:
         json_path = ".".join(str(part) for part in error.absolute_path)
         location = f"{where}, {json_path}" if json_path else where
-        raise ConfigInvalid(f"is not a report: {error.message[:200]}", where=location, hint=_HINT)
+        raise ConfigInvalid(
+            f"the baseline is not a validation report: {error.message[:200]}",
+            where=location,
+            hint=_HINT,
+        )

@@ -16,7 +16,7 @@ _STATIC_BYTES = 64 << 20
 
 
 def digest(path: Path, level: Level, size: int) -> str:
-    """Return the SHA-256 of a file, or an empty text for large files at the static level."""
+    """Return the SHA-256 of a model file; empty for a large file at the level static."""
     if level < Level.VALUES and size >= _STATIC_BYTES:
         return ""
     hasher = hashlib.sha256()

@@ -1,4 +1,4 @@
-"""Validates a model in stages: check the file, run the probes, check outputs and behaviour."""
+"""Validates a model in stages: file, graph, outputs for test inputs, and behaviour."""
 
 __all__ = ["Progress", "silent", "validate_with"]
 
@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -45,7 +46,7 @@ _version = cache(version)  # each call reads a metadata file
 
 
 def silent(_: str) -> None:
-    """Ignore a progress text: the default progress callback."""
+    """Ignore a progress message: the default progress callback of a validation."""
 
 
 def validate_with(
@@ -70,7 +71,7 @@ def validate_with(
 
 
 class _Validation:
-    """Validates one model; each method is a stage of the validation."""
+    """Validates one model in stages; each method is a stage."""
 
     def __init__(
         self, path: Path, settings: Settings, registry: Registry, progress: Progress
@@ -85,17 +86,19 @@ class _Validation:
         self.results = ResultCollector(
             registry=self.registry, settings=settings, kind=self.subject.kind
         )
-        self.levels = [LevelOutcome(Level.STATIC, ran=True)]
+        self.levels = [LevelOutcome(level=Level.STATIC, ran=True)]
         self.probes: tuple[str, ...] = ()
         self.environment = {"onnx": _version("onnx")}
         self.runtime_seconds = 0.0
+        self.runs: dict[Level, list[float]] = {}  # the durations of model runs
 
     def report(self) -> Report:
-        """Run the stages up to the requested level and return the validation report."""
+        """Run the validation stages up to the requested level, and return the report."""
         self._check_model()
         self._check_runs()
         self._settle_remaining()
         self.results.withdraw_predictions()
+        self.results.withdraw_consequences()
         self._check_report()
         subject, gaussians = self.subject, self.subject.declared_gaussians
         manifest = subject.manifest
@@ -111,7 +114,7 @@ class _Validation:
             fail_on=self.settings.fail_on,
             findings=self._findings(),
             outcomes=tuple(self.results.outcomes[id] for id in self.registry.rules),
-            levels=tuple(self.levels),
+            levels=tuple(self._with_cost(level) for level in self.levels),
             probes=self.probes,
             environment=self.environment,
             settings=self.settings.source,
@@ -127,6 +130,13 @@ class _Validation:
 
     def _findings(self) -> tuple[Finding, ...]:
         return apply_waivers(self.results.findings(), self.settings.waivers, self.settings.today)
+
+    def _with_cost(self, level: LevelOutcome) -> LevelOutcome:
+        """Return a validation level's outcome with the number of model runs and the time taken."""
+        outcomes = self.results.outcomes.values()
+        rules = sum(o.milliseconds for o in outcomes if o.rule.level is level.level) / 1000
+        runs = self.runs.get(level.level, [])
+        return replace(level, runs=len(runs), seconds=sum(runs) + rules)
 
     def _of_scope(self, *scopes: Scope, upto: Level) -> list[Rule]:
         rules = self.registry.rules.values()
@@ -149,9 +159,14 @@ class _Validation:
         self.probes = tuple(probe.label for probe in plan.probes[: plan.values])
         self.progress(f"running {len(plan.probes)} probes in ONNX Runtime")
         path, names = self.subject.file.path, fetched_outputs(self.subject)
-        with execute(path, names, plan.probes, self.subject.granted) as execution:
+        rows, count = self.subject.declared_gaussians, self.subject.declared_count
+        surveyed = {"rows": rows.name if rows else "", "count": count.name if count else ""}
+        with execute(path, names, plan.probes, self.subject.granted, **surveyed) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
+            seconds = [run.seconds for run in execution.runs]
+            first = plan.values + len(plan.trials.get("away", ()))
+            self.runs = {Level.VALUES: seconds[:first], Level.BEHAVIOUR: seconds[first:]}
             probe_runs = ProbeRuns(self.subject, execution, plan)
             for rule in gates:
                 if self.results.is_ready(rule):
@@ -165,7 +180,7 @@ class _Validation:
                 self._check_backend_levels(probe_runs)
 
     def _can_run(self, gates: list[Rule]) -> bool:
-        """Return whether the model may be run; otherwise skip the rules that depend on a run."""
+        """Return whether the model may be run; otherwise skip the rules that need outputs."""
         runs = self.registry.rules.get(MODEL_RUNS)
         if runs is None:
             reason = f"because no rule {MODEL_RUNS} is installed"
@@ -176,7 +191,7 @@ class _Validation:
         for level in (Level.VALUES, Level.BEHAVIOUR):
             if level <= self.settings.level:
                 message = f"the model was not run {reason}" if reason else ""
-                self.levels.append(LevelOutcome(level, ran=not reason, reason=message))
+                self.levels.append(LevelOutcome(level=level, ran=not reason, reason=message))
         return not reason
 
     def _check_values(self, execution: Execution, plan: Plan) -> None:
@@ -215,7 +230,7 @@ class _Validation:
         self._check_sample(emissions)
 
     def _check_sample(self, emissions: list[ModelOutputs]) -> None:
-        """Check statistical rules with the first probe that draws enough rows."""
+        """Check statistical rules on the first model run that draws enough Gaussians."""
         rules = _needs_first(self._of_scope("sample", upto=Level.VALUES))
         samples = (draw_sample(emission) for emission in emissions if rules)
         sample = next((sample for sample in samples if sample is not None), None)
@@ -259,14 +274,18 @@ class _Validation:
             try:
                 context = stack.enter_context(backend.prepare(probe_runs))
             except LevelUnavailable as error:
-                self.levels.append(LevelOutcome(backend.level, ran=False, reason=error.reason))
+                self.levels.append(
+                    LevelOutcome(level=backend.level, ran=False, reason=error.reason)
+                )
                 self.results.skip(rules, error.reason)
                 return
             except Exception:  # a faulty backend must not prevent the report
-                self.levels.append(LevelOutcome(backend.level, ran=False, reason="it crashed"))
+                self.levels.append(
+                    LevelOutcome(level=backend.level, ran=False, reason="it crashed")
+                )
                 self.results.crash(rules)
                 return
-            self.levels.append(LevelOutcome(backend.level, ran=True))
+            self.levels.append(LevelOutcome(level=backend.level, ran=True))
             self.environment.update(context.environment)
             self.runtime_seconds += context.seconds
             for rule in rules:
@@ -277,14 +296,14 @@ class _Validation:
                     self.results.settle([rule], items=context.items)
 
     def _settle_remaining(self) -> None:
-        """Record every rule and level that was not reached as skipped."""
+        """Record all rules and levels that were not reached as skipped."""
         requested_level = self.settings.level
         settled = {outcome.level for outcome in self.levels}
         for level, reason in _MISSING_BACKEND.items():
             if level <= requested_level and level not in settled:
                 known = level in self.registry.backends
                 message = "the model did not run to the end on the CPU" if known else reason
-                self.levels.append(LevelOutcome(level, ran=False, reason=message))
+                self.levels.append(LevelOutcome(level=level, ran=False, reason=message))
         for rule in _needs_first(self.registry.rules.values()):
             if rule.id in self.results.outcomes or rule.scope == "report":
                 continue
@@ -294,7 +313,7 @@ class _Validation:
                 self.results.skip([rule], f"level {rule.level.word} did not run")
 
     def _check_report(self) -> None:
-        """Check the rules about the findings of all other rules, such as unused waivers."""
+        """Check the rules about findings of other rules, such as unused waivers."""
         statuses = {id: outcome.status for id, outcome in self.results.outcomes.items()}
         settings = self.settings
         review = Review(self._findings(), statuses, settings.waivers, settings.today)
@@ -305,7 +324,7 @@ class _Validation:
 
 
 def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
-    """Order rules so that each rule comes after those it depends on."""
+    """Sort rules so that each rule comes after the rules that it depends on."""
     pending = {rule.id: rule for rule in rules}
     ordered: list[Rule] = []
 

@@ -1,4 +1,4 @@
-"""Results of a rule: a violation at one location, and findings that count violations."""
+"""Results of checking a rule: violations at one location, and findings that count them."""
 
 __all__ = ["Certainty", "Distribution", "Example", "Finding", "Location", "Statistic", "Violation"]
 
@@ -17,7 +17,7 @@ Certainty = Literal["confirmed", "possible"]
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """The location of a violation: a tensor, node, manifest field, rows or file.
+    """The location of a rule violation: a tensor, node, manifest field, rows or file.
 
     Attributes:
         subject: ``output gaussians``, ``input time``, ``node /mlp/MatMul``, ``manifest bounds``.
@@ -33,7 +33,7 @@ class Location:
 
 @dataclass(frozen=True, slots=True)
 class Statistic:
-    """A number that a rule compares with limits, which a report can draw.
+    """A number that a rule compares with limits, for a plot in the report.
 
     Attributes:
         name: What is measured, with its unit.
@@ -50,7 +50,7 @@ class Statistic:
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """A histogram of the checked values of a rule that some rows break.
+    """The histogram of the values that a rule checked, valid and invalid ones.
 
     Attributes:
         low: Lower edge of the first bin.
@@ -104,7 +104,7 @@ class Violation:
         certainty: Certainty = "confirmed",
         statistic: Statistic | None = None,
     ) -> "Violation":
-        """Return a violation at one tensor, node or manifest field."""
+        """Return a rule violation at one tensor, node or manifest field."""
         return cls(
             where=Location(subject),
             expected=expected,
@@ -126,7 +126,7 @@ class Violation:
         min_fraction: float = 0.0,
         certainty: Certainty = "confirmed",
     ) -> "Violation":
-        """Return a violation of packed rows; the engine counts the rows and selects examples."""
+        """Return a rule violation in a mask of packed rows, with the value of each row."""
         return cls(
             where=where,
             expected=expected,
@@ -141,7 +141,7 @@ class Violation:
 
 @dataclass(frozen=True, slots=True)
 class Example:
-    """One offending row or value, as shown in a report."""
+    """One offending row or value that a report shows as an example."""
 
     value: str
     row: int | None = None
@@ -205,7 +205,7 @@ class Finding:
 
     @property
     def fingerprint(self) -> str:
-        """An identifier of the finding that is equal across runs, machines and numbers of rows."""
+        """A hash that identifies the finding across runs, machines and numbers of rows."""
         of_rows = any(example.row is not None for example in self.examples)
         kind = ("rows" if of_rows else "thing", self.certainty)
         text = json.dumps((self.rule, self.where.subject, self.where.field, *kind))

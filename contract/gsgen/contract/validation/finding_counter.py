@@ -1,4 +1,4 @@
-"""Counts violations, so that each rule reports one finding per location."""
+"""Counts rule violations, so that a report has one finding per rule and location."""
 
 __all__ = ["FindingCounter"]
 
@@ -23,7 +23,7 @@ _BINS = 24
 
 @dataclass(slots=True, kw_only=True)
 class FindingCounter:
-    """The counted violations of one rule at one location.
+    """Counts the violations of one rule at one location.
 
     Attributes:
         where: The location.
@@ -57,7 +57,7 @@ class FindingCounter:
     samples: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def add(self, violation: Violation, probe: str = "", start: int = 0) -> None:
-        """Count one violation; ``start`` is the number of the first row of its chunk."""
+        """Count one rule violation; ``start`` is the row number at which its chunk begins."""
         self.total += violation.checked
         self.min_fraction = violation.min_fraction
         self.statistic = self.statistic or violation.statistic
@@ -89,14 +89,14 @@ class FindingCounter:
             self.worst = _example(violation.values, worst, probe, start)
 
     def _sample(self, violation: Violation) -> None:
-        """Keep evenly spaced values of a chunk, if each row has one."""
+        """Keep evenly spaced checked values of a chunk of rows, for a histogram."""
         values, invalid = violation.values, violation.invalid_rows
         if values is not None and invalid is not None and values.ndim == 1:
             step = -(-len(values) // _SAMPLED)
             self.samples.append((values[::step].astype(np.float64), invalid[::step]))
 
     def distribution(self) -> Distribution | None:
-        """Return the histogram of a rule's sampled values; None without finite values."""
+        """Return the histogram of the values that a rule checked; None without finite values."""
         if not self.samples:
             return None
         values, invalid = (np.concatenate(part) for part in zip(*self.samples, strict=True))
@@ -112,7 +112,7 @@ class FindingCounter:
 
     @property
     def fails(self) -> bool:
-        """Whether enough rows or values are invalid for the rule to fail."""
+        """Whether so many rows or values are invalid that the rule fails."""
         return self.count > 0 and self.count > self.min_fraction * self.total
 
     def message(self) -> str:

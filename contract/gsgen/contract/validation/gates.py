@@ -1,4 +1,4 @@
-"""Gates: rules that must hold before other rules can be checked, grouped by purpose."""
+"""Gates: groups of rules that must pass before dependent rules can be checked."""
 
 __all__ = [
     "APPEARANCE",

@@ -1,4 +1,4 @@
-"""Backends of validation levels that other packages run, such as ``live`` and ``render``.
+"""Backends that other packages register to run validation levels: ``live`` and ``render``.
 
 This package runs models in ONNX Runtime on the CPU. Another package may register, with its rules,
 a backend for a further level: it receives the CPU runs, runs the model its own way, and prepares
@@ -22,13 +22,13 @@ class LevelUnavailable(GsgenError):
 
     @property
     def reason(self) -> str:
-        """The missing dependency and how to install it, in one line."""
+        """Why the validation level cannot run: the missing dependency, and how to install it."""
         return f"{self.message}: {self.hint}" if self.hint else self.message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelContext:
-    """The prepared inputs and resources of a validation level for one model.
+    """The inputs and resources with which the rules of a validation level check one model.
 
     Attributes:
         context: The argument of the checks of the level's rules.
@@ -47,7 +47,7 @@ class LevelContext:
 
 @dataclass(frozen=True, slots=True)
 class LevelBackend:
-    """Prepares one validation level; registered together with the level's rules.
+    """A backend that prepares one validation level, registered with the level's rules.
 
     Attributes:
         level: The level; the scope of its rules has the same name.

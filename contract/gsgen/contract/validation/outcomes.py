@@ -38,11 +38,11 @@ class ResultCollector:
     _seconds: dict[str, float] = field(default_factory=dict)
 
     def ready(self, rules: Iterable[Rule]) -> list[Rule]:
-        """Return the rules that apply and are not blocked; record an outcome for the others."""
+        """Return the rules that can be checked now; record an outcome for the others."""
         return [rule for rule in rules if self.is_ready(rule)]
 
     def is_ready(self, rule: Rule) -> bool:
-        """Return whether ``rule`` can be checked now; otherwise record the reason as outcome."""
+        """Return whether ``rule`` can be checked now; if not, record why as the rule's outcome."""
         if rule.id in self.outcomes:
             return False
         reason = self._inapplicable(rule)
@@ -81,7 +81,7 @@ class ResultCollector:
         return "was not checked" if skipped else "does not hold"
 
     def check(self, rule: Rule, subject: object, probe: str = "", start: int = 0) -> bool:
-        """Run a rule's check once and count its violations; return False if it crashed."""
+        """Run the check of a rule once, and count its violations; return False if it crashed."""
         start_time = time.perf_counter()
         try:
             with np.errstate(all="ignore"):  # outputs may hold NaN and infinity
@@ -116,7 +116,7 @@ class ResultCollector:
         return any(counter.fails for counter in self._counters.get(rule.id, {}).values())
 
     def settle(self, rules: Iterable[Rule], items: int = 0) -> None:
-        """Convert the counted violations of checked rules to outcomes."""
+        """Convert the counted violations of checked rules to pass or fail outcomes."""
         for rule in rules:
             if rule.id in self.outcomes:
                 continue
@@ -127,13 +127,13 @@ class ResultCollector:
             )
 
     def crash(self, rules: Iterable[Rule]) -> None:
-        """Record rules as crashed, with the exception being handled."""
+        """Record rules as crashed, with the exception that is being handled."""
         last = traceback.format_exc(limit=-3).strip()
         for rule in rules:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="crashed", reason=last))
 
     def exclude(self, rules: Iterable[Rule], reason: str) -> None:
-        """Record rules as not applicable, with the reason."""
+        """Record rules as not applicable to the model, with the reason."""
         for rule in rules:
             outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
             self.outcomes.setdefault(rule.id, outcome)
@@ -144,7 +144,7 @@ class ResultCollector:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="skipped", reason=reason))
 
     def withdraw_predictions(self) -> None:
-        """Withdraw the findings of predictions that a run of the level live has disproved."""
+        """Withdraw predicted findings that the level `live` disproved by running the model."""
         if not self.settings.target.runs_natively:
             return
         for rule in self.registry.rules.values():
@@ -156,8 +156,22 @@ class ResultCollector:
                 outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
                 self.outcomes[rule.id] = outcome
 
+    def withdraw_consequences(self) -> None:
+        """Withdraw the findings that the failure of a rule of a later level explains."""
+        for rule in self.registry.rules.values():
+            causes = [id for id in rule.explained_by if self._explains(id)]
+            if causes and rule.id in self._counters:
+                del self._counters[rule.id]
+                reason = f"because {causes[0]} explains what it found"
+                outcome = Outcome(rule=rule, status="not-applicable", reason=reason)
+                self.outcomes[rule.id] = outcome
+
+    def _explains(self, id: str) -> bool:
+        outcome = self.outcomes.get(id)
+        return outcome is not None and outcome.status == "fail"
+
     def findings(self) -> tuple[Finding, ...]:
-        """Return the findings, most severe first, then in catalogue order."""
+        """Return all findings, the most severe first, then in the order of the rule catalogue."""
         findings = [
             self._finding(rule, counter)
             for rule in self.registry.rules.values()

@@ -1,4 +1,4 @@
-"""The result of a validation as data; reporters turn it into text, JSON and other formats."""
+"""The result of a validation as data, which reporters convert to text, JSON and others."""
 
 __all__ = [
     "REPORT_SCHEMA_FILE",
@@ -20,6 +20,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
+from gsgen.contract._notebook import summary_html
 from gsgen.contract.errors import ExitCode, GsgenError
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target
@@ -54,13 +55,23 @@ class Outcome:
     blocked_by: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LevelOutcome:
-    """Whether a level ran, and the reason if it did not."""
+    """Whether a validation level ran, the reason if it did not, and its cost.
+
+    Attributes:
+        level: The level.
+        ran: Whether it ran.
+        reason: Why it did not run; else empty.
+        runs: How often it ran the model in ONNX Runtime on the CPU.
+        seconds: Time of these runs and of the level's rules, without the start of ONNX Runtime.
+    """
 
     level: Level
     ran: bool
     reason: str = ""
+    runs: int = 0
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +101,7 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResolvedFinding:
-    """A finding of the baseline that does not occur any more.
+    """A finding of the baseline report that no longer occurs.
 
     Attributes:
         rule: Id of its rule.
@@ -109,7 +120,7 @@ class ResolvedFinding:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture of a validated model at one probe, or the reason why no picture was drawn.
+    """A picture of a validated model for one set of test inputs, or why no picture was drawn.
 
     Attributes:
         probe: Label of the probe.
@@ -184,7 +195,7 @@ class Report:
 
     @property
     def unchecked(self) -> tuple[Outcome, ...]:
-        """The required rules that were neither found to hold nor to be broken."""
+        """The required rules whose check neither passed nor failed."""
         required = (outcome for outcome in self.outcomes if outcome.rule.id in self.required)
         return tuple(outcome for outcome in required if outcome.status not in ("pass", "fail"))
 
@@ -196,17 +207,17 @@ class Report:
         return "invalid" if any(self.fails_by(finding) for finding in self.findings) else "conforms"
 
     def fails_by(self, finding: Finding) -> bool:
-        """Return whether ``finding`` alone makes the model invalid."""
+        """Return whether a finding alone makes the model invalid."""
         confirmed = finding.counts and finding.certainty == "confirmed"
         return confirmed and finding.severity >= self.fail_on
 
     def count(self, severity: Severity) -> int:
-        """Return the number of findings of ``severity`` that are neither waived nor known."""
+        """Return the number of findings of a severity that are neither waived nor known."""
         return sum(f.severity == severity and f.counts for f in self.findings)
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """The failed rules that prevent other checks, in catalogue order."""
+        """The failed rules that prevented the check of other rules, in catalogue order."""
         blocked: dict[str, list[Rule]] = {}
         for outcome in self.outcomes:
             if outcome.blocked_by:
@@ -216,7 +227,7 @@ class Report:
 
     @property
     def statuses(self) -> Counter[str]:
-        """The number of rules by status, such as passed or skipped."""
+        """The number of rules by outcome, such as passed or skipped."""
         return Counter(outcome.status for outcome in self.outcomes)
 
     def outcome(self, rule_id: str) -> Outcome:
@@ -230,10 +241,25 @@ class Report:
                 return outcome
         raise KeyError(rule_id)
 
+    def _repr_html_(self) -> str:
+        """Return the report's verdict and findings as HTML, for notebooks."""
+        checked = f"for {self.target.name}, at level {self.level.word}; {self.statuses['pass']} rules hold"
+        findings = [
+            (
+                f"{finding.rule} {finding.severity.word}",
+                f"{finding.where.subject}: {finding.message}",
+            )
+            for finding in self.findings
+        ]
+        picture = (self.picture.png or None) if self.picture else None
+        return summary_html(
+            f"{self.path}: {self.verdict}", [("checked", checked), *findings], picture
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Unreadable:
-    """A file that could not be read, with the error of the attempt."""
+    """A model file that could not be read, and the error."""
 
     path: str
     error: GsgenError
@@ -244,7 +270,7 @@ Entry = Report | Unreadable
 
 
 def exit_code(reports: Iterable[Report]) -> ExitCode:
-    """Return the exit code for reports: 0 all conform, 3 a rule crashed, 1 otherwise.
+    """Return the exit code for reports: 0 if all models conform, 3 if a rule crashed, else 1.
 
     A required rule that was not checked fails, too.
     """

@@ -1,4 +1,4 @@
-"""Rules of the contract: how a rule is declared, and the registry of installed rules.
+"""How a validation rule is declared, and the registry of installed rules.
 
 A rule is declared once. Its page in the documentation, ``gsgen explain``, the configuration
 schema and the metadata of machine-readable reports all come from that declaration.
@@ -78,6 +78,8 @@ class Rule:
         limit: The limit of the target that it checks; the rule applies only to targets with it.
         settled_by: Rules of the level live that measure what this one predicts: where all of them
             hold, the prediction is withdrawn.
+        explained_by: Rules of later levels whose fault causes this one's violations: where one of
+            them fails, these are withdrawn, so that the cause is read first.
         evidence: A documented case where breaking the rule did damage; may be empty.
     """
 
@@ -96,11 +98,12 @@ class Rule:
     target: str = ""
     limit: str = ""
     settled_by: tuple[str, ...] = ()
+    explained_by: tuple[str, ...] = ()
     evidence: str = ""
 
     @property
     def family(self) -> str:
-        """The letters of the rule's id: GM, GI, GO, GG, GV, GB, GL, GS, GT, TV or GW."""
+        """The first two letters of the rule's id, such as GM (manifest) or GV (values)."""
         return self.id.rpartition("/")[2][:2]
 
 
@@ -116,6 +119,7 @@ def rule(
     target: str = "",
     limit: str = "",
     settled_by: tuple[str, ...] = (),
+    explained_by: tuple[str, ...] = (),
     level: Level | None = None,
 ) -> Callable[[Check], Rule]:
     """Declare the decorated check as a rule; its docstring is the text of the rule's page.
@@ -134,6 +138,7 @@ def rule(
         target: The only target it applies to; empty for all.
         limit: The limit of the target that it checks.
         settled_by: Rules of the level live that measure what this one predicts.
+        explained_by: Rules of later levels whose fault causes this one's violations.
         level: The first level that can check it; by default, that of the scope.
 
     Raises:
@@ -143,7 +148,7 @@ def rule(
     def declare(check: Check) -> Rule:
         if not _ID.match(id) or not _SLUG.match(slug):
             raise ValueError(
-                f"{id} {slug}: expected an id like GV003 and a slug like opacity-range"
+                f"the rule is named {id} {slug}, expected an id like GV003 and a slug like opacity-range"
             )
         statement, rationale, hint, evidence = _sections(id, inspect.getdoc(check) or "")
         return Rule(
@@ -162,6 +167,7 @@ def rule(
             target=target,
             limit=limit,
             settled_by=settled_by,
+            explained_by=explained_by,
             evidence=evidence,
         )
 
@@ -175,24 +181,24 @@ def _sections(id: str, doc: str) -> tuple[str, str, str, str]:
     texts = tuple(" ".join(inspect.cleandoc(part).split()) for part in (statement, rationale, hint))
     if not (why_marker and hint_marker and all(texts)):
         raise ValueError(
-            f"{id}: the docstring lacks a part: expected a statement, a `Why:` and a `Hint:` section"
+            f"rule {id}: the docstring lacks a part, expected a statement, a `Why:` and a `Hint:` section"
         )
     return texts[0], texts[1], texts[2], " ".join(evidence.split())
 
 
 def rules_in(module: ModuleType) -> list[Rule]:
-    """Return the rules that ``module`` declares, in order of declaration."""
+    """Return the rules that a Python module declares, in order of declaration."""
     return [value for value in vars(module).values() if isinstance(value, Rule)]
 
 
 def backends_in(module: ModuleType) -> list[LevelBackend]:
-    """Return the level backends that ``module`` defines, in order of definition."""
+    """Return the level backends that a Python module defines, in order of definition."""
     return [value for value in vars(module).values() if isinstance(value, LevelBackend)]
 
 
 @dataclass(frozen=True, slots=True)
 class Registry:
-    """All installed rules and level backends.
+    """All installed validation rules and level backends.
 
     Attributes:
         rules: By id, in order of the catalogue.
@@ -212,7 +218,7 @@ class Registry:
         by_id: dict[str, Rule] = {}
         for entry in rules:
             if entry.id in by_id:
-                raise ValueError(f"rule {entry.id} is declared twice")
+                raise ValueError(f"rule {entry.id} is declared twice, expected unique ids")
             by_id[entry.id] = entry
         for entry in by_id.values():
             for need in entry.needs:
@@ -221,7 +227,7 @@ class Registry:
         by_level: dict[Level, LevelBackend] = {}
         for backend in backends:
             if backend.level in by_level:
-                raise ValueError(f"level {backend.level.word} has two backends")
+                raise ValueError(f"level {backend.level.word} has two backends, expected one")
             by_level[backend.level] = backend
         return cls(by_id, by_level)
 
@@ -233,7 +239,7 @@ class Registry:
         return Registry(selected, self.backends)
 
     def with_needs(self, rule_ids: Iterable[str]) -> "Registry":
-        """Return a registry with only the given rules and all rules that they depend on."""
+        """Return a registry with only the given rules and the rules on which they depend."""
         queue, selected = [id for id in rule_ids if id in self.rules], set[str]()
         if any(self.rules[id].level > Level.STATIC for id in queue):
             queue.append(MODEL_RUNS)
@@ -263,7 +269,7 @@ class Registry:
 
 
 def _nearest(stem: str, number: int, ids: list[str]) -> str:
-    """Return a hint with the known rule ``ids`` nearest to a mistyped one."""
+    """Return a hint with the known rule ids that are most similar to a mistyped id."""
     owner, slash, letters = stem.rpartition("/")
     family = f"{owner.lower()}{slash}{letters.upper()}"
     code = f"{family}{number:03}"
@@ -279,6 +285,6 @@ def _nearest(stem: str, number: int, ids: list[str]) -> str:
 
 
 def _mistyped(id: str, typed: str) -> bool:
-    """Return whether two rule ids differ in one character or in the order of characters."""
+    """Return whether two rule ids differ in one character, or in the order of two."""
     wrong = sum(a != b for a, b in zip(id, typed, strict=False))
     return len(id) == len(typed) and (wrong == 1 or sorted(id) == sorted(typed))

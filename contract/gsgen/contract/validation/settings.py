@@ -29,7 +29,7 @@ DEFAULT_LEVEL = Level.BEHAVIOUR
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """All settings of a validation.
+    """All settings of a validation: target, level, severities, limits, waivers.
 
     Attributes:
         level: The highest level to run.
@@ -68,7 +68,7 @@ class Settings:
     today: date = field(default_factory=date.today)
 
     def severity_of(self, rule: Rule) -> Severity:
-        """Return the severity of a rule under the validation settings."""
+        """Return the severity of a rule, as the validation settings set or leave it."""
         if rule.id in self.severities:
             return self.severities[rule.id]
         if self.strict and rule.id == "GM001":
@@ -76,7 +76,7 @@ class Settings:
         return self.target.severities.get(rule.id, rule.severity)
 
     def for_model(self, path: Path) -> "Settings":
-        """Return the settings with only the waivers for the model at ``path``."""
+        """Return the validation settings with only the waivers for the model at ``path``."""
         return replace(
             self, waivers=tuple(waiver for waiver in self.waivers if waiver.matches(path))
         )
@@ -93,9 +93,11 @@ def read_config(path: Path, registry: Registry, base: Settings | None = None) ->
     try:
         data = tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
-        raise ConfigInvalid(f"cannot be read: {error.strerror}", where=where) from error
+        raise ConfigInvalid(
+            f"the settings file cannot be read: {error.strerror}", where=where
+        ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigInvalid(f"is not TOML: {error}", where=where) from error
+        raise ConfigInvalid(f"the settings file is not TOML: {error}", where=where) from error
     if path.name == PYPROJECT:
         data, where = data.get("tool", {}).get("gsgen", {}), f"{where}, tool.gsgen"
     _dates_to_text(data)
@@ -138,7 +140,7 @@ def _apply(base: Settings, data: dict[str, Any], registry: Registry, where: str)
 
 
 def _dates_to_text(data: dict[str, Any]) -> None:
-    """Convert TOML dates to text, the form that the JSON Schema describes."""
+    """Convert dates in parsed TOML to strings, as the JSON Schema requires."""
     waivers = data.get("waive", [])
     for entry in waivers if isinstance(waivers, list) else ():
         if isinstance(entry, dict) and type(entry.get("until")) is date:
@@ -198,7 +200,7 @@ def _table(properties: object) -> dict[str, object]:
 
 
 def _validate_schema(names: list[str], severities: list[str]) -> dict[str, object]:
-    """Return the JSON Schemas of the keys of the ``[validate]`` table."""
+    """Return the JSON Schemas of the keys of the ``[validate]`` table in ``gsgen.toml``."""
     return {
         "level": {"enum": list(Level.words()), "description": "The highest level to run."},
         "target": {
@@ -243,7 +245,7 @@ def _validate_schema(names: list[str], severities: list[str]) -> dict[str, objec
 
 
 def _waiver_schema(names: list[str]) -> dict[str, object]:
-    """Return the JSON Schemas of the keys of a ``[[waive]]`` table."""
+    """Return the JSON Schemas of the keys of a ``[[waive]]`` table in ``gsgen.toml``."""
     return {
         "rule": {
             "type": "string",

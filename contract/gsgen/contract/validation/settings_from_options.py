@@ -1,4 +1,4 @@
-"""Combines command-line options, ``gsgen.toml`` or ``pyproject.toml``, and defaults into settings."""
+"""Combines command-line options, ``gsgen.toml`` and defaults into validation settings."""
 
 __all__ = ["make_settings"]
 

@@ -1,4 +1,4 @@
-"""Tolerances for comparing outputs, field by field, with the source of each."""
+"""Tolerances for comparing outputs of a generator, by field, and where each comes from."""
 
 __all__ = ["as_tolerances", "effective_tolerances"]
 
@@ -13,7 +13,7 @@ from gsgen.contract.validation.report import Tolerance
 
 
 def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
-    """Return the tolerances of a generator, or an empty tuple for other kinds of model.
+    """Return the tolerances for comparing two runs of a generator; empty for other models.
 
     The user's settings take precedence over the manifest, and the manifest over the contract.
     """
@@ -44,7 +44,7 @@ def as_tolerances(subject: InspectedModel) -> Tolerances:
 
 
 def _manifest_fields(subject: InspectedModel) -> dict[str, Literal["manifest"]]:
-    """Return the tolerance fields in the manifest's text; its dataclass also has defaults."""
+    """Return the tolerances that the manifest itself declares, without defaults."""
     if subject.parsed is None:
         return {}
     document: Any = json.loads(subject.file.manifest_text or "{}")

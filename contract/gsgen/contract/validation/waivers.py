@@ -1,4 +1,4 @@
-"""Waivers: accepted findings, each with a reason and an optional last day."""
+"""Waivers: findings that the user accepts, with a reason and an optional last day."""
 
 __all__ = ["Review", "Waiver", "apply_waivers"]
 
@@ -13,7 +13,7 @@ from gsgen.contract.validation.finding import Finding
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waiver:
-    """One accepted finding: a ``[[waive]]`` table of ``gsgen.toml``.
+    """A finding that the user accepts: a ``[[waive]]`` table of ``gsgen.toml``.
 
     Attributes:
         rule: The rule's id.
@@ -38,7 +38,7 @@ class Waiver:
         return is_location and self.rule == finding.rule
 
     def is_valid_on(self, day: date) -> bool:
-        """Return whether the waiver is valid on ``day``."""
+        """Return whether the waiver has not expired on ``day``."""
         return self.until is None or day <= self.until
 
     def matches(self, path: PurePath) -> bool:
@@ -49,7 +49,7 @@ class Waiver:
 
 @dataclass(frozen=True, slots=True)
 class Review:
-    """The input of rules that check the report itself: findings, waivers, and the date.
+    """The input of rules about the report itself: findings, waivers, and the current date.
 
     Attributes:
         findings: The findings of all other rules.
@@ -67,7 +67,7 @@ class Review:
 def apply_waivers(
     findings: Iterable[Finding], waivers: Iterable[Waiver], today: date
 ) -> tuple[Finding, ...]:
-    """Mark each finding that a valid waiver covers with the waiver's reason."""
+    """Mark each finding that a valid waiver covers, with the reason of the waiver."""
     active = [waiver for waiver in waivers if waiver.is_valid_on(today)]
 
     def waived(finding: Finding) -> Finding:

@@ -143,7 +143,7 @@ def _read_cloud(path: Path, *, octree: bool) -> AnchorCloud:
         groups |= {"offset": offsets, "feature": features}
         groups |= {name: (name,) for name in _LEVELS} if octree else {}
         if not offsets or len(offsets) % 3 or not features:
-            message = f"{len(offsets)} properties f_offset and {len(features)} f_anchor_feat"
+            message = f"has {len(offsets)} properties f_offset and {len(features)} f_anchor_feat"
             hint = "Expected 3 K and F of them: is this a checkpoint of another method?"
             raise CheckpointInvalid(message, where=str(path), hint=hint)
         tables = read_ply_columns(path, groups)
@@ -161,7 +161,7 @@ def _read_cloud(path: Path, *, octree: bool) -> AnchorCloud:
 
 
 def numbered(pattern: re.Pattern[str], names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the column names with a prefix, sorted by their numbers instead of as text."""
+    """Return the PLY column names with a prefix, sorted by number: 2 before 10."""
     matches = [(int(match[1]), name) for name in names if (match := pattern.fullmatch(name))]
     return tuple(name for _, name in sorted(matches))
 
@@ -304,7 +304,7 @@ def describe_anchors(checkpoint: AnchorCheckpoint) -> str:
 def require_appearance(
     checkpoint: AnchorCheckpoint, appearance: int | None, option: str
 ) -> int | None:
-    """Return the number of a training camera; raise if the checkpoint has no such appearance."""
+    """Return the index of the camera whose appearance to use; raise if the checkpoint has none."""
     embedding = checkpoint.nets.embedding
     if appearance is None:
         return None

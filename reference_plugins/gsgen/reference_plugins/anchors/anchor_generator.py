@@ -93,7 +93,7 @@ class AnchorGenerator(GaussianGenerator):
         self.smaller = ("--cull frustum --max-anchors N",)
         self.max_anchors = selection.anchors
         if self.max_anchors is not None and self.cull is None and not self.hides_anchors:
-            message = f"at most {self.max_anchors} anchors, but no culling selects them"
+            message = f"max_anchors is {self.max_anchors}, but no culling selects the anchors"
             hint = "Add --cull frustum."
             raise GsgenError(message, where="--max-anchors", hint=hint)
         if self.max_anchors is not None and self.max_anchors >= len(cloud):
@@ -180,7 +180,7 @@ class AnchorGenerator(GaussianGenerator):
 
     @abstractmethod
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"] | None:
-        """Return each anchor's visible share for a camera centre, 0 to 1; None if all are 1."""
+        """Return the visibility of each anchor from a camera centre, 0 to 1; None if all are 1."""
 
 
 def _views(

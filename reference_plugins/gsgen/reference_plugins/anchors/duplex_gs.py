@@ -11,7 +11,6 @@ and their weights. Otherwise the model is for renderers that sort Gaussians.
 
 __all__ = ["BLENDS", "OPACITIES", "DuplexGS"]
 
-from collections.abc import Iterator
 from typing import Literal, final
 
 import torch
@@ -25,6 +24,7 @@ from gsgen.reference_plugins.anchors.anchor_generator import AnchorGenerator, De
 from gsgen.reference_plugins.anchors.cell_checkpoint import CellCheckpoint
 from gsgen.reference_plugins.anchors.octree_gs import LevelGate, Levels
 from gsgen.reference_plugins.anchors.selection import Selection
+from gsgen.reference_plugins.tensors.harmonics import harmonic_sum
 from gsgen.reference_plugins.tensors.layers import proportion
 from gsgen.reference_plugins.tensors.planes import covariance_planes, stacked
 from gsgen.sdk import Cells
@@ -139,7 +139,9 @@ class DuplexGS(AnchorGenerator):
         return Cells(frame.anchor, visibility, covariance=stacked(planes))
 
     def _visibility(self, frame: Decoding) -> Float[Tensor, "n 1"]:
-        return torch.sigmoid(_evaluated(frame.of(self.visibility), frame.views.direction))
+        sh = frame.of(self.visibility)
+        columns = [sh[:, index : index + 1] for index in range(sh.shape[1])]
+        return torch.sigmoid(harmonic_sum(columns, frame.views.direction))
 
 
 def _cell_rotation(frame: Decoding) -> list[Float[Tensor, "n 1"]]:
@@ -151,34 +153,3 @@ def _cell_rotation(frame: Decoding) -> list[Float[Tensor, "n 1"]]:
     square = torch.stack([part * part for part in frame.decoded.rotation]).sum(dim=0)
     weight = weight / torch.sqrt(square.clamp(min=_MIN_SQUARED_NORM))
     return [(part * weight).sum(dim=1, keepdim=True) for part in frame.decoded.rotation]
-
-
-def _evaluated(sh: Float[Tensor, "n k"], direction: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:
-    """Evaluate one channel of spherical harmonics (degree 0 to 3, signs as in 3DGS)."""
-    x, y, z = direction[:, 0:1], direction[:, 1:2], direction[:, 2:3]
-    total: Tensor | float = 0.0
-    for index, function in zip(range(sh.shape[1]), _basis(x, y, z), strict=False):
-        total = total + sh[:, index : index + 1] * function
-    assert isinstance(total, Tensor)
-    return total
-
-
-def _basis(x: Tensor, y: Tensor, z: Tensor) -> Iterator[Tensor | float]:
-    """Yield the real SH basis functions in the order of 3DGS (Kerbl et al. 2023, its code)."""
-    xx, yy, zz = x * x, y * y, z * z
-    yield 0.28209479177387814
-    yield -0.4886025119029199 * y
-    yield 0.4886025119029199 * z
-    yield -0.4886025119029199 * x
-    yield 1.0925484305920792 * (x * y)
-    yield -1.0925484305920792 * (y * z)
-    yield 0.31539156525252005 * (2 * zz - xx - yy)
-    yield -1.0925484305920792 * (x * z)
-    yield 0.5462742152960396 * (xx - yy)
-    yield -0.5900435899266435 * (y * (3 * xx - yy))
-    yield 2.890611442640554 * (x * y * z)
-    yield -0.4570457994644658 * (y * (4 * zz - xx - yy))
-    yield 0.3731763325901154 * (z * (2 * zz - 3 * xx - 3 * yy))
-    yield -0.4570457994644658 * (x * (4 * zz - xx - yy))
-    yield 1.445305721320277 * (z * (xx - yy))
-    yield -0.5900435899266435 * (x * (xx - 3 * yy))

@@ -59,7 +59,7 @@ _REACH = 0.06  # metres over which a bone's skinning weight falls off
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PersonOptions:
-    """Options of a synthetic training run of a person."""
+    """Options of a synthetic checkpoint of a person's avatar."""
 
     count: int = 60  # number of Gaussians
     kind: str = "smpl"  # ``smpl`` or ``smplx``

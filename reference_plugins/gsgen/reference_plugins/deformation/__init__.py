@@ -1,1 +1,1 @@
-"""How are deforming scenes exported: Deformable-3D-Gaussians and 4DGaussians?"""
+"""How are deforming scenes exported: Deformable-3D-Gaussians, 4DGaussians, SC-GS?"""

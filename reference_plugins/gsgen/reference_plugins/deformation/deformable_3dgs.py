@@ -14,18 +14,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.contract.spec.manifest import Input
-from gsgen.reference_plugins.deformation.deformation_checkpoint import (
-    BLENDER_TIME_OCTAVES,
-    Deformation,
-)
+from gsgen.reference_plugins.deformation.deformation_checkpoint import Deformation
+from gsgen.reference_plugins.deformation.deformation_network import DeformationNetwork
 from gsgen.reference_plugins.loading.canonical import Canonical
 from gsgen.reference_plugins.tensors.layers import Dense
 from gsgen.reference_plugins.tensors.planes import covariance_planes, planes_of, stacked
-from gsgen.reference_plugins.tensors.positional_encoding import (
-    POINT_OCTAVES,
-    encoded_size,
-    positional_encoding,
-)
+from gsgen.reference_plugins.tensors.positional_encoding import POINT_OCTAVES, positional_encoding
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 
 # Rows of 256 numbers that fit into one binding of WebGPU (128 MiB).
@@ -33,25 +27,6 @@ MAX_ROWS = 131_072
 # The published code adds this after the division, so its axes are not exactly of unit length.
 _AXIS_SHIFT = 1e-5
 _MIN_SQUARED_ANGLE = 1e-24
-
-
-class _SplitLayer(nn.Module):
-    """A dense layer with separate weights for point, time and hidden inputs; time is one row."""
-
-    def __init__(self, weight: Tensor, bias: Tensor, point_inputs: int, time: int) -> None:
-        super().__init__()
-        self.point = Dense(weight[:, :point_inputs], bias)
-        self.time = Dense(weight[:, point_inputs : point_inputs + time], torch.zeros_like(bias))
-        hidden_weight = weight[:, point_inputs + time :]
-        self.hidden = (
-            Dense(hidden_weight, torch.zeros_like(bias)) if hidden_weight.shape[1] else None
-        )
-
-    def forward(self, point: Tensor, time: Tensor, hidden: Tensor | None = None) -> Tensor:
-        result: Tensor = self.point(point) + time @ self.time.weight
-        if self.hidden is not None and hidden is not None:
-            result = result + hidden @ self.hidden.weight
-        return result
 
 
 @final
@@ -76,16 +51,7 @@ class Deformable3DGS(GaussianGenerator):
     ) -> None:
         super().__init__()
         self.inputs = (time or inputs.time(),)
-        self.rows, self.skip = rows, net.skip
-        self.time = nn.ModuleList(Dense(*layer) for layer in net.time or ())
-        point_inputs = encoded_size(canonical.position.shape[1], POINT_OCTAVES)
-        time_inputs = net.layers[0][0].shape[1] - point_inputs
-        self.layers = nn.ModuleList(
-            _SplitLayer(*layer, point_inputs, time_inputs)
-            if index in (0, net.skip)
-            else Dense(*layer)
-            for index, layer in enumerate(net.layers)
-        )
+        self.rows, self.network = rows, DeformationNetwork(net)
         self.warp = nn.ModuleList(Dense(*layer) for layer in net.warp)
         self.turn, self.stretch = Dense(*net.rotation), Dense(*net.scaling)
         self.register_buffer("position", canonical.position)
@@ -97,7 +63,7 @@ class Deformable3DGS(GaussianGenerator):
 
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
         """Return the deformed Gaussians at a given time."""
-        moment = self._moment(time)
+        moment = self.network.moment(time)
         count = self.position.shape[0]
         parts = [
             self._deformed(slice(start, start + self.rows), moment)
@@ -109,22 +75,10 @@ class Deformable3DGS(GaussianGenerator):
         )
         return Gaussians(position=position, opacity=self.opacity, covariance=covariance, sh=self.sh)
 
-    def _moment(self, time: Tensor) -> Float[Tensor, "1 m"]:
-        if not len(self.time):
-            return positional_encoding(time.reshape(1, 1), POINT_OCTAVES)
-        first, second = self.time
-        encoded = positional_encoding(time.reshape(1, 1), BLENDER_TIME_OCTAVES)
-        moment: Tensor = second(torch.relu(first(encoded)))
-        return moment
-
     def _deformed(self, part: slice, moment: Tensor) -> tuple[Tensor, Tensor]:
         """Return centres and covariances of a range of Gaussians after the deformation."""
         position = self.position[part]
-        encoded = positional_encoding(position, POINT_OCTAVES)
-        hidden = torch.relu(self.layers[0](encoded, moment))
-        for index, layer in enumerate(self.layers[1:], start=1):
-            result = layer(encoded, moment, hidden) if index == self.skip else layer(hidden)
-            hidden = torch.relu(result)
+        hidden = self.network(positional_encoding(position, POINT_OCTAVES), moment)
         scale = self.scale[part] + self.stretch(hidden)
         # Not normalised, as in the published rasteriser.
         rotation = self.rotation[part] + self.turn(hidden)

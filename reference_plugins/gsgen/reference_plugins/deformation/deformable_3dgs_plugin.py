@@ -5,6 +5,7 @@ __all__ = ["PLUGIN"]
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsgen.reference_plugins.deformation.sc_gs_plugin import is_sc_gs
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
     Fps,
@@ -55,6 +56,10 @@ def build(
     return generator
 
 
+def _recognises(run: Path, iteration: Path) -> bool:
+    return (run / "deform").is_dir() and not is_sc_gs(run, iteration)
+
+
 def _write_demo(folder: Path) -> list[str]:
     from gsgen.reference_plugins.deformation.synthetic_deformations import write_deformable
 
@@ -70,7 +75,7 @@ PLUGIN = Plugin(
     "DIR/deform/iteration_N/deform.pth.",
     inputs=("time",),
     publication=_PUBLICATION,
-    recognises=lambda run, iteration: (run / "deform").is_dir(),
+    recognises=_recognises,
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,
 )

@@ -5,10 +5,10 @@
 and must agree with ``cfg_args``.
 """
 
-__all__ = ["Deformation", "DeformationCheckpoint", "read_deformation"]
+__all__ = ["Deformation", "DeformationCheckpoint", "read_deformation", "read_layers"]
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,6 +94,26 @@ def read_deformation(folder: Path, iteration: int | None = None) -> DeformationC
 
 
 def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
+    has_screws = "branch_w.weight" in state
+    warp = {"branch_w": 3, "branch_v": 3} if has_screws else {"gaussian_warp": 3}
+    return read_layers(path, state, warp)[0]
+
+
+def read_layers(
+    path: Path,
+    state: Mapping[str, Tensor],
+    warp: Mapping[str, int],
+    further: Callable[[int, int], Mapping[str, Shape]] = lambda _, __: {},
+) -> tuple[Deformation, dict[str, Tensor]]:
+    """Return the layers of a deformation network, and all tensors of its state dict.
+
+    Args:
+        path: The file, for messages.
+        state: The state dict.
+        warp: Heads of the translation, with their outputs.
+        further: Returns the shapes of further tensors, for the width of the encoded point and
+            time, and that of the layers.
+    """
     first = state.get("linear.0.weight")
     layers = {int(match[1]) for name in state if (match := _LAYER.fullmatch(name))}
     if not isinstance(first, Tensor) or first.ndim != 2 or layers != set(range(len(layers))):
@@ -110,15 +130,12 @@ def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
     if blender:
         expected |= linear_shapes("timenet.0", _BLENDER_TIME, None)
         expected |= linear_shapes("timenet.2", None, embedded - _POINT_INPUTS)
-    warp = ("branch_w", "branch_v") if "branch_w.weight" in state else ("gaussian_warp",)
-    for name in warp:
-        expected |= linear_shapes(name, width, 3)
-    expected |= linear_shapes("gaussian_rotation", width, 4) | linear_shapes(
-        "gaussian_scaling", width, 3
-    )
+    for name, outputs in {**warp, "gaussian_rotation": 4, "gaussian_scaling": 3}.items():
+        expected |= linear_shapes(name, width, outputs)
+    expected |= further(embedded, width)
     read = require_tensors(path, state, expected)
     moves = [layer_of(read, name) for name in warp]
-    return Deformation(
+    net = Deformation(
         layers=tuple(layer_of(read, f"linear.{i}") for i in range(count)),
         skip=skip,
         time=(layer_of(read, "timenet.0"), layer_of(read, "timenet.2")) if blender else None,
@@ -126,3 +143,4 @@ def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
         rotation=layer_of(read, "gaussian_rotation"),
         scaling=layer_of(read, "gaussian_scaling"),
     )
+    return net, read

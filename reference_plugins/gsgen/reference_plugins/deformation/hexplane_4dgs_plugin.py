@@ -67,7 +67,7 @@ def _write_demo(folder: Path) -> list[str]:
         write_hexplane,
     )
 
-    options = HexPlaneOptions(count=8000, sway=1.8, resolution=(4, 4, 4, 12), multires=(1,))
+    options = HexPlaneOptions(count=8000, sway=1.0, resolution=(4, 4, 4, 12), multires=(1,))
     write_hexplane(folder, options)
     return ["--checkpoint", str(folder)]
 

@@ -26,7 +26,7 @@ from gsgen.reference_plugins.tensors.hexplane import SPACE_PLANES, TIME_PLANES
 def _cell_below(
     along: Float[Tensor, " n"], cells: int
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n 1"]]:
-    """Return the index of the cell below a coordinate in [0, 1], and the weight of the next cell."""
+    """Return the grid cell below a coordinate in [0, 1], and the weight of the next grid cell."""
     coordinate = (along * float(cells - 1)).clamp(0.0, float(cells - 1))
     below = torch.floor(coordinate).clamp(max=float(cells - 2))
     return below, (coordinate - below)[:, None]

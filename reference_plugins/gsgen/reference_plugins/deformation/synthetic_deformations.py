@@ -3,7 +3,7 @@
 The Gaussians are a torus knot; the weights are noise, large enough to move it visibly.
 """
 
-__all__ = ["HexPlaneOptions", "write_deformable", "write_hexplane"]
+__all__ = ["HexPlaneOptions", "write_deformable", "write_hexplane", "write_sc_gs"]
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from gsgen.formats import write_ply
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import HEADS
 from gsgen.reference_plugins.synthetic.knot import torus_knot
 from gsgen.reference_plugins.synthetic.random_layers import random_linear
-from gsgen.reference_plugins.synthetic.run_files import write_cfg_args
+from gsgen.reference_plugins.synthetic.run_files import splat_columns, write_cfg_args, write_columns
 
 _UNUSED = ("time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
 
@@ -79,7 +79,9 @@ def _hexplane_state(options: HexPlaneOptions) -> dict[str, Tensor]:
         sizes = [*(factor * size for size in options.resolution[:3]), options.resolution[3]]
         for index, (a, b) in enumerate(combinations(range(4), 2)):
             shape = (1, options.channels, sizes[b], sizes[a])
-            cells = 0.8 + 0.4 * torch.randn(shape, generator=noise)
+            # Six planes are multiplied: their values are bounded, so that no product is an outlier
+            # which throws a few Gaussians far away from their neighbours.
+            cells = 1 + 0.3 * torch.tanh(torch.randn(shape, generator=noise))
             state[f"{net}grid.grids.{scale}.{index}"] = cells
     width = options.width
     for layer in range(max(1, options.depth)):
@@ -113,17 +115,7 @@ def write_deformable(
     motions. ``width`` is 256 in the published code; ``sway`` is the approximate movement.
     """
     noise = torch.Generator().manual_seed(seed)
-    embedded = 63 + (30 if blender else 21)
-    state: dict[str, Tensor] = {}
-    for layer in range(8):
-        inputs = {0: embedded, 5: width + embedded}.get(layer, width)
-        state |= random_linear(f"linear.{layer}", inputs, width, noise, 1.5)
-    for layer in (0, 5):  # weaken high frequencies in space, so that neighbours move alike
-        state[f"linear.{layer}.weight"][:, 3:63] *= 0.4 ** (torch.arange(60) // 6)
-    if blender:
-        state |= random_linear("timenet.0", 13, width, noise) | random_linear(
-            "timenet.2", width, 30, noise
-        )
+    state = _time_network("", 63 + (30 if blender else 21), width, noise)
     for name in ("branch_w", "branch_v") if six_degrees else ("gaussian_warp",):
         state |= random_linear(name, width, 3, noise, sway)
     state |= random_linear("gaussian_rotation", width, 4, noise, 0.2)
@@ -134,3 +126,70 @@ def write_deformable(
     write_ply(folder / "point_cloud/iteration_40000/point_cloud.ply", torus_knot(count, seed=seed))
     torch.save(state, folder / "deform/iteration_40000/deform.pth")
     return folder
+
+
+def write_sc_gs(
+    folder: Path,
+    *,
+    count: int = 64,
+    nodes: int = 12,
+    blender: bool = True,
+    width: int = 32,
+    options: Mapping[str, object] | None = None,
+    sway: float = 0.2,
+    seed: int = 0,
+) -> Path:
+    """Write a synthetic checkpoint of SC-GS, and return the folder.
+
+    ``options`` go to ``cfg_args``; ``local_frame``, ``pred_opacity``, ``pred_color`` and
+    ``gs_with_motion_mask`` add their tensors, and ``hyper_dim`` is 2 by default. ``width`` is 256
+    in the published code; ``sway`` is the approximate movement.
+    """
+    noise = torch.Generator().manual_seed(seed)
+    cfg = {"is_blender": blender, "K": 3, "deform_type": "node", "hyper_dim": 2, **(options or {})}
+    knot = torus_knot(count, seed=seed)
+    hyper = int(str(cfg["hyper_dim"]))
+    centres = torch.from_numpy(torus_knot(nodes, seed=seed + 1).position)
+    embedded = 63 + (30 if blender else 21)
+    state = _time_network("network.", embedded, width, noise)
+    state |= random_linear("network.gaussian_warp", width, 3, noise, sway)
+    state |= random_linear("network.gaussian_rotation", width, 4, noise, 0.2)
+    state |= random_linear("network.gaussian_scaling", width, 3, noise, 0.004)
+    if cfg.get("local_frame"):
+        state |= random_linear("network.local_rotation", width, 4, noise, 0.2)
+    if cfg.get("pred_opacity"):
+        state |= random_linear("network.gaussian_opacity", width, 1, noise, 0.1)
+    if cfg.get("pred_color"):
+        sizes = (embedded + width, width, width, 3)
+        for index, layer in enumerate((0, 2, 4)):
+            inputs, outputs = sizes[index], sizes[index + 1]
+            state |= random_linear(f"network.gaussian_color.{layer}", inputs, outputs, noise)
+    state["nodes"] = torch.cat([centres, 0.1 * torch.randn((nodes, hyper), generator=noise)], dim=1)
+    state["_node_radius"] = -1.5 + 0.2 * torch.randn(nodes, generator=noise)
+    state["_node_weight"] = torch.randn((nodes, 1), generator=noise)
+    state["inited"] = torch.tensor(True)
+    write_cfg_args(folder, cfg)
+    features = hyper + bool(cfg.get("gs_with_motion_mask"))
+    table = 0.1 * torch.randn((count, features), generator=noise)
+    for subfolder in ("point_cloud/iteration_80000", "deform/iteration_80000"):
+        (folder / subfolder).mkdir(parents=True, exist_ok=True)
+    columns = splat_columns(knot) | {f"fea_{i}": table[:, i].numpy() for i in range(features)}
+    write_columns(folder / "point_cloud/iteration_80000/point_cloud.ply", columns)
+    torch.save(state, folder / "deform/iteration_80000/deform.pth")
+    return folder
+
+
+def _time_network(
+    prefix: str, embedded: int, width: int, noise: torch.Generator
+) -> dict[str, Tensor]:
+    """Return the eight layers over an encoded point and time, and those of a Blender scene's time."""
+    state: dict[str, Tensor] = {}
+    for layer in range(8):
+        inputs = {0: embedded, 5: width + embedded}.get(layer, width)
+        state |= random_linear(f"{prefix}linear.{layer}", inputs, width, noise, 1.5)
+    for layer in (0, 5):  # weaken high frequencies in space, so that neighbours move alike
+        state[f"{prefix}linear.{layer}.weight"][:, 3:63] *= 0.4 ** (torch.arange(60) // 6)
+    if embedded == 63 + 30:
+        state |= random_linear(f"{prefix}timenet.0", 13, width, noise)
+        state |= random_linear(f"{prefix}timenet.2", width, 30, noise)
+    return state

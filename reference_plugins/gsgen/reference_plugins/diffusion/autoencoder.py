@@ -144,7 +144,7 @@ class Autoencoder(nn.Module):
     def decode(
         self, latent: Float[Tensor, "b l i j"], entered: Sequence[Tensor] = ()
     ) -> Float[Tensor, "b c h w"]:
-        """Return the image of a latent and its skip connections."""
+        """Decode a latent, with the skip connections of the encoder, to an image."""
         unscaled = latent / self.options.scale + self.options.shift
         if self.post_quant_conv is not None:
             unscaled = self.post_quant_conv(unscaled)

@@ -22,23 +22,25 @@ class ModelConfig:
     path: Path
     values: Mapping[str, Any]  # option → JSON value
 
-    def option_error(self, name: str, problem: str) -> CheckpointInvalid:
-        """Return an error about the value of a network option, to be raised by the caller."""
-        return CheckpointInvalid(f"{name} {problem}", where=str(self.path))
+    def option_error(self, problem: str, *, where: str) -> CheckpointInvalid:
+        """Return an error about the network option ``where``, to be raised by the caller."""
+        return CheckpointInvalid(f"{where} {problem}", where=str(self.path))
 
     def choice(self, name: str, values: Sequence[Any], default: Any = None) -> Any:
         """Return a network option that must be one of the supported values."""
         value = self.values.get(name, default)
         if isinstance(value, list | dict) or value not in values:
             words = ", ".join(json.dumps(allowed) for allowed in values)
-            raise self.option_error(name, f"is {json.dumps(value)}; supported: {words}")
+            raise self.option_error(f"is {json.dumps(value)}; supported: {words}", where=name)
         return value
 
     def integer(self, name: str, default: int, *, least: int = 1) -> int:
         """Return a network option that must be an integer above a lower limit."""
         value = self.values.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise self.option_error(name, f"is {value!r}, expected an integer of at least {least}")
+            raise self.option_error(
+                f"is {value!r}, expected an integer of at least {least}", where=name
+            )
         return value
 
     def number(self, name: str, default: float) -> float:
@@ -46,14 +48,14 @@ class ModelConfig:
         value = self.values.get(name, default)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not math.isfinite(value):
-            raise self.option_error(name, f"is {value!r}, expected a finite number")
+            raise self.option_error(f"is {value!r}, expected a finite number", where=name)
         return float(value)
 
     def flag(self, name: str, *, default: bool) -> bool:
         """Return a network option that must be true or false."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
-            raise self.option_error(name, f"is {value!r}, expected true or false")
+            raise self.option_error(f"is {value!r}, expected true or false", where=name)
         return value
 
     def integers(self, name: str) -> tuple[int, ...]:
@@ -61,7 +63,9 @@ class ModelConfig:
         value = self.values.get(name)
         fits = isinstance(value, list) and value and all(type(n) is int and n > 0 for n in value)
         if not fits:
-            raise self.option_error(name, f"is {value!r}, expected a list of positive integers")
+            raise self.option_error(
+                f"is {value!r}, expected a list of positive integers", where=name
+            )
         return tuple(value or ())
 
     def per_level(self, name: str, levels: int, default: int) -> tuple[int, ...]:
@@ -71,7 +75,7 @@ class ModelConfig:
         numbers = self.integers(name)
         if len(numbers) != levels:
             raise self.option_error(
-                name, f"has {len(numbers)} numbers, expected {levels}, one per level"
+                f"has {len(numbers)} numbers, expected {levels}, one per level", where=name
             )
         return numbers
 
@@ -79,10 +83,14 @@ class ModelConfig:
         """Convert the block type of each network level to the name that gsgen uses."""
         names = self.values.get(name)
         if not isinstance(names, list) or len(names) != levels:
-            raise self.option_error(name, f"is {names!r}, expected a list of {levels} block types")
+            raise self.option_error(
+                f"is {names!r}, expected a list of {levels} block types", where=name
+            )
         unknown = [kind for kind in names if not isinstance(kind, str) or kind not in known]
         if unknown:
-            raise self.option_error(name, f"has {unknown[0]!r}; supported: {', '.join(known)}")
+            raise self.option_error(
+                f"has {unknown[0]!r}; supported: {', '.join(known)}", where=name
+            )
         return tuple(known[kind] for kind in names)
 
     def size(self, name: str) -> tuple[int, int] | None:
@@ -109,7 +117,9 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
         raise CheckpointInvalid(message, where=str(path), hint=near)
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise ValueError(f"has {path.stat().st_size:,} bytes, expected at most {_MOST_BYTES:,}")
+            raise ValueError(
+                f"the file has {path.stat().st_size:,} bytes, expected at most {_MOST_BYTES:,}"
+            )
         values = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error

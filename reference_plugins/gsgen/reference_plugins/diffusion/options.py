@@ -57,7 +57,7 @@ class VectorOptions:
         features = config.integer("addition_time_embed_dim", 0)
         if features % 2 or features >= length:
             problem = f"is {features}, expected an even number below {length}"
-            raise config.option_error("addition_time_embed_dim", problem)
+            raise config.option_error(problem, where="addition_time_embed_dim")
         return cls(length, features)
 
 
@@ -112,7 +112,7 @@ class UNetOptions:
         context = config.integer("cross_attention_dim", 1280) if conditional else None
         if context is None and "context" in (*down, *up, middle):
             problem = "has blocks with cross-attention, but the network is unconditional"
-            raise config.option_error("down_block_types", problem)
+            raise config.option_error(problem, where="down_block_types")
         return cls(
             inputs=config.integer("in_channels", 4 if conditional else 3),
             outputs=config.integer("out_channels", 4 if conditional else 3),
@@ -166,7 +166,7 @@ def _heads_per_level(
     for count, head in zip(channels, heads, strict=True):
         if count % head:
             problem = f"{head} heads do not divide {count} channels"
-            raise config.option_error("attention_head_dim", problem)
+            raise config.option_error(problem, where="attention_head_dim")
     return heads
 
 

@@ -53,8 +53,10 @@ def added_vector(
     joined = torch.cat([pooled.float(), features.reshape(1, -1)], dim=1)
     if joined.shape[1] != vector.length:
         lengths = f"{pooled.shape[1]} + {len(time_ids)} × {vector.features}"
-        message = f"the prompt vector and time ids have {lengths} = {joined.shape[1]} numbers"
-        raise ValueError(f"{message}, expected {vector.length}")
+        raise ValueError(
+            f"the prompt vector and time ids have {lengths} = {joined.shape[1]} numbers, "
+            f"expected {vector.length}"
+        )
     return joined
 
 

@@ -186,8 +186,8 @@ def _check_step(
         hint = "Give --embeddings FILE.npz: the text encoder's embeddings of the prompt."
         raise ConfigInvalid(message, where="--embeddings", hint=hint)
     if (options.vector is None) != (vector is None):
-        message = "takes no" if options.vector is None else "needs a"
-        raise ConfigInvalid(f"the network {message} pooled prompt vector", where="--embeddings")
+        needs = "takes no" if options.vector is None else "needs a"
+        raise ConfigInvalid(f"the network {needs} pooled prompt vector", where="--embeddings")
 
 
 def _fits(context: Tensor | None, width: int) -> bool:

@@ -231,8 +231,8 @@ def _noise(config: ModelConfig) -> Noise:
     low, high = config.number("beta_start", 0.0001), config.number("beta_end", 0.02)
     if not 0 <= low <= high < 1:
         raise config.option_error(
-            "beta_start",
             f"is {low:g} and beta_end {high:g}, expected 0 ≤ beta_start ≤ beta_end < 1",
+            where="beta_start",
         )
     if kind == "linear":
         beta = torch.linspace(low, high, steps, dtype=torch.float64)

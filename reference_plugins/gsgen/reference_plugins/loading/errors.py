@@ -33,7 +33,7 @@ def format_faults(path: Path) -> Iterator[None]:
 
 
 def reason_of(error: Exception) -> str:
-    """Return the line of an error that names the fault of a file.
+    """Return the line of an error message that describes the fault of a file.
 
     ``torch.load`` first advises to load the file without its safeguard, which would be unsafe;
     the refused name comes later.

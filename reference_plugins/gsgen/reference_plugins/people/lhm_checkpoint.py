@@ -71,7 +71,7 @@ class Face:
 
 
 def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
-    """Read an avatar of LHM from a file of its inference code.
+    """Read an LHM avatar from a file that LHM's inference code saved.
 
     ``folder`` holds the ``.pth`` and ``pretrained_models``, or is the ``.pth`` beside them. Without
     ``body``, the SMPL-X file is searched there.
@@ -180,7 +180,9 @@ def _tensors(path: Path) -> dict[str, Tensor]:
     for name, shape in expected.items():
         value = fields[name]
         if not isinstance(value, Tensor) or not count:
-            raise CheckpointInvalid(f"{name} is not a tensor with rows", where=str(path), hint=hint)
+            raise CheckpointInvalid(
+                f"the field {name} is not a tensor with rows", where=str(path), hint=hint
+            )
         if value.numel() != np.prod(shape) or not torch.isfinite(value).all():
             message = f"{name} is {list(value.shape)}, expected {list(shape)}, all finite"
             raise CheckpointInvalid(message, where=str(path), hint=hint)

@@ -68,7 +68,7 @@ class _Shell(Inert):
     """Inert stand-in for a pickled network; it gives access to the network's tensors."""
 
     def tensors(self, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
-        """Yield the names and tensors that ``state_dict`` would return."""
+        """Yield the names and tensors of a pickled network, as ``state_dict`` would return them."""
         for name, value in dict(self.given.get("_parameters", {})).items():
             if isinstance(value, Tensor):
                 yield prefix + name, value

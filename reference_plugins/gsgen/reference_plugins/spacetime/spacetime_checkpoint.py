@@ -56,7 +56,7 @@ class SpacetimeSplats:
 
 @dataclass(frozen=True, slots=True)
 class FeatureDecoder:
-    """The two layers, without bias, that turn features and a ray into a colour."""
+    """Two dense layers without bias, which decode features and a viewing ray to a colour."""
 
     hidden: Float[Tensor, "6 12"]
     color: Float[Tensor, "3 6"]
@@ -74,13 +74,13 @@ class SpacetimeCheckpoint:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that the weights come from."""
+        """The checkpoint files that the weights come from."""
         return (
             (self.cloud,) if self.decoder is None else (self.cloud.with_suffix(".pt"), self.cloud)
         )
 
     def describe(self) -> str:
-        """Return the number of Gaussians and the variant of the model as one line."""
+        """Return the number of Gaussians and the model variant of a checkpoint as one line."""
         decoder = self.decoder
         variant = "lite model" if decoder is None else f"full model ({decoder.activation})"
         return f"{self.cloud}: {len(self.splats):,} Gaussians, {variant}"

@@ -27,7 +27,7 @@ _FEATURES = 3
 
 
 def color_range(colors: Float[Tensor, "n 3"]) -> tuple[float, float] | None:
-    """Return the range of colours, to a tenth, where they leave [0, 1]; None otherwise."""
+    """Return the range of colours, rounded to tenths, if any is outside [0, 1]; else None."""
     low, high = float(colors.min()), float(colors.max())
     if low >= 0 and high <= 1:
         return None
@@ -81,7 +81,7 @@ class SpacetimeGaussians(GaussianGenerator):
             self.out = Dense(decoder.color, torch.zeros(3))
 
     def forward(self, time: Float[Tensor, "1"], camera: Tensor | None = None) -> Gaussians:
-        """Return the Gaussians at a time, with the colours that a camera sees."""
+        """Return the Gaussians at a given time, with colours as the camera sees them."""
         dt = time.reshape(1, 1) - self.temporal_centre
         first, second, third = (self.motion[:, i : i + 3] for i in (0, 3, 6))
         position = self.position + dt * (first + dt * (second + dt * third))
@@ -107,7 +107,7 @@ class SpacetimeGaussians(GaussianGenerator):
         albedo = self.features[:, :_FEATURES]
         specular = self.features[:, _FEATURES : 2 * _FEATURES]
         changing = dt * self.features[:, 2 * _FEATURES :]
-        # One product for each part of the input, so that none is copied into a wide tensor.
+        # Each part of the input has its own product, which saves copying them into a wide tensor.
         weights = torch.split(self.hidden.weight, _FEATURES)
         hidden = specular @ weights[0] + changing @ weights[1] + direction @ weights[3]
         color: Tensor = albedo + self.out(torch.relu(hidden + origin @ weights[2]))

@@ -1,4 +1,4 @@
-"""`gsgen export spacetime-gaussians`: a checkpoint of SpacetimeGaussians as a generator."""
+"""The command `gsgen export spacetime-gaussians`: exports SpacetimeGaussians to ONNX."""
 
 __all__ = ["PLUGIN"]
 

@@ -40,7 +40,7 @@ def write_spacetime(
     columns |= _numbered("f_dc", np.concatenate(features, axis=1))
     columns |= {"opacity": knot.logit_opacity}
     columns |= _numbered("scale", knot.log_scale) | _numbered("rot", knot.rotation)
-    columns |= _numbered("omega", rng.normal(0, 1, (count, 4)))
+    columns |= _numbered("omega", rng.normal(0, 0.1, (count, 4)))
     if full:
         columns |= _numbered("f_t", rng.normal(0, 0.5, (count, 3)))
     variant = "ours_full" if full else "ours_lite"
@@ -69,5 +69,5 @@ def _motion(position: Float[np.ndarray, "n 3"], sway: float) -> Float[np.ndarray
 
 
 def _numbered(name: str, table: Float[np.ndarray, "n k"]) -> dict[str, Float[np.ndarray, " n"]]:
-    """Return the columns of a table by name, numbered from 0."""
+    """Return the columns of an array by PLY property name: a prefix and a number from 0."""
     return {f"{name}_{index}": column for index, column in enumerate(table.T)}

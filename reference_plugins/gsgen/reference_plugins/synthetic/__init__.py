@@ -21,17 +21,19 @@ if TYPE_CHECKING:
         HexPlaneOptions,
         write_deformable,
         write_hexplane,
+        write_sc_gs,
     )
     from gsgen.reference_plugins.images.synthetic_difix import write_difix
     from gsgen.reference_plugins.images.synthetic_images import write_denoiser, write_stylise
     from gsgen.reference_plugins.people.synthetic_people import write_gauhuman, write_lhm, write_r3
+    from gsgen.reference_plugins.spacetime.synthetic_rotor import write_rotor
     from gsgen.reference_plugins.spacetime.synthetic_spacetime import write_spacetime
     from gsgen.reference_plugins.synthetic.knot import torus_knot
 
 __all__ = [
     "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_body",
     "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_gauhuman",
-    "write_hexplane", "write_lhm", "write_motion", "write_octree", "write_r3", "write_scaffold",
+    "write_hexplane", "write_lhm", "write_motion", "write_octree", "write_r3", "write_rotor", "write_sc_gs", "write_scaffold",
     "write_spacetime", "write_stylise",
 ]  # fmt: skip
 

@@ -57,7 +57,7 @@ def color_errors(
     weights: Weights,
     sh: Float32[np.ndarray, "n k 3"],
 ) -> float:
-    """Return the weighted root mean square error of fitted SH, clamped to ≥ 0 as drawn.
+    """Return the weighted RMS error of fitted SH colours, which are clamped to ≥ 0 as drawn.
 
     The cameras are held out of the fit; arguments are those of :func:`fit_sh`.
     """

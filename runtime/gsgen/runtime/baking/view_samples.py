@@ -196,7 +196,7 @@ def _matched_by_position(views: Sequence[_View], model: str) -> list[Int64[np.nd
 
 
 def _keys(positions: Float32[np.ndarray, "n 3"]) -> np.ndarray:
-    """Return 16 bytes that identify each row: position, and count of earlier equal positions."""
+    """Return a 16-byte key of each Gaussian: position, and number of earlier equal positions."""
     bits = np.ascontiguousarray(positions, np.float32).view(np.uint32)
     _, inverse = np.unique(bits, axis=0, return_inverse=True)
     order = np.argsort(inverse.reshape(-1), kind="stable")

@@ -17,7 +17,7 @@ _SLICE: Final = re.compile(r"(-?\d*):(-?\d*)(?::(-?\d*))?")
 @final
 @dataclass(frozen=True, slots=True)
 class NamedCamera:
-    """A camera with its name in a camera file, which most often is that of an image."""
+    """A camera with its name in a camera file, most often the file name of an image."""
 
     name: str
     camera: Camera

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from gsgen.contract.probing.probes import Probe, as_tensor
+from gsgen.contract.probing.probes import ORBIT, Probe, as_tensor
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.tools.recording import evenly_spaced
@@ -47,7 +47,6 @@ _FRAMES: Final = 5
 _AGREEMENT: Final = "GB020"
 _REFERENCES: Final = "GB021"
 _FOV_Y: Final = 50.0
-_DISTANCE: Final = 2.2  # half diagonals of the bounds; the cameras of probes have the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +96,7 @@ class RenderEvidence:
 
 @contextmanager
 def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
-    """Draw a model's outputs for some probes, which the rules of level ``render`` check."""
+    """Draw a model's outputs for some probe inputs, which the rules of level ``render`` check."""
     if find_spec("wgpu") is None:
         raise LevelUnavailable("wgpu is not installed", hint="pip install 'gsgen[runtime]'")
     started = time.monotonic()
@@ -160,7 +159,7 @@ def _render_probes(
 
 
 def _probe_scene(probe_runs: ProbeRuns, number: int) -> Scene:
-    """Return a model's outputs for a probe as a scene."""
+    """Convert a model's outputs at a probe (a set of test inputs) to a scene."""
     manifest = probe_runs.subject.generator
     assert manifest is not None
     sample = probe_runs.execution.runs[number].sample
@@ -231,7 +230,7 @@ def _psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
-    """Return the camera of a probe's inputs, or else one that looks at the model's bounds."""
+    """Return the camera in a probe's inputs, or else a camera that looks at the model's bounds."""
     by_role = {spec.role: probe.inputs[spec.name] for spec in manifest.inputs}
     order = manifest.space.matrix_order if manifest.space else "column"
     default_camera = _camera_at_bounds(manifest, by_role.get("camera_position"))
@@ -266,7 +265,7 @@ def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Ca
     if eye is None or np.allclose(eye, center):
         return Camera.orbit(
             center.tolist(),
-            _DISTANCE * reach,
+            ORBIT * reach,
             azimuth=30,
             elevation=20,
             up=up,

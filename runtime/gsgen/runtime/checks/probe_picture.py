@@ -1,4 +1,4 @@
-"""Draws a model at one probe, for reports; registered under the entry point ``gsgen.pictures``."""
+"""Draws a model for one set of test inputs (a probe), by the entry point ``gsgen.pictures``."""
 
 __all__ = ["draw_probe"]
 
@@ -15,7 +15,7 @@ from gsgen.runtime.errors import DeviceUnavailable
 
 
 def draw_probe(path: Path, label: str, settings: Settings) -> bytes:
-    """Run a generator at the probe called ``label``, and return its picture as a PNG.
+    """Run a generator with the test inputs called ``label``, and return its picture as a PNG.
 
     Raises:
         RecordingRefused: The model has no such probe, or does not run.

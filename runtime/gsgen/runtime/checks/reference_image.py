@@ -66,7 +66,8 @@ def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarra
         with Image.open(io.BytesIO(raw), formats=["PNG"]) as image:
             if max(image.size) > MAX_SIDE:
                 raise ReferenceUnreadable(
-                    f"the image is {image.width}×{image.height}, expected at most {MAX_SIDE}×{MAX_SIDE}"
+                    f"the image is {image.width}×{image.height}, expected at most "
+                    f"{MAX_SIDE}×{MAX_SIDE}"
                 )
             colors = np.asarray(image.convert("RGB"), np.float32)
     except (
@@ -76,7 +77,7 @@ def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarra
         ValueError,
         SyntaxError,
     ) as error:
-        raise ReferenceUnreadable(f"cannot be read as PNG: {error}") from error
+        raise ReferenceUnreadable(f"the image cannot be read as PNG: {error}") from error
     return colors / np.float32(_MAX_COMPONENT)
 
 
@@ -102,7 +103,7 @@ def _bytes(folder: Path, name: str) -> bytes:
         with path.open("rb") as file:
             raw = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        raise ReferenceUnreadable(f"cannot be read: {error.strerror}") from error
+        raise ReferenceUnreadable(f"the image cannot be read: {error.strerror}") from error
     if len(raw) > _MAX_BYTES:
-        raise ReferenceUnreadable(f"has more than {_MAX_BYTES:,} bytes, the limit")
+        raise ReferenceUnreadable(f"the image has more than {_MAX_BYTES:,} bytes, the limit")
     return raw

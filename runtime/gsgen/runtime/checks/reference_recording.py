@@ -71,7 +71,7 @@ def record_references(
     renderer: Renderer | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> References:
-    """Draw a model at some of its probes, and declare the pictures in the manifest of a copy.
+    """Draw a model for some test inputs, and declare the pictures in the manifest of a copy.
 
     Args:
         source: A generator with a manifest; it stays as it is, unless ``model`` is the same file.
@@ -124,7 +124,7 @@ def record_references(
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Picture:
-    """The drawn frame of one probe of a model, with the camera."""
+    """The drawn frame of a model at one probe (a set of test inputs), with the camera."""
 
     probe: Probe
     camera: Camera
@@ -133,7 +133,7 @@ class _Picture:
 
 @final
 class _PictureCameras:
-    """The cameras of a model's reference images: of the probes, or of ``--camera``."""
+    """The cameras of a model's reference images: those of the test inputs, or ``--camera``."""
 
     def __init__(self, manifest: GeneratorManifest, camera: str | None, width: int) -> None:
         self._manifest, self._width = manifest, width
@@ -176,7 +176,7 @@ def _draw(
 def _write(
     subject: InspectedModel, pictures: Sequence[_Picture], model: Path, folder: str, psnr: float
 ) -> tuple[ReferenceImage, ...]:
-    """Write the copy of a model with its pictures, and return their declarations."""
+    """Write a copy of a model and its reference images; return their manifest entries."""
     assert subject.parsed is not None
     document = json.loads(subject.file.manifest_text or "{}")
     if subject.parsed.version is not None:  # version 1.0 has no reference images

@@ -157,14 +157,16 @@ def record_source_pictures(
 
 
 def _probe(subject: InspectedModel, settings: Settings, label: str | None) -> Probe:
-    """Return the probe called ``label``; raise if pictures of other cameras cannot be drawn."""
+    """Return the test inputs called ``label``; raise if the outputs depend on the camera."""
     manifest, where = subject.generator, str(subject.file.path)
     if manifest is None:
         message = "is not a gaussian-generator; only generators have reference images"
         raise RecordingRefused(message, where=where)
     bound = [e.name for e in manifest.inputs if e.role in CAMERA_ROLES and manifest.depends(e)]
     if bound:
-        message = f"depends on the camera ({', '.join(bound)}), and is run at probes alone"
+        message = (
+            f"depends on the camera ({', '.join(bound)}), so no other camera's picture can be drawn"
+        )
         hint = "If only culling depends on it, declare a copy without the input."
         raise RecordingRefused(message, where=where, hint=hint)
     probes = make_plan(subject, Level.VALUES, settings.seed).probes
@@ -207,7 +209,7 @@ def _read(path: Path, camera: Camera) -> _Source:
         raise InputUnreadable(f"is not a picture: {error}", where=str(path)) from error
     height, width = colors.shape[:2]
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
-        message = f"has {width}×{height} pixels, and its camera {camera.width}×{camera.height}"
+        message = f"has {width}×{height} pixels, but its camera {camera.width}×{camera.height}"
         raise InputUnreadable(message, where=str(path), hint="Name the cameras of these pictures.")
     return _Source(path.name, colors, camera.scaled(width, height))
 

@@ -29,7 +29,7 @@ def bench_render(
     frames: Annotated[int, typer.Option(help="Number of measured frames.", min=1)] = 30,
     compact: options.Compact = False,
     rasteriser: options.RasteriserName = "auto",
-    size: options.Sizes = None,
+    size: options.ImageSizes = None,
     provider: options.Provider = "cpu",
     as_json: options.AsJson = False,
     output: Annotated[
@@ -54,8 +54,9 @@ def bench_render(
 
     if output is not None:
         refuse_model(output, scenes)
+    symbols, width, height = options.split_image_size(size, width, height)
     view = scene_viewpoint(list(read_scene_files(scenes).values()), camera, width, height)
-    with open_scenes(scenes, provider=provider, size=size) as (sources, _):
+    with open_scenes(scenes, provider=provider, size=symbols) as (sources, _):
         renderer = Renderer(rasteriser=rasteriser, compact=compact)
         # The orbit makes models that depend on the camera compute in every frame.
         sequence = FrameSequence(sources, view, frames=frames, turn=FULL_TURN, renderer=renderer)

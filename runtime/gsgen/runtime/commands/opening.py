@@ -58,6 +58,7 @@ def open_scenes(
         typer.Exit: A file cannot be read; the reason is printed.
         GsgenError: A model is of another kind, or does not run.
     """
+    from gsgen.contract.commands.progress import clear, progress
     from gsgen.runtime.errors import SceneUnreadable
     from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.sources.opening import open_source
@@ -74,6 +75,7 @@ def open_scenes(
                 sources: list[Source] = []
                 models: list[PostProcessor] = []
                 for path in scenes:
+                    progress(f"reading {path}")
                     opened_sources = (
                         open_scene(files[path], provider, sizes_by_path, streaming)
                         if path in files
@@ -88,6 +90,8 @@ def open_scenes(
             except (InputUnreadable, SceneUnreadable) as error:
                 typer.echo(f"gsgen: {error}", err=True)
                 raise typer.Exit(ExitCode.UNREADABLE) from error
+            finally:
+                clear()
         yield sources, models
 
 

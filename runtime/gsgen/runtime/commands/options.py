@@ -7,6 +7,7 @@ __all__ = [
     "Compact",
     "FieldOfView",
     "Height",
+    "ImageSizes",
     "Inputs",
     "ModeOption",
     "OrtFolder",
@@ -23,8 +24,10 @@ __all__ = [
     "Width",
     "mode_of",
     "read_tracks",
+    "split_image_size",
 ]
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
@@ -60,6 +63,15 @@ FieldOfView = Annotated[
 ]
 Height = Annotated[
     int | None, typer.Option(help="Height in pixels. [default: the camera's, or 720]", min=1)
+]
+ImageSizes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--size",
+        metavar="WIDTHxHEIGHT",
+        help="Size of the image in pixels, such as 640x360; or SYMBOL=SIZE, the size of an open "
+        "dimension of a model; repeatable.",
+    ),
 ]
 Inputs = Annotated[
     list[str] | None,
@@ -148,6 +160,37 @@ Sizes = Annotated[
 Width = Annotated[
     int | None, typer.Option(help="Width in pixels. [default: the camera's, or 1280]", min=1)
 ]
+
+
+_IMAGE_SIZE = re.compile(r"([1-9]\d*)\s*[x×*,]\s*([1-9]\d*)", re.ASCII | re.IGNORECASE)
+
+
+def split_image_size(
+    entries: list[str] | None, width: int | None, height: int | None
+) -> tuple[list[str], int | None, int | None]:
+    """Separate ``--size`` values into sizes of model dimensions and the size of the image.
+
+    Returns:
+        The values SYMBOL=SIZE; width and height in pixels, those of ``--width`` and ``--height``
+        where ``--size`` names none.
+
+    Raises:
+        ConfigInvalid: The size of the image is given twice.
+    """
+    symbols: list[str] = []
+    for entry in entries or ():
+        match = _IMAGE_SIZE.fullmatch(entry.strip())
+        if match is None:
+            symbols.append(entry)
+            continue
+        if width is not None or height is not None:
+            raise ConfigInvalid(
+                "the size of the image is given twice",
+                where=f"--size {entry}",
+                hint="Give --size 640x360 once, without --width and --height.",
+            )
+        width, height = int(match[1]), int(match[2])
+    return symbols, width, height
 
 
 def mode_of(name: str) -> "Mode":

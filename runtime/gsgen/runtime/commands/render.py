@@ -26,7 +26,7 @@ Output = Annotated[
     typer.Option(
         "-o",
         "--output",
-        help="A picture, an .npy of floats, an .mp4, a .gif, or a folder for several frames.",
+        help="A picture, an .exr or .npy of floats, an .mp4 (AV1), a .gif, or a folder of frames.",
         show_default=False,
     ),
 ]
@@ -55,6 +55,9 @@ FramesPerSecond = Annotated[
     typer.Option(
         help="Frames per second of a video. [default: the manifest's, or 25]", min=0.1, max=100
     ),
+]
+Bits = Annotated[
+    Literal["8", "16"], typer.Option(help="Bits of each channel of PNG files; an .exr has 32.")
 ]
 Wait = Annotated[
     float, typer.Option(help="Most seconds that a frame waits for tiles of a tileset.", min=0.1)
@@ -94,7 +97,8 @@ def render(
     compact: options.Compact = False,
     wsr: WeightedSums = "contract",
     post: options.Post = None,
-    size: options.Sizes = None,
+    size: options.ImageSizes = None,
+    bits: Bits = "8",
     provider: options.Provider = "cpu",
     wait: Wait = 30.0,
     as_json: options.AsJson = False,
@@ -111,6 +115,7 @@ def render(
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.renderer.renderer import Renderer
 
+    symbols, width, height = options.split_image_size(size, width, height)
     files = list(read_scene_files(scenes).values())
     view = scene_viewpoint(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
@@ -119,7 +124,7 @@ def render(
     for note in (*view.notes, *_transparency_notes(output, color, options.mode_of(mode))):
         typer.echo(f"note: {note}", err=True)
     with open_scenes(
-        scenes, post, provider=provider, size=size, streaming=replace(streaming, wait=wait)
+        scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=wait)
     ) as (sources, models):
         tracks, pose_fps = options.read_tracks(pose, inputs, sources)
         is_published = wsr == "published"
@@ -140,7 +145,7 @@ def render(
             post=models,
             renderer=Renderer(rasteriser=rasteriser, compact=compact, published=is_published),
         )
-        _write(sequence, output, as_json=as_json)
+        _write(sequence, output, bits=16 if bits == "16" else 8, as_json=as_json)
 
 
 def _require_weighted_sums(sources: "list[Source]") -> None:
@@ -189,12 +194,14 @@ def _transparency_notes(
     return []
 
 
-def _write(sequence: "FrameSequence", output: Path, *, as_json: bool) -> None:
+def _write(sequence: "FrameSequence", output: Path, *, bits: Literal[8, 16], as_json: bool) -> None:
     """Draw all frames of a sequence into ``output``, and print a summary."""
     from gsgen.contract.commands.progress import clear, progress
 
     started = clock.perf_counter()
-    sequence.write(output, lambda number: progress(f"frame {number} of {sequence.frames}"))
+    sequence.write(
+        output, lambda number: progress(f"frame {number} of {sequence.frames}"), bits=bits
+    )
     clear()
     seconds = clock.perf_counter() - started
     document = sequence.summary() | {"output": str(output), "seconds": round(seconds, 3)}

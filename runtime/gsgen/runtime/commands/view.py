@@ -18,6 +18,7 @@ from gsgen.runtime.sources.stream_settings import StreamSettings
 if TYPE_CHECKING:
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.scene.camera import Camera
+    from gsgen.runtime.sources.scene_file import SceneFile
     from gsgen.runtime.viewer.viewer import Viewer
     from gsgen.runtime.web.pages import ModelView
 
@@ -79,7 +80,7 @@ def view(
     rasteriser: options.RasteriserName = "auto",
     compact: options.Compact = False,
     post: options.Post = None,
-    size: options.Sizes = None,
+    size: options.ImageSizes = None,
     provider: options.Provider = "cpu",
     pictures: Pictures = Path(),
     web: Web = False,
@@ -96,22 +97,21 @@ def view(
     """
     from gsgen.runtime.commands.opening import open_scenes, read_scene_files
     from gsgen.runtime.playback.live_playback import LivePlayback
-    from gsgen.runtime.playback.scene_camera import first_setting, scene_viewpoint
-    from gsgen.runtime.scene.colors import color_of
+    from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.viewer import surface_renderer, viewer
 
-    option_color = None if background is None else color_of(background, "--background")
     if web:
-        return _serve_page(scenes, _page_view(option_color, fov, up, time, play=play), ort, port)
+        return _serve_page(scenes, _page_view(background, fov, up, time, play=play), ort, port)
+    symbols, width, height = options.split_image_size(size, width, height)
     _require_display(scenes)
     files = list(read_scene_files(scenes).values())
     viewpoint = scene_viewpoint(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )
     _print_notes(viewpoint.notes)
-    color = first_setting([option_color, *(file.background for file in files)])
+    color = _background(background, files)
     with open_scenes(
-        scenes, post, provider=provider, size=size, streaming=replace(streaming, wait=0)
+        scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=0)
     ) as (sources, models):
         tracks, pose_fps = options.read_tracks(pose, inputs, sources)
         playback = LivePlayback(
@@ -130,7 +130,7 @@ def view(
             viewpoint,
             renderer=surface_renderer.SurfaceRenderer(rasteriser=rasteriser, compact=compact),
             mode=options.mode_of(mode),
-            background=color or (0.0, 0.0, 0.0, 1.0),
+            background=color,
             folder=pictures,
             print_line=typer.echo,
             open_files=_file_opener(play=play),
@@ -154,18 +154,14 @@ def _open_window(interface: "Viewer", title: str, home: "Camera") -> None:
 
 
 def _page_view(
-    color: "tuple[float, ...] | None",
-    fov: float | None,
-    up: str | None,
-    time: float | None,
-    *,
-    play: bool,
+    background: str | None, fov: float | None, up: str | None, time: float | None, *, play: bool
 ) -> "ModelView":
     """Return how a page shows models, from the options of the command."""
+    from gsgen.runtime.scene.colors import color_of
     from gsgen.runtime.web.pages import ModelView
 
-    background = None if color is None else (color[0], color[1], color[2])
-    return ModelView(background=background, fov=fov, up=up, time=time, play=play)
+    color = None if background is None else color_of(background, "--background")[:3]
+    return ModelView(background=color, fov=fov, up=up, time=time, play=play)
 
 
 def _serve_page(scenes: Sequence[Path], shown: "ModelView", ort: Path | None, port: int) -> None:
@@ -192,6 +188,18 @@ def _serve_page(scenes: Sequence[Path], shown: "ModelView", ort: Path | None, po
         typer.echo("the page is served until Ctrl-C", err=True)
         webbrowser.open(server.address)
         server.serve_forever(poll_interval=0.1)
+
+
+def _background(
+    text: str | None, files: "Sequence[SceneFile]"
+) -> tuple[float, float, float, float]:
+    """Return the background colour of --background, or else of the first scene file with one."""
+    from gsgen.runtime.playback.scene_camera import first_setting
+    from gsgen.runtime.scene.colors import color_of
+
+    option_color = None if text is None else color_of(text, "--background")
+    color = first_setting([option_color, *(file.background for file in files)])
+    return color or (0.0, 0.0, 0.0, 1.0)
 
 
 def _require_display(scenes: Sequence[Path]) -> None:

@@ -23,7 +23,7 @@ _SAMPLE: Final = 1024  # pairs of neighbours whose distances are measured
 @final
 @dataclass(slots=True, eq=False)
 class SpatialOrder:
-    """The Morton order of Gaussians at one moment; it stays useful while they move.
+    """The Morton order of Gaussians at one time, which stays useful for small movements.
 
     Pictures are the same in any order: a stale order only costs time.
 

@@ -8,6 +8,7 @@ __all__ = [
     "Mode",
     "array_of",
     "depth_range",
+    "levels_of",
     "picture_of",
     "png_of",
     "save_array",
@@ -22,7 +23,7 @@ from types import ModuleType
 from typing import Final, Literal
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float, Float32, UInt8
 
 from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.runtime.errors import SceneInvalid
@@ -81,16 +82,23 @@ def picture_of(
     black; ``depths`` become white and nearly black, by default those of most pixels. Normals are
     (n + 1) / 2 in world space. Alpha is grey.
     """
+    return np.asarray(np.rint(levels_of(frame, mode, depths) * 255), np.uint8)
+
+
+def levels_of(
+    frame: Frame, mode: Mode, depths: tuple[float, float] | None = None
+) -> Float[np.ndarray, "h w *c"]:
+    """Return the values of :func:`picture_of` from 0 to 1, before they are quantised."""
     if mode == "color":
-        return frame.srgb8
+        return frame.srgb
     array = array_of(frame, mode)
     if mode == "normal":
-        return _bytes((array + 1) / 2 * array.any(axis=-1, keepdims=True))
+        return np.asarray(np.clip((array + 1) / 2 * array.any(axis=-1, keepdims=True), 0, 1))
     if mode == "alpha":
-        return _bytes(array)
+        return np.asarray(np.clip(array, 0, 1))
     near, far = depths or depth_range(array)
     share = (np.where(np.isfinite(array), array, far) - near) / max(far - near, 1e-12)
-    return _bytes(np.where(np.isfinite(array), 1 - 0.9 * np.clip(share, 0, 1), 0))
+    return np.asarray(np.where(np.isfinite(array), 1 - 0.9 * np.clip(share, 0, 1), 0))
 
 
 def depth_range(depth: Float32[np.ndarray, "h w"]) -> tuple[float, float]:
@@ -100,10 +108,6 @@ def depth_range(depth: Float32[np.ndarray, "h w"]) -> tuple[float, float]:
         return 0.0, 1.0
     near, far = np.percentile(finite, [_OUTLIERS, 100 - _OUTLIERS])
     return float(near), float(far)
-
-
-def _bytes(array: np.ndarray) -> UInt8[np.ndarray, "..."]:
-    return np.asarray(np.rint(np.clip(array, 0, 1) * 255), np.uint8)
 
 
 def save_picture(

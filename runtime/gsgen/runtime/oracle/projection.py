@@ -135,14 +135,14 @@ class Splats:
     index: Int64[np.ndarray, " n"]
 
     def take(self, rows: Bool[np.ndarray, " n"] | Int64[np.ndarray, " m"]) -> "Splats":
-        """Return some Gaussians, by a mask or by indices."""
+        """Return the Gaussians that a mask or an array of indices selects."""
         return Splats(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
 
 def drawn_splats(
     splat_set: SplatSet, camera: Camera, first: int, visibility: Float[np.ndarray, " n"] | float = 1
 ) -> Splats:
-    """Project the live Gaussians of a set, and drop those that are not drawn.
+    """Project the live Gaussians of a splat set, and drop those that are not drawn.
 
     Args:
         splat_set: The set.
@@ -222,7 +222,7 @@ def _unrolled(
 
 
 def _colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
-    """Return the colours of the live Gaussians of a set, which may be negative."""
+    """Return the colours of the live Gaussians of a splat set, which may be negative."""
     data = splat_set.data
     channels = data.appearance[: data.count].astype(np.float64)
     if data.space == "rgb":

@@ -67,7 +67,7 @@ class Sums:
 
     @property
     def scale(self) -> Float[np.ndarray, "h w"]:
-        """The divisor of the sums: all weights, including that of the background."""
+        """The divisor of weighted sums: all weights at a pixel, and that of the background."""
         return np.asarray(self.total + self.weight_behind * self.through)
 
     def veil(self) -> "Veil":

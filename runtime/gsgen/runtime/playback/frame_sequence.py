@@ -9,7 +9,7 @@ from typing import Final, Literal, final
 import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.media import pictures
+from gsgen.runtime.media import deep_pictures, pictures
 from gsgen.runtime.media.pictures import MODES, Mode
 from gsgen.runtime.playback.camera_options import Viewpoint
 from gsgen.runtime.playback.input_tracks import Track
@@ -97,23 +97,37 @@ class FrameSequence(Playback):
         return map(self.frame_request, range(self.frames))
 
     def draw(self, number: int) -> Frame:
-        """Draw frame ``number``, from 0."""
+        """Draw the frame ``number`` of the sequence, from 0."""
         self._last = self.player.render(self.frame_request(number))
         return self._last
 
-    def write(self, path: Path, on_frame: Callable[[int], None] = lambda _: None) -> None:
+    def write(
+        self,
+        path: Path,
+        on_frame: Callable[[int], None] = lambda _: None,
+        *,
+        bits: Literal[8, 16] = 8,
+    ) -> None:
         """Draw all frames into a file or a folder, which is complete or absent afterwards.
 
         Args:
-            path: An image file, an .npy, an .mp4, a .gif, or a folder, which gets
+            path: An image file, an .exr, an .npy, an .mp4, a .gif, or a folder, which gets
                 ``frame_0000.png`` and so on.
             on_frame: Called before each frame with its number, from 1.
+            bits: Bits of each channel of PNG files.
 
         Raises:
             ConfigInvalid: The suffix is unknown or unfit for several frames, or the cameras of a
                 video have different sizes.
         """
         suffix = path.suffix.lower()
+        is_folder = not suffix or path.is_dir()
+        if bits != 8 and not (is_folder or suffix == ".png"):
+            raise ConfigInvalid(
+                f"{bits} bits are written as .png alone, not as {suffix}",
+                where="--bits",
+                hint="Give a .png or a folder; an .exr has 32 bits.",
+            )
         needs_one_size = suffix in (".npy", *pictures.VIDEO_SUFFIXES)
         if needs_one_size and len(self._view.sizes) > 1:
             raise _differing_sizes(path, self._view.sizes)
@@ -123,11 +137,18 @@ class FrameSequence(Playback):
         elif suffix in pictures.VIDEO_SUFFIXES:
             pictures.save_video(path, self._pictures(on_frame), self.fps)
         elif suffix in pictures.IMAGE_SUFFIXES and self.frames == 1:
-            for picture in self._pictures(on_frame):
-                pictures.save_picture(path, picture, self.frame_request(0).camera)
-        elif not suffix or path.is_dir():
-            for number, picture in enumerate(self._pictures(on_frame)):
-                pictures.save_picture(path / f"frame_{number:04}.png", picture)
+            for picture in self._pictures(on_frame, bits):
+                if bits == 8:
+                    pictures.save_picture(path, picture, self.frame_request(0).camera)
+                else:
+                    deep_pictures.save_png16(path, picture)
+        elif suffix == deep_pictures.EXR_SUFFIX and self.frames == 1:
+            for frame in self._drawn(on_frame):
+                deep_pictures.save_exr(path, frame, self._mode)
+        elif is_folder:
+            save = pictures.save_picture if bits == 8 else deep_pictures.save_png16
+            for number, picture in enumerate(self._pictures(on_frame, bits)):
+                save(path / f"frame_{number:04}.png", picture)
         else:
             raise _unusable_suffix(path, self.frames)
 
@@ -139,13 +160,16 @@ class FrameSequence(Playback):
             if number + 1 < self.frames:
                 on_frame(number + 2)
 
-    def _pictures(self, on_frame: Callable[[int], None]) -> Iterator[np.ndarray]:
-        """Yield each frame as an image of bytes; the first frame's depths scale all greys."""
+    def _pictures(
+        self, on_frame: Callable[[int], None], bits: Literal[8, 16] = 8
+    ) -> Iterator[np.ndarray]:
+        """Yield each frame as an image of integers; the first frame's depths scale all grey images."""
         depths: tuple[float, float] | None = None
         for frame in self._drawn(on_frame):
             if depths is None and "depth" in self._mode:
                 depths = pictures.depth_range(pictures.array_of(frame, self._mode))
-            yield pictures.picture_of(frame, self._mode, depths)
+            convert = pictures.picture_of if bits == 8 else deep_pictures.picture16_of
+            yield convert(frame, self._mode, depths)
 
     def summary(self) -> dict[str, int | str]:
         """Return image size, device, and numbers of frames and Gaussians of a drawn sequence."""
@@ -173,13 +197,14 @@ def _differing_sizes(path: Path, sizes: set[tuple[int, int]]) -> ConfigInvalid:
 
 
 def _unusable_suffix(path: Path, frames: int) -> ConfigInvalid:
-    if path.suffix.lower() in pictures.IMAGE_SUFFIXES:
+    if path.suffix.lower() in (*pictures.IMAGE_SUFFIXES, deep_pictures.EXR_SUFFIX):
         return ConfigInvalid(
             f"is one picture, expected a video or a folder for {frames} frames",
             where=str(path),
             hint="Give a folder, an .mp4, a .gif or an .npy.",
         )
-    known = ", ".join((*pictures.IMAGE_SUFFIXES, *pictures.VIDEO_SUFFIXES, ".npy"))
+    images = (*pictures.IMAGE_SUFFIXES, deep_pictures.EXR_SUFFIX)
+    known = ", ".join((*images, *pictures.VIDEO_SUFFIXES, ".npy"))
     return ConfigInvalid(
         f"has the unknown suffix {path.suffix!r}",
         where=str(path),

@@ -37,7 +37,7 @@ class Track:
     sweep: bool = False
 
     def frames(self, shape: tuple[int, ...]) -> int:
-        """Return the number of frames that the track has values for; 1 if all share one."""
+        """Return the number of frames for which an input track has values; 1 for a constant."""
         if self.sweep or self.values.size == math.prod(shape):
             return 1
         row_size = math.prod(self.values.shape[1:])

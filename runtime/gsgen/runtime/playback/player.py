@@ -151,7 +151,7 @@ class Player:
 
 
 def _each(values: Sequence[Values]) -> Iterator[Values]:
-    """Yield the input values of each model, and then empty mappings without end."""
+    """Yield each model's input values, then empty mappings for all further models."""
     yield from values
     yield from repeat({})
 
@@ -250,7 +250,7 @@ class GeneratorPlayer:
 
     @property
     def manifest(self) -> GeneratorManifest:
-        """Manifest of the generator."""
+        """The manifest of the played generator."""
         return self.source.manifest
 
     def render(

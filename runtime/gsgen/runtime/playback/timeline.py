@@ -50,7 +50,7 @@ class Timeline:
         self._lengths = [self._length(track) for track in tracks]
 
     def _length(self, track: Track) -> int:
-        """Return the number of values that a track has, by the shapes of the inputs it sets."""
+        """Return the number of values of an input track, by the shapes of the inputs it sets."""
         shapes = [
             model.shape(spec.name) for model in self._models for spec in model.named(track.word)
         ]
@@ -66,7 +66,7 @@ class Timeline:
 
     @property
     def frames(self) -> int:
-        """The number of values of the longest track, or 1."""
+        """The number of frames of the longest input track; 1 without tracks."""
         return max(self._lengths, default=1)
 
     @property

@@ -198,7 +198,7 @@ class Plan:
         return stages
 
     def _lay(self, count: int, *, normal: bool) -> Layers:
-        """Allocate ``count`` image layers."""
+        """Allocate GPU buffers for ``count`` image layers: colours, depths and normals."""
         pixels = count * self._size[0] * self._size[1]
         return Layers(
             count,

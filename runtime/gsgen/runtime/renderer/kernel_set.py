@@ -68,7 +68,7 @@ class Kernels:
         self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
 
     def tile_bits(self, last: int) -> int:
-        """Return the bits to sort tiles by, up to the number ``last``: whole digits if ``one_shape``."""
+        """Return the number of key bits that sort tile indices; whole digits if ``one_shape``."""
         bits = max(1, last.bit_length())
         digit = self.cut.digit_bits
         return -(-bits // digit) * digit if self._one_shape else bits

@@ -50,7 +50,7 @@ _MOST_BYTES: Final = 1 << 16  # of the cache file
 @final
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Seconds of the stages that compute tiles and hardware quads do not share.
+    """Seconds of the drawing stages of both rasterisers: compute tiles and hardware quads.
 
     Attributes:
         tiles: Seconds of listing pairs, sorting them by tile and blending.

@@ -219,7 +219,7 @@ class Renderer:
         return bool(short or counts[Counts.UNSORTED] or counts[Counts.TIED])
 
     def placed(self, scene: Scene) -> list[Placed]:
-        """Return each GPU page of a scene with its set, after uploading new and changed rows."""
+        """Return each GPU page of a scene with its splat set, after uploading changed rows."""
         for data in dict.fromkeys(splat_set.data for splat_set in scene.sets):
             self._residency.begin(data)
         return self._pages(scene)
@@ -359,7 +359,7 @@ def _frame(
     images: dict[str, np.ndarray],
     opacity_behind: float,
 ) -> Frame:
-    """Convert the words of GPU images to a frame."""
+    """Convert the 32-bit words of rendered GPU images to a frame."""
     color, pick, normal = (
         images[name].view(np.float32) if name in images else None
         for name in ("color", "depth", "normal")

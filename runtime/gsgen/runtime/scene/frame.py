@@ -2,7 +2,9 @@
 
 __all__ = ["COLOR_ONLY", "NOTHING", "Frame", "Output"]
 
+import io
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Final, Literal, final
 
 import numpy as np
@@ -57,6 +59,15 @@ class Frame:
         Raises:
             ValueError: Colours were not requested.
         """
+        return np.asarray(np.rint(self.srgb * 255), np.uint8)
+
+    @property
+    def srgb(self) -> Float[np.ndarray, "h w 4"]:
+        """The image as sRGB with straight alpha, from 0 to 1, not quantised.
+
+        Raises:
+            ValueError: Colours were not requested.
+        """
         if self.rgba is None:
             raise ValueError("this frame has no colours: pass 'color' in the outputs of render()")
         alpha = np.clip(self.rgba[..., 3:], 0, 1)
@@ -64,11 +75,25 @@ class Frame:
         color = np.clip(straight, 0, 1)
         if self.color_space == "linear":
             color = srgb_of_linear(color)
-        straight8 = np.rint(np.concatenate([color, alpha], axis=-1) * 255)
-        return np.asarray(straight8, np.uint8)
+        return np.concatenate([color, alpha], axis=-1)
+
+    def _repr_png_(self) -> bytes | None:
+        """Return the colours as a PNG, for notebooks; None without colours or without pillow."""
+        if self.rgba is None or find_spec("PIL") is None:
+            return None
+        from PIL import Image
+
+        file = io.BytesIO()
+        Image.fromarray(self.srgb8).save(file, "png")
+        return file.getvalue()
 
 
 def srgb_of_linear(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     """Encode linear light in [0, 1] as sRGB (IEC 61966-2-1)."""
     curve = 1.055 * np.power(color, 1 / 2.4, where=color > 0, out=np.zeros_like(color)) - 0.055
     return np.asarray(np.where(color <= 0.0031308, 12.92 * color, curve))
+
+
+def linear_of_srgb(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+    """Decode sRGB in [0, 1] to linear light (IEC 61966-2-1)."""
+    return np.asarray(np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4))

@@ -9,6 +9,7 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float
 
+from gsgen.contract._notebook import preview_png, summary_html
 from gsgen.contract.spec.manifest import WeightedSum
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.runtime.errors import SceneInvalid
@@ -146,6 +147,16 @@ class Scene:
             pooled if isinstance(pooled, PooledSet) else PooledSet(pooled) for pooled in pools
         )
         object.__setattr__(self, "pools", pooled_sets)
+
+    def _repr_html_(self) -> str:
+        """Return a picture and the contents as HTML, for notebooks."""
+        gaussians = sum(splat_set.data.count for splat_set in self.sets)
+        rows = [
+            ("Gaussians", f"{gaussians:,} in {len(self.sets)} sets"),
+            ("meshes", str(len(self.meshes))),
+            ("colour space", self.color_space),
+        ]
+        return summary_html("scene", rows, preview_png(self))
 
     def locate(self, index: int) -> tuple[int, int]:
         """Return the index of the splat set, and the row in the set, of an id of ``Frame.ids``.

@@ -83,7 +83,7 @@ class SplatData:
     def from_packed(
         cls, packed: PackedRows, space: Literal["sh", "rgb"] | None = None
     ) -> "SplatData":
-        """Return the Gaussians of packed rows, without conversion.
+        """Create splat data from packed rows, without conversion.
 
         Args:
             packed: The rows.
@@ -116,7 +116,7 @@ class SplatData:
         count: int | None = None,
         cells: Float[np.ndarray, "c 10"] | None = None,
     ) -> None:
-        """Replace rows, appearance or cells; shapes and dtypes must stay, to reuse GPU buffers.
+        """Replace packed rows, appearance or cells by arrays of equal shapes and dtypes.
 
         Arrays that are None stay as they are; ``count`` rows are live, or all if it is None.
 
@@ -203,12 +203,12 @@ def _checked(
 
 
 def _checked_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
-    """Return validated cells in C order."""
+    """Validate the rows of cells (groups of Gaussians), and return them in C order."""
     fits = cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _HALVES
     if per_cell < 1 or not fits or len(cells) * per_cell != rows:
         raise SceneInvalid(
-            f"is {cells.dtype} {list(cells.shape)} with {per_cell} rows a cell, expected float16 or "
-            f"float32 [C, {layout.ROW}] with C × {per_cell} = {rows} rows",
+            f"is {cells.dtype} {list(cells.shape)} with {per_cell} rows a cell, expected float16 "
+            f"or float32 [C, {layout.ROW}] with C × {per_cell} = {rows} rows",
             where="cells",
         )
     return np.ascontiguousarray(cells)

@@ -59,8 +59,10 @@ class SplatPool:
 
     def __init__(self, rows: int, channels: int, *, slot_rows: int = SLOT_ROWS) -> None:
         if rows < 1 or slot_rows < 64 or slot_rows % 64:
-            message = f"has {rows} rows in slots of {slot_rows}"
-            raise SceneInvalid(f"{message}, expected a multiple of 64 rows a slot", where="pool")
+            raise SceneInvalid(
+                f"has {rows} rows and {slot_rows} rows a slot, expected a multiple of 64 a slot",
+                where="pool",
+            )
         if channels not in layout.APPEARANCE_CHANNELS["sh"]:
             allowed = ", ".join(map(str, layout.APPEARANCE_CHANNELS["sh"]))
             raise SceneInvalid(
@@ -115,7 +117,7 @@ class SplatPool:
             SceneInvalid: The tile is there already, or the arrays have other shapes.
         """
         if tile in self._slots_of:
-            raise SceneInvalid("the tile is in the pool already", where=f"tile {tile}")
+            raise SceneInvalid("the tile is in the splat pool already", where=f"tile {tile}")
         if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):
             raise SceneInvalid(
                 f"has rows {list(rows.shape)} and appearance {list(appearance.shape)}, expected "
@@ -148,7 +150,7 @@ class SplatPool:
             SceneInvalid: The tile is not in the pool.
         """
         if tile not in self._slots_of:
-            raise SceneInvalid("the tile is not in the pool", where=f"tile {tile}")
+            raise SceneInvalid("the tile is not in the splat pool", where=f"tile {tile}")
         for slot in self._slots_of.pop(tile):
             self.live[slot] = self.fade[slot] = 0
             heapq.heappush(self._free, slot)
@@ -164,7 +166,7 @@ class SplatPool:
         self.fade[:] = 0
         for tile, fade in fades.items():
             if tile not in self._slots_of:
-                raise SceneInvalid("the tile is not in the pool", where=f"tile {tile}")
+                raise SceneInvalid("the tile is not in the splat pool", where=f"tile {tile}")
             self.fade[self._slots_of[tile]] = fade
 
     def take_writes(self) -> list[SlotWrite]:
@@ -182,7 +184,7 @@ class SplatPool:
         for tile, slots in self._slots_of.items():
             if slot in slots and offset < self.live[slot]:
                 return tile, slots.index(slot) * self.slot_rows + offset
-        raise IndexError(f"no tile holds row {row} of the pool")
+        raise IndexError(f"no tile holds row {row} of the splat pool")
 
 
 @final

@@ -383,7 +383,9 @@ def _require_no_cycle(nodes: list[_GltfObject]) -> None:
         while node_index in parent:
             node_index, steps = parent[node_index], steps + 1
             if steps > len(nodes):
-                raise SceneInvalid("is its own ancestor, expected a tree", where=f"nodes[{start}]")
+                raise SceneInvalid(
+                    "the node is its own ancestor, expected a tree", where=f"nodes[{start}]"
+                )
 
 
 def _require_count(count: object, limit: int, where: str) -> None:

@@ -1,4 +1,4 @@
-"""Places a source in the world, with its own drawing settings."""
+"""Places a source of Gaussians or meshes in the world, with its own drawing settings."""
 
 __all__ = ["DrawSettings", "PlacedSource"]
 
@@ -39,7 +39,7 @@ class DrawSettings:
 
 @final
 class PlacedSource(Source):
-    """A source at another place in the world, with its own drawing settings.
+    """A source with a transform to the world and its own drawing settings.
 
     A generator computes Gaussians in its own space, for a camera in that space.
 
@@ -170,7 +170,7 @@ class PlacedSource(Source):
 
 
 def _by_name(source: Source, values: Values, where: str) -> Mapping[str, object]:
-    """Convert names and roles of inputs to tensor names."""
+    """Convert names and roles of model inputs to tensor names, the keys of input values."""
     known = {word for spec in source.inputs for word in (spec.name, spec.role)}
     by_name: dict[str, object] = {}
     for word, value in values.items():

@@ -194,7 +194,7 @@ def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
 
 
 def _around(frames: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float]:
-    """Return the centre and half the diagonal of the box around most centres of each frame."""
+    """Return the centre and half diagonal of a box around most Gaussians of all frames."""
     boxes = [
         np.percentile(centers, [_CROPPED, 100 - _CROPPED], axis=0)
         for centers in frames

@@ -182,7 +182,7 @@ class Viewer:
         return camera.scaled(max(1, width // coarseness), max(1, height // coarseness))
 
     def _coarseness(self) -> int:
-        """Return the coarseness of the image at which drawing keeps up with the user."""
+        """Return the side of an image pixel in surface pixels, at which drawing is fast enough."""
         drawn = self._renderer.drawn
         if drawn is None:
             return 1

@@ -1,4 +1,4 @@
-"""Integers that remember how they were computed, so that sizes can be written as formulas."""
+"""Integers that record how they were computed, so that buffer sizes are saved as formulas."""
 
 __all__ = ["UNLIMITED", "Formula", "Tree", "evaluate", "replaced", "tree_of"]
 
@@ -34,7 +34,7 @@ _UNARY: Final[dict[str, Callable[[int], int]]] = {
 
 
 def evaluate(tree: Tree, sizes: Mapping[str, int]) -> int:
-    """Return the value of a formula for given sizes."""
+    """Evaluate a recorded size formula for given values of the named sizes."""
     if isinstance(tree, int):
         return tree
     if isinstance(tree, str):
@@ -44,7 +44,7 @@ def evaluate(tree: Tree, sizes: Mapping[str, int]) -> int:
 
 
 def replaced(tree: Tree, old: Tree, new: Tree) -> Tree:
-    """Return a formula in which each occurrence of one part is replaced."""
+    """Return a size formula in which each occurrence of one subformula is replaced by another."""
     if tree == old:
         return new
     return [replaced(part, old, new) for part in tree] if isinstance(tree, list) else tree
@@ -52,7 +52,7 @@ def replaced(tree: Tree, old: Tree, new: Tree) -> Tree:
 
 @final
 class Formula(int):
-    """An integer with the formula that it came from.
+    """An integer that also records the size formula from which it was computed.
 
     Comparisons decide which steps a plan has. So each one that was true is kept in ``guards`` as a
     formula that must be true wherever the plan is used; of a false one, the opposite.
@@ -66,7 +66,7 @@ class Formula(int):
     guards: list[Tree]
 
     def __new__(cls, value: int, tree: Tree, guards: list[Tree]) -> "Formula":
-        """Return an integer with a formula."""
+        """Create an integer of the given value, with a size formula."""
         formula = super().__new__(cls, value)
         formula.tree, formula.guards = tree, guards
         return formula
@@ -152,7 +152,7 @@ class Formula(int):
         return int.__hash__(self)
 
     def bit_length(self) -> int:
-        """Return the number of bits; the plan is then good for numbers of at most as many.
+        """Return the bit length; the recorded plan then holds for numbers of at most as many bits.
 
         The tile sort asks for it, to sort by no more bits than tiles need. More do no harm.
         """
@@ -162,12 +162,12 @@ class Formula(int):
 
 
 def tree_of(value: int) -> Tree:
-    """Return the formula of an integer, which is the integer itself if it has none."""
+    """Return the recorded formula of an integer, or the integer itself if none was recorded."""
     return value.tree if isinstance(value, Formula) else int(value)
 
 
 def _simple(name: str, left: Tree, right: Tree) -> Tree:
-    """Return a binary operation without neutral operands."""
+    """Return a binary operation of two size formulas, without neutral operands (+ 0, × 1)."""
     if name == "add" and left == 0:
         return right
     if name in ("add", "sub") and right == 0:

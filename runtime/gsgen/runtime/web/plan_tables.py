@@ -1,4 +1,4 @@
-"""Writes recorded frame plans as JSON tables, in which equal parts of all plans stand once."""
+"""Writes recorded frame plans as JSON tables, which store equal parts of plans once."""
 
 __all__ = ["PlanTables"]
 
@@ -25,7 +25,7 @@ _FOLLOWED: Final = ("gaussians", "pairs")
 
 @final
 class PlanTables:
-    """Tables of texts, modules, pipelines, buffers, bind groups and steps, and plans of them.
+    """JSON tables of the shaders, buffers, bind groups and steps of recorded frame plans.
 
     A plan is a list of stages, a stage a list of steps. A step is the number of its row in the
     table, or a mapping from the kind of a page to such a number, for the steps that every page has.
@@ -52,11 +52,11 @@ class PlanTables:
         return self.row("pipelines", row)
 
     def add(self, recorded: RecordedPlan) -> None:
-        """Add a recorded plan to the tables."""
+        """Add a recorded frame plan to the JSON tables."""
         self.plans.append(_PlanWriter(self, recorded).plan())
 
     def row(self, table: str, value: Any) -> int:
-        """Return the number of a row with this value in a table, adding it if it is new."""
+        """Return the row index of a value in a JSON table; append the value if it is new."""
         key = (table, repr(value))
         if key not in self._rows:
             self._rows[key] = len(self.tables[table])
@@ -66,7 +66,7 @@ class PlanTables:
 
 @final
 class _PlanWriter:
-    """Writes one recorded plan into tables."""
+    """Writes one recorded frame plan into JSON tables."""
 
     def __init__(self, tables: PlanTables, recorded: RecordedPlan) -> None:
         self._tables, self._recorded = tables, recorded
@@ -78,7 +78,7 @@ class _PlanWriter:
             self._buffers |= {page.rows: "rows", page.appearance: "appearance"}
 
     def plan(self) -> dict[str, Any]:
-        """Return the plan as a JSON object."""
+        """Return the recorded frame plan as a JSON object."""
         recorded = self._recorded
         plan, shape = recorded.plan, recorded.shape
         stages = {name: self._steps(steps) for name, steps in plan.stages.items()}
@@ -96,7 +96,7 @@ class _PlanWriter:
         }
 
     def _steps(self, steps: list[Step]) -> list[int | dict[str, int]]:
-        """Return the rows of a stage's steps; runs of one step per page become one mapping."""
+        """Return the row indices of a stage's steps; steps repeated per GPU page are a mapping."""
         result: list[int | dict[str, int]] = []
         pages = len(self._recorded.pages)
         position = 0
@@ -120,7 +120,7 @@ class _PlanWriter:
         return f"{'float16' if page.half else 'float32'} {page.stride}"
 
     def _slot(self, step: Step) -> int | None:
-        """Return the page that a step reads, or None."""
+        """Return the index of the GPU page that a step reads; None if it reads no page."""
         entries = [entry for bind in step.binds for entry in bind.entries]
         slots = {self._kinds[buffer] for buffer, _, _ in entries if buffer in self._kinds}
         assert len(slots) < 2, "a step reads several pages"
@@ -151,7 +151,7 @@ class _PlanWriter:
         return self._tables.row("binds", {"kinds": bind.kinds, "entries": entries})
 
     def _buffer(self, buffer: RecordedBuffer) -> int | str:
-        """Return the row of a buffer; buffers of one label and content are told apart by number."""
+        """Return the row index of a GPU buffer; a number distinguishes buffers of equal label."""
         if buffer not in self._buffers:
             number = self._labels.get(buffer.label, 0)
             self._labels[buffer.label] = number + 1
@@ -171,7 +171,7 @@ class _PlanWriter:
         return self._tree(tree_of(buffer.size))
 
     def _data(self, buffer: RecordedBuffer) -> Mapping[str, Any]:
-        """Return the first bytes of a buffer, and which of its words are sizes."""
+        """Return a buffer's initial bytes, and the offsets at which sizes have to be filled in."""
         if not buffer.data:
             return {}
         assert list(buffer.data) == [0], f"{buffer.label} is written in parts"
@@ -185,13 +185,13 @@ class _PlanWriter:
         return data | ({"sizes": sizes} if sizes else {})
 
     def _tree(self, tree: Tree, slot: int | None = None) -> Tree:
-        """Return a formula in the names of a client: the capacities of pages have none but one."""
+        """Rename the sizes in a formula for the browser client: ``gaussians`` and ``capacity``."""
         result = replaced(tree, self._recorded.gaussians, "gaussians")
         return result if slot is None else replaced(result, f"capacity {slot}", "capacity")
 
 
 def module_row(tables: PlanTables, module: RecordedModule) -> dict[str, Any]:
-    """Return the table row of a module: its constants, and the number of the text behind them."""
+    """Return the table row of a shader module: constants, and the index of its WGSL text."""
     lines = module.code.splitlines(keepends=True)
     first = next(i for i, line in enumerate(lines) if not line.startswith("const "))
     return {

@@ -48,7 +48,7 @@ SHAPES: Final = tuple(
 
 
 def plans_document() -> dict[str, Any]:
-    """Return the frame plans, uniforms and constants as a JSON object."""
+    """Return the frame plans, uniforms and constants of the renderer as one JSON object."""
     tables = PlanTables()
     for shape in SHAPES:
         tables.add(record(shape))
@@ -126,7 +126,7 @@ def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
 
 
 def _fields(dtype: np.dtype[np.void]) -> dict[str, Any]:
-    """Return the size of a uniform, and type, shape and offset of each field."""
+    """Return the byte size of a uniform struct, and type, shape and offset of each field."""
     assert dtype.fields is not None
     fields: Mapping[str, Any] = dtype.fields
     return {
@@ -139,7 +139,7 @@ def _fields(dtype: np.dtype[np.void]) -> dict[str, Any]:
 
 
 def plans_text() -> str:
-    """Return the written document: one table row a line, so that differences can be read."""
+    """Return the text of ``plans.json``, with one table row a line, so that diffs are readable."""
     lines = []
     for key, value in plans_document().items():
         if isinstance(value, list):
@@ -151,6 +151,6 @@ def plans_text() -> str:
 
 
 def written_plans() -> str:
-    """Return the text of ``plans.json`` as it is installed."""
+    """Return the text of the installed ``plans.json``."""
     package, _, path = PLANS_FILE.partition(":")
     return files(package).joinpath(path).read_text("utf-8")

@@ -23,7 +23,7 @@ from gsgen.runtime.web.recording_device import RecordedBuffer, RecordingDevice
 @final
 @dataclass(frozen=True, slots=True)
 class Appearance:
-    """How a GPU page stores SH coefficients or colours.
+    """The format of SH coefficients or colours in a GPU page: dtype, row stride and channels.
 
     Attributes:
         half: Whether they are float16.
@@ -47,7 +47,7 @@ APPEARANCES: Final = tuple(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shape:
-    """What decides which steps a frame plan has.
+    """The options that decide the steps of a frame plan: outputs, projection, sort and image size.
 
     Attributes:
         outputs: The images that it draws.
@@ -65,7 +65,7 @@ class Shape:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedPlan:
-    """A frame plan that was recorded, with what its formulas name.
+    """A recorded frame plan, with the pages and sizes that its formulas refer to.
 
     Attributes:
         shape: The shape.
@@ -90,7 +90,7 @@ _CAPACITY: Final = 1_000_003
 
 
 def record(shape: Shape) -> RecordedPlan:
-    """Record the frame plan of a shape."""
+    """Record the frame plan of given outputs, projection, depth sort and image size."""
     guards: list[Tree] = []
     names = {"width": shape.size[0], "height": shape.size[1], "pairs": _PAIRS}
     width, height, pairs = (Formula(value, name, guards) for name, value in names.items())
@@ -125,7 +125,7 @@ def record(shape: Shape) -> RecordedPlan:
 def recorded_pages(
     device: Device, kinds: Sequence[Appearance], capacities: Sequence[int]
 ) -> list[Placed]:
-    """Return a page per appearance and capacity, each of a set of its own."""
+    """Return an empty GPU page per appearance format and capacity, each with its own splat set."""
     empty = SplatData(np.zeros((0, ROW), np.float32), np.zeros((0, 3), np.float32), "rgb")
     return [
         (

@@ -23,7 +23,7 @@ _KINDS = {"uniform": "u", "read-only-storage": "r", "storage": "w"}
 @final
 @dataclass(slots=True, eq=False, weakref_slot=True)
 class RecordedBuffer:
-    """A buffer of a recorded plan: its size may be a formula, its first bytes are known."""
+    """A recorded GPU buffer: label, size (possibly a formula), usage and initial bytes."""
 
     label: str
     size: int
@@ -43,7 +43,7 @@ class RecordedModule:
 @final
 @dataclass(frozen=True, slots=True)
 class RecordedPipeline:
-    """A compute pipeline, with one letter per binding of each bind group."""
+    """A recorded compute pipeline; letters (u, r, w) are the types of its bindings."""
 
     label: str
     module: RecordedModule
@@ -54,7 +54,7 @@ class RecordedPipeline:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedBind:
-    """A bind group: its letters, and a buffer with offset and size per binding."""
+    """A recorded bind group: a type letter, a buffer, an offset and a size per binding."""
 
     kinds: str
     entries: tuple[tuple[RecordedBuffer, int, int], ...]
@@ -62,7 +62,7 @@ class RecordedBind:
 
 @final
 class RecordingDevice:
-    """Takes the calls of a ``wgpu.GPUDevice`` that frame plans make, and keeps what they create.
+    """Stands in for a ``wgpu.GPUDevice``, and records the objects that a frame plan creates.
 
     It has no limits, no optional features, and is no software driver: browsers get the kernels of
     GPUs, which every driver runs.
@@ -78,40 +78,40 @@ class RecordingDevice:
         self.queue = self
 
     def create_buffer(self, *, label: str, size: int, usage: str) -> RecordedBuffer:
-        """Return a recorded buffer; ``usage`` is a text of wgpu's names."""
+        """Record a GPU buffer; ``usage`` holds the names of wgpu's flags, separated by ``|``."""
         import wgpu
 
         flags = sum(getattr(wgpu.BufferUsage, name) for name in usage.split("|"))
         return RecordedBuffer(label, size, flags)
 
     def write_buffer(self, buffer: RecordedBuffer, offset: int, data: np.ndarray) -> None:
-        """Keep bytes that are written to a buffer."""
+        """Record bytes that are written to a GPU buffer."""
         buffer.data[int(offset)] = data.tobytes()
 
     def create_shader_module(self, *, label: str, code: str) -> RecordedModule:
-        """Return a recorded module."""
+        """Record a shader module: its label and WGSL code."""
         return RecordedModule(label, code)
 
     def create_bind_group_layout(self, *, label: str, entries: Sequence[Mapping[str, Any]]) -> str:
-        """Return one letter per binding."""
+        """Return the type of each binding as a letter: u (uniform), r (read-only), w (writable)."""
         return "".join(_KINDS[entry["buffer"]["type"]] for entry in entries)
 
     def create_pipeline_layout(
         self, *, label: str, bind_group_layouts: Sequence[str]
     ) -> tuple[str, ...]:
-        """Return the letters of all bind groups."""
+        """Return the binding types of each bind group of a pipeline, as letters."""
         return tuple(bind_group_layouts)
 
     def create_compute_pipeline(
         self, *, label: str, layout: tuple[str, ...], compute: Mapping[str, Any]
     ) -> RecordedPipeline:
-        """Return a recorded pipeline."""
+        """Record a compute pipeline: its shader module, entry point and binding types."""
         return RecordedPipeline(label, compute["module"], compute["entry_point"], layout)
 
     def create_bind_group(
         self, *, label: str, layout: str, entries: Sequence[Mapping[str, Any]]
     ) -> RecordedBind:
-        """Return a recorded bind group."""
+        """Record a bind group: its buffers, offsets and sizes."""
         resources = [entry["resource"] for entry in entries]
         return RecordedBind(
             layout,

@@ -346,7 +346,7 @@ def _plan(
 def _count(
     run: _Run, chunks: Sequence[Chunk], cube: Cube, limit: int, work: Path, *, anchored: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Count the scene's splats in octree cells that are fine enough to divide them into tasks.
+    """Count the scene's splats in octree cells that are small enough to be divided into tasks.
 
     Cells that hold too many are counted again, deeper: a scene with a few splats far away has
     nearly all others in one cell.

@@ -60,7 +60,9 @@ def read_transform(path: Path) -> tuple[float, ...]:
         message = f"cannot be read: {error.strerror or error}"
         raise ConfigInvalid(message, where=str(path)) from error
     except (ValueError, TypeError) as error:
-        raise ConfigInvalid(f"{error}; expected {expected}", where=str(path)) from error
+        raise ConfigInvalid(
+            f"cannot be read ({error}); expected {expected}", where=str(path)
+        ) from error
     if value.shape not in ((16,), (4, 4)):
         shape = "×".join(map(str, value.shape))
         raise ConfigInvalid(f"has {shape} numbers; expected {expected}", where=str(path))

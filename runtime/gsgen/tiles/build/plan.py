@@ -90,7 +90,7 @@ def depth_of(location: int) -> int:
 
 
 def coordinates_of(location: int) -> tuple[int, int, int]:
-    """Return the x, y and z index of an octree cell among those of its depth."""
+    """Return the x, y and z index of an octree cell in the grid of all cells of its depth."""
     depth = depth_of(location)
     x, y, z = (
         sum((location >> (3 * bit + axis) & 1) << bit for bit in range(depth)) for axis in range(3)

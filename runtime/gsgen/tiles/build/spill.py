@@ -21,7 +21,7 @@ Rows = np.ndarray[Any, np.dtype[Any]]
 
 
 def bin_chunk(plan: Plan, chunk: Chunk) -> int:
-    """Write a scene chunk's splats, sorted by partition, to a temporary file; return the number.
+    """Write a scene chunk's splats, sorted by partition, to a temporary file; return their count.
 
     The file of rows is the marker of the task, so that of the offsets is written before it.
     """

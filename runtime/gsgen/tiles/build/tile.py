@@ -57,7 +57,7 @@ class Content:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tile:
-    """A written tile and all its descendants.
+    """A tile whose content files are written, with all its descendants.
 
     Attributes:
         location: Its octree cell, as 1 followed by the Morton code.

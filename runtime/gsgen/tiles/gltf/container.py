@@ -46,7 +46,7 @@ def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
         content = _buffer(buffer, size, fetch)
         if len(content) < size:
             raise TilesetInvalid(
-                f"the buffer has {len(content)} bytes",
+                f"the glTF buffer has {len(content)} bytes",
                 location=buffer.location,
                 expected=f"{size}",
                 fault=Fault.CONTENT,

@@ -122,7 +122,9 @@ def _split(data: bytes, location: str) -> tuple[JsonObject, bytes]:
         document = parse_object(data, f"{location}, ", fault=Fault.SUBTREE)
         return document, b""
     if len(data) < _HEADER.size:
-        raise _wrong(f"the file has {len(data)} bytes", location, f"a header of {_HEADER.size}")
+        raise _wrong(
+            f"the subtree file has {len(data)} bytes", location, f"a header of {_HEADER.size}"
+        )
     _, version, json_size, binary_size = _HEADER.unpack_from(data)
     if version != _SUBTREE_VERSION:
         raise _wrong(
@@ -131,7 +133,7 @@ def _split(data: bytes, location: str) -> tuple[JsonObject, bytes]:
     whole = _HEADER.size + json_size + binary_size
     if whole != len(data) or json_size > MAX_JSON:
         raise _wrong(
-            f"the file has {len(data)} bytes",
+            f"the subtree file has {len(data)} bytes",
             f"{location}, byte 8",
             f"{whole}: the header, {json_size} of JSON and {binary_size} of data",
         )
@@ -150,7 +152,9 @@ def _check_tree(
     """Raise for subtree tiles without a parent, and contents or subtrees of unavailable tiles."""
     location = document.location.removesuffix(", ")
     if not tiles[0]:
-        raise _wrong("the root tile is not available", location, "a subtree with a root")
+        raise _wrong(
+            "the root tile of the subtree is not available", location, "a subtree with a root"
+        )
     parents = (np.arange(1, len(tiles)) - 1) // branching
     orphans = np.flatnonzero(tiles[1:] & ~tiles[parents])
     if len(orphans):
@@ -220,7 +224,9 @@ class _Reader:
         data = self._buffer(view)
         if start + size > len(data):
             raise _wrong(
-                f"the view ends at byte {start + size}", view.location, f"{len(data)} or less"
+                f"the buffer view ends at byte {start + size}",
+                view.location,
+                f"{len(data)} or less",
             )
         return data[start : start + size]
 
@@ -235,7 +241,9 @@ class _Reader:
             if "uri" in entry:
                 data = self._read(entry.text("uri"), entry.at("uri"), size)
             if len(data) < size:
-                raise _wrong(f"the buffer has {len(data)} bytes", entry.location, f"{size}")
+                raise _wrong(
+                    f"the buffer of the subtree has {len(data)} bytes", entry.location, f"{size}"
+                )
             self._loaded[index] = data[:size]
         return self._loaded[index]
 

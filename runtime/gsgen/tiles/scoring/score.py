@@ -1,6 +1,15 @@
 """Compare renderings of each level of a tileset with renderings of its source scene."""
 
-__all__ = ["DISTANCES", "LevelScore", "TilesetScore", "level_cut", "score_tileset"]
+__all__ = [
+    "DISTANCES",
+    "FIELD_OF_VIEW",
+    "NEAR_SHARE",
+    "LevelScore",
+    "TilesetScore",
+    "cameras_around",
+    "level_cut",
+    "score_tileset",
+]
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -30,9 +39,13 @@ Picture = Float32[np.ndarray, "h w 3"]
 DISTANCES: Final = {"near": 1.5, "middle": 3.0, "far": 6.0}
 """Name → distance of the camera from the middle, in radii of the scene."""
 
+FIELD_OF_VIEW: Final = 50.0
+"""Vertical field of view of the cameras around a scene or a tile, in degrees."""
+NEAR_SHARE: Final = 100
+"""Radii of a scene or a tile over the distance of the near plane."""
+
 _AZIMUTHS = (20.0, 140.0, 260.0)
 _RING_LATITUDE = 20.0
-_FIELD_OF_VIEW = 50.0
 _SHARE_WITHIN = 0.9
 
 
@@ -113,7 +126,7 @@ def score_tileset(
         levels = []
         for level in range(_depth(tileset) + 1):
             progress(f"drawing level {level} of {_depth(tileset)}")
-            cut = list(level_cut(tileset, level))
+            cut = list(level_cut(tileset.root, level))
             drawn, size = _read(store, tileset, cut)
             renders = _draw(renderer, drawn, cameras)
             pictures[f"level {level}"] = _first(renders)
@@ -129,12 +142,12 @@ def score_tileset(
     return TilesetScore(splats=len(splats), levels=tuple(levels), pictures=pictures)
 
 
-def level_cut(tileset: Tileset, level: int) -> Iterator[tuple[Tile, Content]]:
-    """Yield the tile contents that are drawn if every tile is refined a number of times.
+def level_cut(root: Tile, level: int) -> Iterator[tuple[Tile, Content]]:
+    """Yield the contents that are drawn if ``root`` and the tiles below are refined so often.
 
     Tiles without content do not count: they are refined in any case.
     """
-    pending = [(tileset.root, level)]
+    pending = [(root, level)]
     while pending:
         tile, refinements = pending.pop()
         stops = not tile.children or (refinements == 0 and bool(tile.contents))
@@ -184,22 +197,37 @@ def _cameras(
     distances = np.linalg.norm(splats.position - center, axis=1)
     radius = max(float(np.quantile(distances, _SHARE_WITHIN)), 1e-6)
     return {
-        name: [
-            Camera.orbit(
-                center.tolist(),
-                distance * radius,
-                azimuth=azimuth,
-                elevation=_RING_LATITUDE,
-                up=up.tolist(),
-                width=width,
-                height=height,
-                fov_y=_FIELD_OF_VIEW,
-                near=radius / 100,
-            )
-            for azimuth in _AZIMUTHS
-        ]
+        name: cameras_around(
+            center, distance * radius, up, size=(width, height), near=radius / NEAR_SHARE
+        )
         for name, distance in DISTANCES.items()
     }
+
+
+def cameras_around(
+    center: Float64[np.ndarray, " 3"],
+    distance: float,
+    up: Float64[np.ndarray, " 3"],
+    *,
+    size: tuple[int, int],
+    near: float,
+) -> list[Camera]:
+    """Return three cameras around a point, a little above it."""
+    width, height = size
+    return [
+        Camera.orbit(
+            center.tolist(),
+            distance,
+            azimuth=azimuth,
+            elevation=_RING_LATITUDE,
+            up=up.tolist(),
+            width=width,
+            height=height,
+            fov_y=FIELD_OF_VIEW,
+            near=near,
+        )
+        for azimuth in _AZIMUTHS
+    ]
 
 
 def _draw(

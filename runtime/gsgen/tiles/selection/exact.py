@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from gsgen.tiles.selection.choose import Choice
+from gsgen.tiles.selection.cut_filling import fill_cut
 from gsgen.tiles.selection.tree_choice import CutOptions, TreeFrontier, choose_cut
 
 _TOLERANCE = 1e-9  # of the utility: sums in another order differ by less
@@ -72,6 +73,7 @@ def choose_cut_exactly(options: CutOptions, budget: float) -> Choice | None:
     known = choose_cut(frontier, budget)
     if known is None:
         return None
+    known = fill_cut(frontier, known, budget)  # a better choice keeps the fronts shorter
     root = frontier.levels[0]
     point = int(np.searchsorted(root.cost, budget, side="right")) - 1
     price = 0.0

@@ -109,7 +109,7 @@ def _read_nodes(problem: JsonObject) -> CutOptions:
             parent[index] = node.whole("parent", most=len(nodes) - 1)
     roots = int((parent < 0).sum())
     if roots != 1 or not _reaches_root(parent):
-        actual = f"{roots} nodes without a parent" if roots != 1 else "a circle of parents"
+        actual = f"{roots} nodes without a parent" if roots != 1 else "a cycle of parents"
         raise TilesetInvalid(actual, location=problem.at("nodes"), expected="one tree")
     tables = [_read_options(node, "bytes") for node in nodes]
     is_leaf = np.ones(len(nodes), bool)

@@ -1,6 +1,6 @@
 """Opens the file store of a tileset from a path or an address."""
 
-__all__ = ["INDEX", "open_store"]
+__all__ = ["INDEX", "address_of", "open_store"]
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,17 +23,26 @@ def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tupl
             (http, https) of a ``tileset.json``.
         allow_origins: Other origins that redirects of a server may lead to.
     """
-    text = str(source)
-    for scheme in ("http", "https"):
-        # A Path has made one slash of two.
-        if text.lower().startswith(f"{scheme}:/"):
-            address = f"{scheme}://{text[len(scheme) + 1 :].lstrip('/')}"
-            name = urlsplit(address).path.rpartition("/")[2]
-            folder = address if name else f"{address}/"
-            return HttpStore(folder, allow_origins=allow_origins), unquote(name) or INDEX
+    address = address_of(source)
+    if address:
+        name = urlsplit(address).path.rpartition("/")[2]
+        folder = address if name else f"{address}/"
+        return HttpStore(folder, allow_origins=allow_origins), unquote(name) or INDEX
     path = Path(source)
     if path.suffix.lower() == ".3tz":
         return ZipStore(path), INDEX
     if path.is_dir():
         return FolderStore(path), INDEX
     return FolderStore(path.parent), path.name
+
+
+def address_of(source: str | Path) -> str:
+    """Return the http(s) address of a source, with the slash that ``Path`` removed; else empty.
+
+    A file or a folder has none: the result is empty.
+    """
+    text = str(source)
+    for scheme in ("http", "https"):
+        if text.lower().startswith(f"{scheme}:/"):
+            return f"{scheme}://{text[len(scheme) + 1 :].lstrip('/')}"
+    return ""

@@ -49,7 +49,7 @@ class ZipStore(Store):
             self._file: BinaryIO = archive.open("rb")
         except OSError as error:
             raise StoreUnavailable(
-                f"cannot be read: {error.strerror}",
+                f"the archive cannot be read: {error.strerror}",
                 location=self.name,
                 expected="a .3tz archive",
                 fault=Fault.CONTENT,
@@ -78,7 +78,9 @@ class ZipStore(Store):
         """Raise if the index of a .3tz archive and its zip directory disagree on offsets."""
         members = [member for name, member in by_name.items() if name != INDEX_NAME]
         if index.file_size != _RECORD.size * len(members):
-            raise self._damaged(f"the index has {index.file_size} bytes for {len(members)} files")
+            raise self._damaged(
+                f"the index of the archive has {index.file_size} bytes for {len(members)} files"
+            )
         expected = {index_record(m.filename, m.header_offset) for m in members}
         data = self._member(index, 0, index.file_size)
         records = [data[offset : offset + 24] for offset in range(0, len(data), _RECORD.size)]

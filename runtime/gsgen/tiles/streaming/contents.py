@@ -1,4 +1,4 @@
-"""Decodes tile contents into packed Gaussians, ready for the renderer's pool."""
+"""Decodes tile contents into packed Gaussians, ready for the renderer's splat pool."""
 
 __all__ = ["ContentReader"]
 
@@ -11,15 +11,15 @@ import numpy as np
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients
 from gsgen.runtime.gpu.morton_order import along_curve
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.tiles.errors import Fault, TilesetInvalid
-from gsgen.tiles.gltf.placement import join_placed
+from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
+from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
 from gsgen.tiles.leaves import MAX_CONTENT, decode_tile_content
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.streaming.disk_cache import DiskCache
 from gsgen.tiles.streaming.session_frame import TileArrival
-from gsgen.tiles.tileset import Tileset
+from gsgen.tiles.tileset import Content, Tile, Tileset
 
 
 @final
@@ -78,14 +78,14 @@ class ContentReader:
         placed = [
             part
             for content, data in zip(entry.contents, files, strict=True)
-            for part in decode_tile_content(self._store, self._tileset, entry, content, data)
+            for part in self._decode_file(entry, content, data)
         ]
         count = sum(map(len, placed))
         declared = entry.metadata.get("splats")
         if isinstance(declared, int | np.integer) and declared != count:
             raise TilesetInvalid(
                 f"the tile's contents have {count:,} splats",
-                location=entry.contents[0].uri,
+                location=self._located(entry.contents[0].uri),
                 expected=f"{declared:,}, as the metadata of the tile count",
                 fault=Fault.COUNTS,
             )
@@ -100,6 +100,24 @@ class ContentReader:
             shared = min(channels, data.appearance.shape[1])
             appearance[:, :shared] = data.appearance[order, :shared]
         return TileArrival(tile=tile, rows=rows, appearance=appearance, origin=origin)
+
+    def _decode_file(self, tile: Tile, content: Content, data: bytes) -> list[PlacedSplats]:
+        try:
+            return decode_tile_content(self._store, self._tileset, tile, content, data)
+        except StoreUnavailable:
+            raise
+        except TilesetInvalid as error:
+            raise TilesetInvalid(
+                error.actual,
+                location=self._located(error.location),
+                expected=error.expected,
+                hint=error.hint,
+                fault=error.fault,
+            ) from error
+
+    def _located(self, location: str) -> str:
+        """Prefix a location in a file with the web address, if the file is on a web server."""
+        return f"{self._store.name}/{location}" if isinstance(self._store, HttpStore) else location
 
 
 def _report_sum(on_bytes: Callable[[int], None], before: int, count: int) -> None:

@@ -163,7 +163,7 @@ class ReplayLink:
         self._requested.add(tile)
 
     def progress(self, tile: int) -> float:
-        """Return 1, the fraction received, so that a replay cancels no request on its own."""
+        """Return 1, as if every tile were received, so that a replay cancels no request itself."""
         del tile
         return 1.0
 

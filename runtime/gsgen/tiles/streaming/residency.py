@@ -1,4 +1,4 @@
-"""Chooses which tiles stay in the renderer's pool, and which are evicted for others."""
+"""Chooses which tiles stay in the renderer's splat pool, and which are evicted for others."""
 
 __all__ = ["ResidentTiles"]
 
@@ -12,7 +12,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 
 @final
 class ResidentTiles:
-    """The tiles in the renderer's pool, whose packed Gaussians never exceed the capacity.
+    """The tiles in the renderer's splat pool, whose Gaussians never exceed the capacity.
 
     A tile leaves that is not needed: of those the ones without an expected use, the least
     recently used, the finest first. The root, tiles that are needed and all tiles above them stay.
@@ -41,7 +41,7 @@ class ResidentTiles:
         needed: Bool[np.ndarray, " n"],
         expected: Bool[np.ndarray, " n"] | None = None,
     ) -> None:
-        """Record the tiles that a frame needs, as the least evictable.
+        """Record the tiles that a frame needs, which are evicted last.
 
         Args:
             time: In seconds.
@@ -53,7 +53,7 @@ class ResidentTiles:
         self._expected = np.zeros_like(needed) if expected is None else expected
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Return the mask of some tiles with all their ancestors, and the root."""
+        """Add the root and all ancestors of some tiles to the mask of these tiles."""
         marked = tiles.copy()
         marked[0] = True
         for rows in reversed(self._tree.rows_of_level[1:]):
@@ -61,7 +61,7 @@ class ResidentTiles:
         return marked
 
     def admit(self, tile: int, time: float) -> tuple[int, ...] | None:
-        """Make a tile resident in the pool.
+        """Make a tile resident in the renderer's splat pool.
 
         Returns:
             The tiles that leave for it; None where it does not fit beside those that stay.
@@ -80,12 +80,12 @@ class ResidentTiles:
         return evicted
 
     def remove(self, tile: int) -> None:
-        """Remove a resident tile from the pool."""
+        """Remove a resident tile from the renderer's splat pool."""
         self.resident[tile] = False
         self.used_slots -= int(self._slots[tile])
 
     def _victims(self, lack: int) -> tuple[int, ...] | None:
-        """Return tiles to evict that free enough slots of the pool; None if too few can leave."""
+        """Return tiles to evict for ``lack`` slots of the splat pool; None if too few can go."""
         if lack <= 0:
             return ()
         rows = np.flatnonzero(self.resident & ~self._protected)

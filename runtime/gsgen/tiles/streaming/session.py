@@ -201,7 +201,7 @@ class TilesetSession:
 
     @property
     def resident(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the tiles that are resident in the renderer's pool."""
+        """The mask of the tiles that are resident in the renderer's splat pool."""
         return self._residents.resident
 
     def frame(self, frustum: Frustum) -> SessionFrame:
@@ -272,7 +272,7 @@ class TilesetSession:
         return dead
 
     def _fitting_cut(self, frustum: Frustum) -> Cut:
-        """Select tiles as fine as the pool can hold, together with all their ancestors."""
+        """Select tiles as fine as the splat pool can hold, together with all their ancestors."""
         error = self._options.max_error
         for _ in range(_MOST_STEPS):
             cut = cut_tree(self.tree, frustum, error)

@@ -22,6 +22,7 @@ from gsgen.runtime.sources.source import Source, Values
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.leaves import recognises
 from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.stores.opening import address_of
 from gsgen.tiles.streaming.drawing import FADE_SECONDS
 from gsgen.tiles.streaming.session import SessionOptions, open_session
 from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
@@ -83,7 +84,7 @@ class TilesSource(Source):
             )
 
     def _take(self, frustum: Frustum) -> SessionFrame:
-        """Upload and evict tiles in the renderer's pool, as the streaming session decides."""
+        """Upload and evict tiles in the renderer's splat pool, as the streaming session decides."""
         frame = self._session.frame(frustum)
         for tile in frame.evicted:
             self._pool.evict(tile)
@@ -136,7 +137,7 @@ class TilesSource(Source):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return an empty set of Gaussians, since the tiles' Gaussians are in the pool."""
+        """Return an empty splat set, since the tiles' Gaussians are in the splat pool."""
         return SplatSet(self.data)
 
     def shape(self, name: str) -> tuple[int, ...]:
@@ -172,7 +173,7 @@ def open_stream(path: Path, settings: StreamSettings) -> TilesSource:
     up = session.up
     reach = float(np.linalg.norm(np.abs(tree.half_axes[0]).sum(axis=0)))
     return TilesSource(
-        str(path),
+        address_of(path) or str(path),
         session,
         up=(float(up[0]), float(up[1]), float(up[2])),
         extent=(tree.center[0], reach),

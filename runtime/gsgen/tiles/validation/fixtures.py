@@ -14,6 +14,7 @@ import numpy as np
 
 from gsgen.conformance.fixtures.builders.fixture import Fixture, fixtures_in, summary_of
 from gsgen.contract.spec.severity import Level
+from gsgen.formats.shared.splats import Splats
 from gsgen.formats.spz import container, streams
 from gsgen.tiles.index import GLTF_EXTENSION
 from gsgen.tiles.neural import EXTENSION as NEURAL
@@ -290,6 +291,26 @@ def tiles_neural_digest() -> TilesetSketch:
     extension = sketch.document["root"]["children"][0]["extensions"][NEURAL]
     extension["sha256"] = hashlib.sha256(b"another model").hexdigest()
     return sketch
+
+
+@_example("GT021", level=Level.RENDER)
+def tiles_invisible_root() -> TilesetSketch:
+    """Fixture: a tileset whose root has opacities near 0."""
+
+    def fade(splats: Splats) -> Splats:
+        return replace(splats, logit_opacity=np.full(len(splats), -12, np.float32))
+
+    return explicit_sketch(edit_root=fade)
+
+
+@_example("GT022", level=Level.RENDER)
+def tiles_unlike_root() -> TilesetSketch:
+    """Fixture: a tileset whose root has splats of one unit in place of a tenth."""
+
+    def inflate(splats: Splats) -> Splats:
+        return replace(splats, log_scale=np.zeros_like(splats.log_scale))
+
+    return explicit_sketch(edit_root=inflate)
 
 
 def _neural() -> TilesetSketch:

@@ -8,7 +8,7 @@ import warnings
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from gsgen.tiles.tileset import Content, Tile, Tileset
 from gsgen.tiles.uris import resolve_uri
 from gsgen.tiles.validation.values import ContentValues, check_values, measure_content
 from gsgen.tiles.volumes import Volume
+
+if TYPE_CHECKING:
+    from gsgen.tiles.validation.drawing import DrawnTileset
 
 Progress = Callable[[str], None]
 _MOST_FAULTS: Final = 1000
@@ -64,6 +67,8 @@ class InspectedTileset:
         contents: All contents, in the order of the tiles.
         record: What ``gsgen.tiles.json`` says; None without one.
         undecoded: Why some contents were not decoded; empty where all were.
+        drawn: The results of drawing tiles; None where nothing was drawn.
+        undrawn: Why tiles were not drawn; empty where they were, or were not to be.
         files: How many files were read.
     """
 
@@ -73,6 +78,8 @@ class InspectedTileset:
     contents: list[InspectedContent] = field(default_factory=list)
     record: BuildRecord | None = None
     undecoded: str = ""
+    drawn: "DrawnTileset | None" = None
+    undrawn: str = ""
     files: int = 0
 
     @property

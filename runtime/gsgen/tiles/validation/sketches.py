@@ -72,6 +72,7 @@ def explicit_sketch(
     transform: Float64[np.ndarray, "4 4"] | None = None,
     record: bool = True,
     leaf_rows: int = _ROWS,
+    edit_root: Callable[[Splats], Splats] | None = None,
 ) -> TilesetSketch:
     """Return an explicit tileset of a root and two leaves.
 
@@ -80,9 +81,12 @@ def explicit_sketch(
         transform: Of the root.
         record: Whether there is a build record.
         leaf_rows: Splats of the first leaf; where they are many, all are alike.
+        edit_root: Changes the splats of the root's content, a third of those of the leaves.
     """
     leaves = [sample_splats(_ROWS, center, seed=n) for n, center in enumerate(_CENTERS)]
     coarse = joined([_rows(leaf, slice(None, None, 3)) for leaf in leaves])
+    if edit_root is not None:
+        coarse = edit_root(coarse)
     if leaf_rows > _ROWS:
         leaves[0] = _rows(leaves[0], np.zeros(leaf_rows, int))
     files: dict[str, bytes] = {}

@@ -1,4 +1,4 @@
-"""Validates a tileset, or one content file, by the rules GT, for `gsgen validate`.
+"""Validates a tileset, or one content file, by the tileset rules (GT), for `gsgen validate`.
 
 Registered under the entry point group ``gsgen.validators``.
 """
@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
@@ -24,11 +25,12 @@ from gsgen.tiles.stores.opening import INDEX, open_store
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.validation.inspected import InspectedTileset, inspect_content_file, inspect_tileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
+from gsgen.tiles.validation.rules.headers import headers
 
 _CONTENTS: Final = (".glb", ".gltf")
 _INDICES: Final = (".json", ".3tz")
 _ADDRESSES: Final = ("http:/", "https:/")
-_NOT_DRAWN: Final = "tilesets are not drawn here: `gsgen tiles score` draws them"
+_NOTHING_DRAWN: Final = "the rules that drawing needs do not hold"
 
 
 def recognises(path: Path) -> bool:
@@ -45,7 +47,8 @@ def validate(
 
     Args:
         path: ``tileset.json``, its folder, ``.3tz``, ``.glb``, ``.gltf``, or an address.
-        settings: How far to go (static: JSON and headers; values: all splats), and severities.
+        settings: How far to go (static: JSON and headers; values: all splats; render: pictures of
+            two tiles and their children), and severities.
         registry: The rules.
         progress: Called with a few words whenever a new stage begins.
     """
@@ -58,7 +61,7 @@ def validate(
     with store:
         inspected = _inspect(store, index, kind, path, settings, progress)
         results = ResultCollector(registry=registry, settings=settings, kind=kind)
-        _check(results, inspected, settings.level)
+        _check(results, inspected, settings.level, progress)
         size, digest = _index_digest(store, index)
     rules = [results.outcomes[id] for id in registry.rules]
     return Report(
@@ -73,7 +76,7 @@ def validate(
         fail_on=settings.fail_on,
         findings=apply_waivers(results.findings(), settings.waivers, settings.today),
         outcomes=tuple(rules),
-        levels=tuple(_levels(settings.level)),
+        levels=tuple(_levels(settings.level, inspected)),
         environment={"gsgen": version("gsgen")},
         settings=settings.source,
         seconds=time.perf_counter() - start,
@@ -101,19 +104,59 @@ def _inspect(
     )
 
 
-def _check(results: ResultCollector, inspected: InspectedTileset, level: Level) -> None:
+def _check(
+    results: ResultCollector,
+    inspected: InspectedTileset,
+    level: Level,
+    progress: Callable[[str], None],
+) -> None:
     """Check the tileset rules of the requested levels in order of dependency; skip the others."""
     items = max(len(inspected.contents), 1)
     for rule in _needs_first(results.registry.rules.values()):
+        if not results.is_ready(rule):
+            continue
         if rule.level > level:
-            if results.is_ready(rule):
-                results.skip([rule], f"level {rule.level.word} was not asked for")
-        elif results.is_ready(rule):
-            results.check(rule, inspected)
-            undecided = rule.level >= Level.VALUES and inspected.undecoded
-            if undecided and not results.fails(rule):
-                results.skip([rule], f"{inspected.undecoded} (see --timeout)")
-            results.settle([rule], items=items)
+            results.skip([rule], f"level {rule.level.word} was not asked for")
+            continue
+        if rule.level is Level.RENDER:
+            _draw(inspected, progress)
+        results.check(rule, inspected)
+        reason = _undecided(rule, inspected)
+        if reason and not results.fails(rule):
+            results.skip([rule], reason)
+        results.settle([rule], items=items)
+
+
+def _undecided(rule: Rule, inspected: InspectedTileset) -> str:
+    """Return why a rule saw only a part of what it checks; empty where it saw everything."""
+    if rule.level >= Level.VALUES and inspected.undecoded:
+        return f"{inspected.undecoded} (see --timeout)"
+    if rule.level is Level.RENDER:
+        return inspected.undrawn or (
+            inspected.drawn.skipped.get(rule.id, "") if inspected.drawn else ""
+        )
+    return ""
+
+
+def _draw(inspected: InspectedTileset, progress: Callable[[str], None]) -> None:
+    """Draw tiles of the tileset once, or note why nothing can be drawn."""
+    if inspected.drawn is not None or inspected.undrawn or inspected.tileset is None:
+        return
+    if find_spec("wgpu") is None:
+        inspected.undrawn = "wgpu is not installed: pip install 'gsgen[runtime]'"
+        return
+    from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable
+    from gsgen.tiles.validation.drawing import draw_tileset
+
+    progress("drawing tiles")
+    counts = {
+        content.content.uri: sum(primitive.count for primitive in header.primitives)
+        for content, header in headers(inspected)
+    }
+    try:
+        inspected.drawn = draw_tileset(inspected.tileset, inspected.store, counts)
+    except (DeviceUnavailable, CapacityExceeded) as error:
+        inspected.undrawn = f"{error.where}: {error.message}" if error.where else error.message
 
 
 def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
@@ -130,13 +173,15 @@ def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
     return ordered
 
 
-def _levels(requested: Level) -> Iterable[LevelOutcome]:
+def _levels(requested: Level, inspected: InspectedTileset) -> Iterable[LevelOutcome]:
     """Yield the outcome of every requested validation level that applies to tilesets."""
-    yield LevelOutcome(Level.STATIC, ran=True)
+    yield LevelOutcome(level=Level.STATIC, ran=True)
     if requested >= Level.VALUES:
-        yield LevelOutcome(Level.VALUES, ran=True)
+        yield LevelOutcome(level=Level.VALUES, ran=True)
     if requested >= Level.RENDER:
-        yield LevelOutcome(Level.RENDER, ran=False, reason=_NOT_DRAWN)
+        ran = inspected.drawn is not None
+        reason = "" if ran else inspected.undrawn or _NOTHING_DRAWN
+        yield LevelOutcome(level=Level.RENDER, ran=ran, reason=reason)
 
 
 def _index_digest(store: Store, index: str) -> tuple[int, str]:

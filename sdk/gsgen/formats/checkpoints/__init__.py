@@ -1,1 +1,1 @@
-"""Which files of PyTorch trainings hold plain splats, and how are they read without torch?"""
+"""Which PyTorch checkpoints hold plain Gaussian splats, and how are they read without torch?"""

@@ -1,4 +1,4 @@
-"""Reads splats of the checkpoints of gsplat, nerfstudio's splatfacto and the 3DGS training code.
+"""Reads splats from checkpoints of gsplat, nerfstudio's splatfacto and the 3DGS training code.
 
 Layouts, read from the code that writes them:
 
@@ -51,7 +51,7 @@ _CAPTURE_LENGTH = 12
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Layout:
-    """The tensors of a checkpoint, in the order positions to higher harmonics."""
+    """The splat tensors of a checkpoint and their names, from positions to higher SH degrees."""
 
     names: tuple[str, ...]
     tensors: Mapping[str, Any]
@@ -62,7 +62,7 @@ class _Layout:
 
 
 def read_checkpoint(path: FilePath) -> Splats:
-    """Read the splats of a training's checkpoint, without torch; no code of the file is run.
+    """Read Gaussian splats from a training checkpoint without torch; no code in the file is run.
 
     The file does not say whether training drew antialiased; the settings beside it do
     (``cfg.yml`` of gsplat, ``config.yml`` of nerfstudio), and are read if they are there.
@@ -98,7 +98,7 @@ def read_checkpoint(path: FilePath) -> Splats:
 
 
 def _layout_of(archive: TorchArchive, path: Path) -> _Layout:
-    """Return where a checkpoint has its tensors; raise if it holds no plain splats."""
+    """Find the splat tensors in a checkpoint; raise if the checkpoint holds no plain splats."""
     content = archive.data()
     if isinstance(content, dict) and isinstance(content.get("splats"), dict):
         return _of_gsplat(content, path)
@@ -115,7 +115,7 @@ def _of_gsplat(content: dict[Any, Any], path: Path) -> _Layout:
         tensors["means"] = tensors.pop("means3d")
     if "features" in tensors or "app_module" in content:
         raise NotSupported(
-            "colours come from an appearance network (app_opt of gsplat)",
+            "the colours come from an appearance network (app_opt of gsplat)",
             where="splats",
             expected="harmonics sh0 and shN",
             hint="convert the PLY that the trainer saves (--save_ply), whose colours are computed",
@@ -146,7 +146,7 @@ def _of_nerfstudio(state: dict[Any, Any], path: Path) -> _Layout:
     extra = [name for name in tensors if name not in _SPLATFACTO]
     if "means" not in tensors or (has_prefix and extra):
         raise NotSupported(
-            f"a model of nerfstudio with {listed(extra or list(map(str, state)), limit=6)}",
+            f"the checkpoint holds another nerfstudio model than splatfacto, with {listed(extra or list(map(str, state)), limit=6)}",
             where="pipeline",
             expected=f"{prefix}* of splatfacto: {listed(list(_SPLATFACTO))}",
         )
@@ -177,13 +177,13 @@ def _splats(archive: TorchArchive, layout: _Layout) -> Splats:
     missing = [name for name in layout.names if name not in layout.tensors]
     if missing:
         raise PropertyMissing(
-            f"{listed(missing)} missing, found {listed(list(map(str, layout.tensors)))}",
+            f"the checkpoint lacks the tensors {listed(missing)}; it has {listed(list(map(str, layout.tensors)))}",
             expected=f"the tensors {listed(list(layout.names))}",
         )
     for name in layout.names:
         if not isinstance(layout.tensors[name], TensorReference):
             kind = type(layout.tensors[name]).__name__
-            raise ValueInvalid(f"a {kind}", where=name, expected="a tensor")
+            raise ValueInvalid(f"the value is a {kind}", where=name, expected="a tensor")
     references = [layout.tensors[name] for name in layout.names]
     _require_shapes(layout.names, references)
     arrays = [
@@ -209,22 +209,26 @@ def _joined(
 
 
 def _require_shapes(names: tuple[str, ...], tensors: list[TensorReference]) -> None:
-    """Raise unless the tensors have the shapes of splats of one number."""
+    """Raise unless the tensors have the shapes of splats, all with the same number of rows."""
     n = tensors[0].shape[0] if tensors[0].shape else 0
     if tensors[2].shape == (n, 2):
         raise NotSupported(
-            "two scales, as of 2DGS: flat splats", where=names[2], expected="three scales"
+            "the splats have two scales, as in 2DGS, which draws flat discs",
+            where=names[2],
+            expected="three scales",
         )
     higher = tuple((n, count - 1, 3) for count in SH_COUNTS)
     allowed = (((n, 3),), ((n, 4),), ((n, 3),), ((n,), (n, 1)), ((n, 1, 3), (n, 3)), higher)
     for name, tensor, shapes in zip(names, tensors, allowed, strict=True):
         if tensor.shape not in shapes:
             expected = " or ".join(str(list(shape)) for shape in shapes)
-            raise ValueInvalid(f"shape {list(tensor.shape)}", where=name, expected=expected)
+            raise ValueInvalid(
+                f"the tensor has shape {list(tensor.shape)}", where=name, expected=expected
+            )
 
 
 def _setting(path: Path, line: str) -> bool:
-    """Return whether a settings file beside a checkpoint has a line; false without the file."""
+    """Return whether the settings file beside a checkpoint contains a given line."""
     if not path.is_file():
         return False
     text = path.read_text("utf-8", errors="replace")

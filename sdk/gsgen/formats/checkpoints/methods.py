@@ -1,4 +1,4 @@
-"""Says what a checkpoint that holds no plain splats is, and which plugin reads it."""
+"""Identifies the method of a checkpoint without plain splats, and the plugin that reads it."""
 
 __all__ = ["refuse_other_content"]
 
@@ -17,9 +17,12 @@ _METHODS: Final = (
     (("pose_decoder.", "lweight_offset_decoder."), "GauHuman", "gauhuman"),
 )
 
+# ``capture()`` of rotor 4DGS, and the value in it that says whether rotations are 4-D.
+_ROTOR_LENGTH, _ROTOR_FLAG = 19, 16
+
 
 def refuse_other_content(content: Any, *, is_script: bool) -> NotSupported:
-    """Return the error for a file of ``torch.save`` or ``torch.jit.save`` without plain splats."""
+    """Return the error for a ``torch.save`` or ``torch.jit.save`` file without plain splats."""
     if is_script:
         return NotSupported(
             "a network (TorchScript), as Scaffold-GS and Octree-GS save them",
@@ -40,14 +43,16 @@ def refuse_other_content(content: Any, *, is_script: bool) -> NotSupported:
 
 
 def _of_tuple(values: tuple[Any, ...]) -> NotSupported:
-    """Return the error for another ``capture()`` than that of 3DGS."""
+    """Return the error for a checkpoint tuple (``capture()``) of another method than 3DGS."""
+    if len(values) == _ROTOR_LENGTH and isinstance(values[_ROTOR_FLAG], bool):
+        return _of_method("rotor 4DGS", "rotor-4dgs", "a capture of rotor 4DGS")
     tensors = [value for value in values[:4] if isinstance(value, TensorReference)]
     if any(isinstance(value, dict) for value in values[2:3]):
         return _of_method("4DGaussians", "hexplane-4dgs", "a capture of 4DGaussians")
     if tensors and values[0] is tensors[0] and any(len(t.shape) == 3 for t in tensors[1:2]):
         return _of_method("Scaffold-GS", "scaffold-gs", "anchors and offsets of Scaffold-GS")
     return NotSupported(
-        f"a capture of {len(values)} values",
+        f"the checkpoint tuple (capture) has {len(values)} values",
         expected="the 12 of 3DGS: SH degree, 6 tensors, statistics and optimizer",
         hint="another method has saved it; convert its PLY, or export it with the method's plugin",
     )

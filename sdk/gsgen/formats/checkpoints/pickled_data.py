@@ -1,4 +1,4 @@
-"""Interprets the pickle of a file of ``torch.save`` as plain data, without calling anything.
+"""Interprets the pickle of a ``torch.save`` file as plain data, without calling any code.
 
 A pickle is a program for a stack machine that can call any function by name. This interpreter
 knows containers, numbers, texts and tensors; any other object becomes an :class:`Opaque` name.
@@ -21,7 +21,7 @@ _STORAGES = {
 @final
 @dataclass(frozen=True, slots=True)
 class Opaque:
-    """A class, function or object that the file names and that is not interpreted."""
+    """A Python class, function or object that a pickle names, which is left uninterpreted."""
 
     name: str
 
@@ -29,7 +29,7 @@ class Opaque:
 @final
 @dataclass(frozen=True, slots=True)
 class Storage:
-    """The numbers of one or more tensors; ``dtype`` is empty for numbers that are not floats."""
+    """A reference to the stored numbers of tensors; ``dtype`` is empty unless they are floats."""
 
     key: str
     dtype: str
@@ -38,7 +38,7 @@ class Storage:
 @final
 @dataclass(frozen=True, slots=True)
 class TensorReference:
-    """A tensor whose numbers are still in the file; offset and strides count elements."""
+    """A tensor that is still in the file; its offset and strides count elements."""
 
     storage: Storage
     offset: int
@@ -48,7 +48,7 @@ class TensorReference:
 
 @final
 class _Machine:
-    """The stack, the marks and the memo of an interpreted pickle."""
+    """The state of the pickle interpreter: stack, marks and memo."""
 
     def __init__(self) -> None:
         self.stack: list[Any] = []
@@ -66,7 +66,7 @@ class _Machine:
 
     def popped(self, count: int) -> list[Any]:
         if count > len(self.stack):
-            raise ValueError("the pickle takes more values than it has pushed")
+            raise ValueError("the pickle pops more values than it has pushed")
         items = self.stack[len(self.stack) - count :]
         del self.stack[len(self.stack) - count :]
         return items
@@ -91,7 +91,7 @@ class _Machine:
 
 
 def _object_of(name: str, arguments: Any) -> Any:
-    """Return the data that stand for the result of a call."""
+    """Return plain data in place of the object that a call in a pickle would create."""
     if name == "collections.OrderedDict":
         return {}
     if name == "torch._utils._rebuild_parameter":
@@ -101,7 +101,9 @@ def _object_of(name: str, arguments: Any) -> Any:
     storage, offset, shape, strides, *_ = arguments
     sizes = (offset, *shape, *strides)
     if not isinstance(storage, Storage) or any(type(size) is not int or size < 0 for size in sizes):
-        raise ValueError("a tensor has no storage, or a size that is not a whole number")
+        raise ValueError(
+            "a tensor in the pickle has no storage, or a size that is not a whole number"
+        )
     return TensorReference(storage, offset, tuple(shape), tuple(strides))
 
 
@@ -157,7 +159,7 @@ _CONSTANTS = frozenset(
 
 
 def pickled_data(content: bytes) -> Any:
-    """Return the data of a pickle, with tensors as references and other objects as names.
+    """Return the data of a pickle; tensors become references, and other objects their names.
 
     Raises:
         ValueError: The pickle is damaged, or has an instruction that torch.save does not write.
@@ -178,5 +180,5 @@ def pickled_data(content: bytes) -> Any:
         elif code.name in _ACTIONS:
             _ACTIONS[code.name](machine, argument)
         else:
-            raise ValueError(f"the instruction {code.name} of the pickle is not read")
-    raise ValueError("the pickle has no end")
+            raise ValueError(f"the instruction {code.name} of the pickle is not supported")
+    raise ValueError("the pickle ends without a STOP instruction")

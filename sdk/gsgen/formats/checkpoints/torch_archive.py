@@ -1,4 +1,4 @@
-"""Reads tensors of a file of ``torch.save`` (zip archive, torch 1.6 and later) with NumPy alone."""
+"""Reads tensors from a ``torch.save`` file (zip archive, torch 1.6 and later) with NumPy."""
 
 __all__ = ["MEMBER", "TorchArchive"]
 
@@ -22,26 +22,26 @@ _MAX_PICKLE = 16 << 20
 
 @final
 class TorchArchive:
-    """An open archive: its data, with tensors that are read when they are asked for."""
+    """An open ``torch.save`` archive, whose tensors are read on demand."""
 
     def __init__(self, archive: zipfile.ZipFile, file_size: int) -> None:
         self._archive, self._file_size = archive, file_size
         with unpacking("archive"):
             names = [name for name in archive.namelist() if name.endswith("/data.pkl")]
             if len(names) != 1:
-                raise ValueError(f"{len(names)} members data.pkl")
+                raise ValueError(f"the zip archive has {len(names)} files data.pkl, expected one")
             self._root = names[0].removesuffix("data.pkl")
             self.is_script = f"{self._root}constants.pkl" in archive.namelist()
             has_order = f"{self._root}byteorder" in archive.namelist()
             self._order = ">" if has_order and self._member("byteorder") == b"big" else "<"
 
     def data(self) -> Any:
-        """Return what was saved, with a :class:`TensorReference` for each tensor."""
+        """Return the saved Python object, with a :class:`TensorReference` for each tensor."""
         with unpacking("data.pkl"):
             return pickled_data(self._member("data.pkl", _MAX_PICKLE))
 
     def array(self, tensor: TensorReference, name: str) -> Float32[np.ndarray, "..."]:
-        """Return the numbers of a tensor of floats as float32.
+        """Read a floating-point tensor of the archive as float32.
 
         Raises:
             ArchiveDamaged: The numbers are missing, or fewer than the shape needs.
@@ -49,7 +49,9 @@ class TorchArchive:
         """
         dtype = tensor.storage.dtype
         if not dtype:
-            raise ValueInvalid("no floats", where=name, expected="a tensor of floats")
+            raise ValueInvalid(
+                "the tensor holds no floats", where=name, expected="a tensor of floats"
+            )
         with unpacking(name):
             content = self._member(f"data/{tensor.storage.key}")
             stored_type = "u2" if dtype == "bfloat16" else np.dtype(dtype).str[1:]
@@ -62,16 +64,20 @@ class TorchArchive:
                 return strided.astype(np.float32, order="C")
 
     def _member(self, name: str, limit: int | None = None) -> bytes:
-        """Return the bytes of a member, whose size the archive's own bytes prove."""
+        """Read a file of the zip archive, after a check of its declared size."""
         entry = self._archive.getinfo(self._root + name)
         if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
             raise NotSupported(
-                "is compressed", where=name, expected="an archive as torch.save writes it"
+                "the file in the archive is compressed",
+                where=name,
+                expected="an archive as torch.save writes it",
             )
         most = self._file_size if limit is None else min(limit, self._file_size)
         if entry.file_size > most:
             raise SizeExceeded(
-                f"{entry.file_size} bytes", where=name, expected=f"{most} bytes or fewer"
+                f"the file in the archive has {entry.file_size} bytes",
+                where=name,
+                expected=f"{most} bytes or fewer",
             )
         return self._archive.read(entry)
 
@@ -79,17 +85,21 @@ class TorchArchive:
 def _strided(numbers: np.ndarray, tensor: TensorReference, name: str) -> np.ndarray:
     shape, strides = tensor.shape, tensor.strides
     if len(shape) != len(strides):
-        raise ValueError(f"{len(shape)} sizes and {len(strides)} strides")
+        raise ValueError(
+            f"the tensor has {len(shape)} sizes and {len(strides)} strides, expected as many"
+        )
     if 0 in shape:
         # A hostile shape may have any other size beside the 0.
         if max(shape) > 1 << 40:
-            raise ValueError(f"a size of {max(shape)}")
+            raise ValueError(
+                f"the tensor has a dimension of {max(shape)}, expected at most {1 << 40}"
+            )
         return np.empty(shape, numbers.dtype)
     last = tensor.offset + sum((n - 1) * step for n, step in zip(shape, strides, strict=True))
     # Strides of 0 would make a small file a large array.
     if last >= len(numbers) or math.prod(shape) > len(numbers):
         raise ArchiveDamaged(
-            f"a tensor {list(shape)} in {len(numbers)} numbers",
+            f"the tensor has shape {list(shape)}, but {len(numbers)} stored numbers",
             where=name,
             expected="numbers for the whole tensor",
             hint="copy, download or save the file again",

@@ -1,1 +1,1 @@
-"""How are splats changed between reading and writing: moved, filtered, ordered, summarised?"""
+"""How are splats edited between reading and writing: moved, filtered, ordered, summarised?"""

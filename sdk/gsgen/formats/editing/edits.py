@@ -1,4 +1,4 @@
-"""Parses the edits of a command line: the table of their names, values and functions."""
+"""Parses splat edits of a command line, such as ``--scale 2``: names, values and functions."""
 
 import re
 from collections.abc import Callable
@@ -22,7 +22,7 @@ Edit = Callable[[Splats], Splats]
 
 
 class Decimator(Protocol):
-    """A function of the entry point group ``gsgen.decimators``."""
+    """Plug-in function that reduces the number of splats (group ``gsgen.decimators``)."""
 
     def __call__(self, splats: Splats, count: int) -> Splats:
         """Return at most ``count`` splats that look like ``splats``."""
@@ -32,7 +32,7 @@ class Decimator(Protocol):
 @final
 @dataclass(frozen=True, slots=True)
 class Option:
-    """An edit as an option.
+    """A command-line option that edits splats: the form of its value, and its parser.
 
     Attributes:
         metavar: The form of its value; empty for a flag.
@@ -74,7 +74,7 @@ def _decimation(text: str) -> Edit:
             decimator: Decimator = point.load()
             return decimator(splats, max(1, count))
         raise NotSupported(
-            "nothing that merges splats is installed",
+            "no package that merges splats is installed",
             where="decimate",
             hint="pip install 'gsgen[tiles]'",
         )
@@ -107,7 +107,7 @@ OPTIONS: Final[dict[str, Option]] = {
 
 
 def parse_edit(name: str, text: str) -> Edit:
-    """Return the edit ``name`` with this value, which raises if no splat is left.
+    """Return the splat edit ``name`` with a parsed value; the edit raises if no splat is left.
 
     Raises:
         ValueInvalid: The value has another form.
@@ -119,7 +119,7 @@ def parse_edit(name: str, text: str) -> Edit:
         if not len(result):
             raise ValueInvalid(
                 f"--{name.replace('_', '-')} {text} leaves none of {len(splats)} splats",
-                expected="at least one",
+                expected="at least one splat",
             )
         return result
 

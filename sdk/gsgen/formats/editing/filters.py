@@ -1,4 +1,4 @@
-"""Selects splats: in a box or sphere, by a value, and those that others surround."""
+"""Selects splats: in a box or sphere, by a value, or without isolated floaters."""
 
 import itertools
 import math
@@ -53,12 +53,12 @@ QUANTITIES: Final[dict[str, Quantity]] = {
 
 
 def rows_of(splats: Splats, rows: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> Splats:
-    """Return the splats of these rows, in their order."""
+    """Return the splats at the given row indices, or where a mask is true."""
     return replace(splats, **{name: getattr(splats, name)[rows] for name in ARRAYS})
 
 
 def morton_ordered(splats: Splats) -> Splats:
-    """Return ``splats`` along Morton's curve, on a lattice of 2²¹ cells a side."""
+    """Return ``splats`` sorted along a Morton curve, on a grid of 2²¹ cells along each axis."""
     position = splats.position.astype(np.float64)
     low, high = position.min(axis=0), position.max(axis=0)
     size = np.where(high > low, high - low, 1.0)
@@ -66,7 +66,7 @@ def morton_ordered(splats: Splats) -> Splats:
 
 
 def within_box(splats: Splats, corners: tuple[float, ...]) -> Splats:
-    """Return the splats whose centres lie in a box: x, y, z of the low, then the high corner.
+    """Return the splats whose centres lie in a box, given as its low and its high corner.
 
     Raises:
         ValueInvalid: A low coordinate is above the high one.
@@ -74,21 +74,23 @@ def within_box(splats: Splats, corners: tuple[float, ...]) -> Splats:
     low, high = np.array(corners[:3]), np.array(corners[3:])
     if (low > high).any():
         raise ValueInvalid(
-            f"{corners}", where="box", expected="three coordinates, then three that are not lower"
+            f"the corners are {corners}",
+            where="box",
+            expected="x, y, z of the low corner, then of a corner that is not lower",
         )
     is_inside = (splats.position >= low) & (splats.position <= high)
     return rows_of(splats, np.asarray(is_inside.all(axis=1)))
 
 
 def within_sphere(splats: Splats, sphere: tuple[float, ...]) -> Splats:
-    """Return the splats whose centres lie in a sphere: x, y, z of its centre, then its radius."""
+    """Return the splats whose centres lie in a sphere, given as centre and radius."""
     offset = splats.position.astype(np.float64) - np.array(sphere[:3])
     is_inside = np.square(offset).sum(axis=1) <= sphere[3] ** 2
     return rows_of(splats, np.asarray(is_inside))
 
 
 def where_value(splats: Splats, condition: str) -> Splats:
-    """Return the splats for which a condition such as ``opacity>=0.1`` holds.
+    """Return the splats that satisfy a condition such as ``opacity>=0.1``.
 
     Raises:
         ValueInvalid: The condition is not a name of ``QUANTITIES``, a comparison and a number.
@@ -97,7 +99,7 @@ def where_value(splats: Splats, condition: str) -> Splats:
     number = _number(match[3]) if match else None
     if match is None or number is None or match[1] not in QUANTITIES:
         raise ValueInvalid(
-            shown(condition),
+            f"the condition is {shown(condition)}",
             where="condition",
             expected=f"one of {', '.join(QUANTITIES)}, then {' '.join(_COMPARISONS)}, then a number",
         )
@@ -106,7 +108,7 @@ def where_value(splats: Splats, condition: str) -> Splats:
 
 
 def without_floaters(splats: Splats, size: float, neighbours: int) -> Splats:
-    """Return the splats that have company: ``neighbours`` others in the cells around their own.
+    """Return the splats with at least ``neighbours`` other splats in the grid cells around them.
 
     Space is cut into cubic cells of side ``size``; the cells around are the 27 with the own one
     in the middle.
@@ -115,14 +117,16 @@ def without_floaters(splats: Splats, size: float, neighbours: int) -> Splats:
         ValueInvalid: ``size`` is not above 0, or so small that cells cannot be numbered.
     """
     if not 0 < size < math.inf:
-        raise ValueInvalid(f"{size:g}", where="floaters", expected="a cell size above 0")
+        raise ValueInvalid(
+            f"the cell size is {size:g}", where="floaters", expected="a cell size above 0"
+        )
     position = splats.position.astype(np.float64)
     cell = np.floor((position - position.min(axis=0)) / size)
     if cell.max() >= (1 << 20):
         raise ValueInvalid(
-            f"cells of {size:g} in a scene of {np.ptp(position, axis=0).max():g}",
+            f"the cell size is {size:g} in a scene of {np.ptp(position, axis=0).max():g}",
             where="floaters",
-            expected="fewer than a million cells a side",
+            expected="cells of more than a millionth of the scene",
         )
     keys = (cell.astype(np.int64) + 1) @ np.array([1 << 42, 1 << 21, 1])
     occupied, own, counts = np.unique(keys, return_inverse=True, return_counts=True)

@@ -1,4 +1,4 @@
-"""Summarises the quantities of splats as numbers, a table or a picture of histograms."""
+"""Summarises quantities of splats, such as opacity, as numbers, a table or histograms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _BINS, _BAR, _HEIGHT, _COLUMNS, _MARGIN = 80, 3, 90, 3, 18
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Statistics:
-    """The distribution of one quantity over the splats with a finite value.
+    """The distribution of one quantity, such as opacity, over the splats where it is finite.
 
     Attributes:
         name: The quantity, a key of ``QUANTITIES``.
@@ -42,12 +42,12 @@ class Statistics:
 
 
 def summarise(splats: Splats) -> tuple[Statistics, ...]:
-    """Return the distribution of every quantity, in the units of ``QUANTITIES``."""
+    """Return the distribution of every quantity of splats, such as opacity, with units."""
     return tuple(_statistics(name, _values(splats, name)) for name in QUANTITIES)
 
 
 def statistics_text(summary: Sequence[Statistics]) -> str:
-    """Return the distributions as a table."""
+    """Return the distributions of splat quantities as a text table."""
     columns = ("low", "median", "high", "mean", "deviation")
     lines = [f"{'':<15}" + "".join(f"{column:>12}" for column in columns)]
     for entry in summary:
@@ -57,7 +57,7 @@ def statistics_text(summary: Sequence[Statistics]) -> str:
 
 
 def write_histograms(path: FilePath, splats: Splats) -> None:
-    """Write a PNG picture of the histograms of all quantities, with least and largest value.
+    """Write a PNG image with the histograms of all splat quantities, and their extremes.
 
     Raises:
         NotSupported: Pillow is not installed.
@@ -67,7 +67,7 @@ def write_histograms(path: FilePath, splats: Splats) -> None:
         from PIL import Image, ImageDraw
     except ImportError as error:
         raise NotSupported(
-            "pictures need Pillow, which is not installed",
+            "pictures of histograms need Pillow, which is not installed",
             where="histograms",
             hint="pip install 'gsgen[formats]'",
         ) from error
@@ -95,7 +95,7 @@ def write_histograms(path: FilePath, splats: Splats) -> None:
 
 
 def histogram(name: str, values: Float64[np.ndarray, " n"]) -> tuple[np.ndarray, float, float]:
-    """Return the counts of 80 bins of equal width, and the ends; bins of scales are logarithmic."""
+    """Return an 80-bin histogram of values with its range; bins of scales are logarithmic."""
     if not len(values):
         return np.zeros(_BINS, np.int64), 0.0, 0.0
     low, high = float(values.min()), float(values.max())

@@ -1,4 +1,4 @@
-"""Translates, rotates and scales splats, their harmonics included."""
+"""Translates, rotates and scales splats, including their spherical harmonics."""
 
 import math
 from dataclasses import replace
@@ -27,7 +27,9 @@ def scaled(splats: Splats, factor: float) -> Splats:
         ValueInvalid: ``factor`` is not a finite number above 0.
     """
     if not 0 < factor < math.inf:
-        raise ValueInvalid(f"{factor:g}", where="scale", expected="a finite number above 0")
+        raise ValueInvalid(
+            f"the factor is {factor:g}", where="scale", expected="a finite number above 0"
+        )
     return replace(
         splats,
         position=(splats.position * np.float64(factor)).astype(np.float32),
@@ -36,7 +38,7 @@ def scaled(splats: Splats, factor: float) -> Splats:
 
 
 def rotated(splats: Splats, angles: Vector) -> Splats:
-    """Return ``splats`` rotated about the origin, with harmonics that show the same from there.
+    """Return ``splats`` rotated about the origin, including their spherical harmonics.
 
     Args:
         splats: The splats.

@@ -1,1 +1,1 @@
-"""How are glTF binaries with Gaussian splats read and written?"""
+"""How are glTF binary files (GLB) with Gaussian splats read and written?"""

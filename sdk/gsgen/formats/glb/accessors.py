@@ -1,4 +1,4 @@
-"""Reads the arrays (accessors) of a GLB file.
+"""Reads glTF accessors, i.e. typed arrays, from a GLB file.
 
 The format is that of the glTF 2.0 specification, section 3.6 (Khronos).
 """
@@ -31,7 +31,9 @@ def read_accessor(
     """
     accessor = glb.item("accessors", index, where)
     if "sparse" in accessor or "bufferView" not in accessor:
-        raise NotSupported("a sparse accessor", where=where, expected="an accessor with all values")
+        raise NotSupported(
+            "the accessor is sparse", where=where, expected="an accessor with all values"
+        )
     kind, width = accessor.get("componentType"), accessor.get("type")
     if (
         not (isinstance(kind, int) and isinstance(width, str))
@@ -39,13 +41,15 @@ def read_accessor(
         or width not in _WIDTHS
     ):
         raise HeaderMalformed(
-            f"type {shown(str(width))} of component type {shown(str(kind))}",
+            f"the accessor has type {shown(str(width))} and component type {shown(str(kind))}",
             where=where,
             expected=f"{', '.join(_WIDTHS)} of a component type from 5120 to 5126",
         )
     if _WIDTHS[width] not in widths:
         names = [name for name, size in _WIDTHS.items() if size in widths]
-        raise HeaderMalformed(width, where=where, expected=" or ".join(names))
+        raise HeaderMalformed(
+            f"the accessor has type {width}", where=where, expected=" or ".join(names)
+        )
     stored = _stored(glb, accessor, np.dtype(_COMPONENTS[kind]), _WIDTHS[width], where)
     values = stored.astype(np.float32)
     if accessor.get("normalized") and stored.dtype.kind != "f":
@@ -62,14 +66,16 @@ def _stored(glb: Container, accessor: Json, dtype: np.dtype, width: int, where: 
     )
     if stride < value_bytes:
         raise HeaderMalformed(
-            f"a stride of {stride} bytes", where=where, expected=f"{value_bytes} or more"
+            f"the buffer view has a stride of {stride} bytes",
+            where=where,
+            expected=f"{value_bytes} or more",
         )
     start, size = view_range(glb, view, where)
     offset = whole_number(accessor.get("byteOffset", 0), f"{where}, byteOffset")
     needed = stride * (count - 1) + value_bytes if count else 0
     if offset + needed > size:
         raise HeaderMalformed(
-            f"{count} values end at byte {offset + needed}",
+            f"the {count} values of the accessor end at byte {offset + needed}",
             where=where,
             expected=f"at most {size}, the end of the buffer view",
         )
@@ -79,13 +85,13 @@ def _stored(glb: Container, accessor: Json, dtype: np.dtype, width: int, where: 
 
 
 def view_range(glb: Container, view: Json, where: str) -> tuple[int, int]:
-    """Return the first byte of a glTF buffer view in the file, and the view's length."""
+    """Return the byte offset of a glTF buffer view in the GLB file, and the view's length."""
     buffer = whole_number(view.get("buffer"), f"{where}, buffer")
     if buffer or "uri" in glb.item("buffers", 0, where):
         raise NotSupported(
-            f"buffer {buffer} is not in the file",
+            f"buffer {buffer} is not in the GLB file",
             where=where,
-            expected="the binary chunk",
+            expected="data in the binary chunk",
             hint="pack all buffers into the GLB file",
         )
     offset = whole_number(view.get("byteOffset", 0), f"{where}, byteOffset")

@@ -1,4 +1,4 @@
-"""Parses the chunks of a GLB file, and checks JSON values when they are read.
+"""Parses the chunks of a GLB file, and validates values of its JSON document on access.
 
 The format is that of the glTF 2.0 specification, section 4 (Khronos).
 """
@@ -38,7 +38,7 @@ class Container:
     size: int
 
     def item(self, group: str, index: object, where: str) -> Json:
-        """Return the JSON object ``index`` of the array ``group`` of a glTF document."""
+        """Return the JSON object ``index`` in the array ``group`` of a glTF document."""
         items = self.document.get(group, [])
         if not isinstance(items, list):
             raise _malformed(items, group, "an array")
@@ -66,13 +66,15 @@ def parse(data: Data) -> Container:
             magic.hex(" "), where="first bytes", expected="67 6c 54 46 (glTF), the start of a GLB"
         )
     if version != 2:
-        raise NotSupported(f"glTF version {version}", where="byte 4", expected="2")
+        raise NotSupported(
+            f"the file has glTF version {version}", where="byte 4", expected="version 2"
+        )
     require_room(data, 0, length, "header")
     size, kind = _CHUNK.unpack_from(data, _HEADER.size)
     start = _HEADER.size + _CHUNK.size
     if kind != b"JSON" or size > _MOST_JSON:
         raise HeaderMalformed(
-            f"a chunk {kind!r} of {size} bytes",
+            f"the first chunk is {kind!r} of {size} bytes",
             where=f"byte {_HEADER.size}",
             expected=f"a chunk JSON of at most {_MOST_JSON} bytes",
         )
@@ -91,7 +93,10 @@ def _document(content: bytes) -> Json:
         document = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise HeaderMalformed(
-            f"invalid JSON ({error})", where="chunk JSON", expected="JSON", hint=DOWNLOAD_HINT
+            f"the GLB file has invalid JSON ({error})",
+            where="chunk JSON",
+            expected="JSON",
+            hint=DOWNLOAD_HINT,
         ) from error
     if not isinstance(document, dict):
         raise _malformed(document, "chunk JSON", "an object")
@@ -99,7 +104,7 @@ def _document(content: bytes) -> Json:
 
 
 def build(document: Json, size: int) -> bytes:
-    """Return the bytes of a GLB file up to its binary chunk, which has ``size`` bytes."""
+    """Return the first part of a GLB file: header, JSON and the binary chunk's header."""
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     total = _HEADER.size + 2 * _CHUNK.size + len(text) + size
@@ -114,7 +119,7 @@ def build(document: Json, size: int) -> bytes:
 
 
 def whole_number(value: object, where: str, most: int = 2**53) -> int:
-    """Return ``value`` if it is a whole number from 0 to ``most``; raise otherwise."""
+    """Return a JSON value if it is a whole number from 0 to ``most``; raise otherwise."""
     number = int(value) if isinstance(value, float) and value.is_integer() else value
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
         raise _malformed(value, where, f"a whole number from 0 to {most}")
@@ -122,7 +127,7 @@ def whole_number(value: object, where: str, most: int = 2**53) -> int:
 
 
 def object_member(holder: Mapping[str, Any], key: str, where: str) -> Json:
-    """Return the JSON object ``key`` of ``holder``; an empty object if it is absent."""
+    """Return the JSON object at key ``key`` of ``holder``; an empty object if absent."""
     value = holder.get(key, {})
     if not isinstance(value, dict):
         raise _malformed(value, f"{where}.{key}", "an object")
@@ -130,7 +135,7 @@ def object_member(holder: Mapping[str, Any], key: str, where: str) -> Json:
 
 
 def array_member(holder: Mapping[str, Any], key: str, where: str) -> list[Any]:
-    """Return the JSON array ``key`` of ``holder``; an empty array if it is absent."""
+    """Return the JSON array at key ``key`` of ``holder``; an empty array if absent."""
     value = holder.get(key, [])
     if not isinstance(value, list):
         raise _malformed(value, f"{where}.{key}", "an array")
@@ -140,7 +145,7 @@ def array_member(holder: Mapping[str, Any], key: str, where: str) -> list[Any]:
 def number_member(
     holder: Mapping[str, Any], key: str, default: tuple[float, ...], where: str
 ) -> tuple[float, ...]:
-    """Return the finite numbers of the JSON array ``key`` of ``holder``, or ``default``."""
+    """Return the JSON array of finite numbers at key ``key`` of ``holder``, or ``default``."""
     value_list = holder.get(key, default)
     size = len(default)
     fits = isinstance(value_list, list | tuple) and len(value_list) == size

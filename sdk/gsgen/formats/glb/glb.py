@@ -32,7 +32,7 @@ _BYTES_EACH = 44  # of a splat in memory, less its harmonics
 
 
 def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
-    """Read the splats in the scene of the GLB file at ``path``, as one set.
+    """Read all splats in the scene of the GLB file at ``path`` as one set.
 
     The transforms of nodes are applied, to the harmonics too. Attributes of earlier drafts of
     the extension, and SPZ in a buffer view, are read too. Other meshes are ignored.
@@ -58,7 +58,7 @@ def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
 
 
 def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
-    """Return the splats of the GLB file ``data``, in the axes of a PLY file."""
+    """Return the splats of the GLB file ``data``, in the coordinate axes of a PLY file."""
     glb = parse(data)
     parts: list[Splats] = []
     used_bytes = 0
@@ -68,15 +68,19 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
         used_bytes += len(splats) * (_BYTES_EACH + 12 * splats.sh.shape[1])
         if used_bytes > max_bytes:
             raise SizeExceeded(
-                f"splats of {used_bytes} bytes", where=where, expected=f"{max_bytes} or fewer"
+                f"the splats take {used_bytes} bytes",
+                where=where,
+                expected=f"{max_bytes} bytes or fewer",
             )
         parts.append(moved(splats, matrix))
     if not parts:
-        raise PropertyMissing("no splats in the scene", expected=f"a mesh of points with {NAME}")
+        raise PropertyMissing(
+            "the glTF scene holds no splats", expected=f"a mesh of points with {NAME}"
+        )
     spaces = {part.color_space for part in parts}
     if len(spaces) > 1:
         raise HeaderMalformed(
-            "primitives with sRGB and with linear colours",
+            "some primitives have sRGB colours, others linear ones",
             where="colorSpace",
             expected="one colour space for all primitives",
         )
@@ -84,7 +88,7 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
 
 
 def scene_primitives(glb: Container) -> Iterator[tuple[dict[str, Any], Matrix, str]]:
-    """Yield each splat primitive of the scene, its node's transform, and its location."""
+    """Yield each splat primitive of a glTF scene with its transform and its JSON location."""
     for mesh, matrix in meshes(glb):
         primitives = array_member(
             glb.item("meshes", mesh, "nodes"), "primitives", f"meshes[{mesh}]"
@@ -113,7 +117,9 @@ def write_glb(path: FilePath, splats: Splats) -> None:
         size = sum(array.nbytes for array in arrays.values())
         if size > _LARGEST - _HEADER_ROOM:
             raise ValueInvalid(
-                f"{size} bytes", where="arrays", expected="less than 4 GiB, as of a GLB file"
+                f"the arrays take {size} bytes",
+                where="arrays",
+                expected="less than 4 GiB, the limit of GLB",
             )
     with replacing(path) as file:
         file.write(build(_document(arrays, splats), size))

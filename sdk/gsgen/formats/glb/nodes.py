@@ -1,4 +1,4 @@
-"""Computes the transforms of the nodes of a GLB file, and applies them to splats.
+"""Computes the transforms of the nodes of a glTF scene, and applies them to splats.
 
 The format is that of the glTF 2.0 specification, section 3.5 (Khronos).
 """
@@ -24,7 +24,7 @@ _DEEPEST = 200
 
 
 def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
-    """Yield the meshes of a glTF scene, each with its matrix from mesh to world."""
+    """Yield the meshes of a glTF scene, each with its mesh→world matrix."""
     todo = [(index, np.eye(4), 0) for index in reversed(_roots(glb))]
     visited: set[int] = set()
     while todo:
@@ -32,7 +32,7 @@ def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
         where = f"nodes[{index}]"
         if index in visited or depth > _DEEPEST:
             raise HeaderMalformed(
-                "a node is its own ancestor or has two parents", where=where, expected="a tree"
+                "the node is its own ancestor or has two parents", where=where, expected="a tree"
             )
         visited.add(index)
         node = glb.item("nodes", index, where)
@@ -70,11 +70,13 @@ def _local(node: Json, where: str) -> Matrix:
         matrix[:3, 3] = number_member(node, "translation", (0.0, 0.0, 0.0), where)
     if not np.array_equal(matrix[3], [0, 0, 0, 1]):
         raise HeaderMalformed(
-            f"last row {matrix[3].tolist()}", where=f"{where}.matrix", expected="0 0 0 1"
+            f"the last row of the matrix is {matrix[3].tolist()}",
+            where=f"{where}.matrix",
+            expected="0 0 0 1",
         )
     if not np.linalg.det(matrix[:3, :3]) > 0:
         raise NotSupported(
-            "a transform that mirrors or flattens",
+            "the transform of the node mirrors or flattens",
             where=where,
             expected="a scale above 0 along every axis",
         )
@@ -82,7 +84,7 @@ def _local(node: Json, where: str) -> Matrix:
 
 
 def moved(splats: Splats, matrix: Matrix) -> Splats:
-    """Transform ``splats`` by ``matrix``: Σ becomes M Σ Mᵀ, and harmonics are rotated."""
+    """Transform ``splats`` by a matrix M: Σ becomes M Σ Mᵀ, and SH are rotated."""
     linear = matrix[:3, :3]
     if np.array_equal(matrix, np.eye(4)):
         return splats
@@ -110,7 +112,7 @@ def moved(splats: Splats, matrix: Matrix) -> Splats:
 def _axes(
     spread: Float64[np.ndarray, "n 3 3"],
 ) -> tuple[Float64[np.ndarray, "n 3 3"], Float64[np.ndarray, "n 3"]]:
-    """Return the axes of the ellipsoids spread · spreadᵀ as rotations, and their standard deviations."""
+    """Decompose covariances S Sᵀ of a spread matrix S into rotations and standard deviations."""
     u, sizes, _ = np.linalg.svd(spread)
     u[:, :, 2] *= np.sign(np.linalg.det(u))[:, None]
     return u, sizes

@@ -1,4 +1,4 @@
-"""Decodes splats of a glTF primitive: attributes of KHR_gaussian_splatting and its drafts.
+"""Decodes splats of a glTF primitive with KHR_gaussian_splatting, or a draft of this extension.
 
 The axes are those of the file, x left, y up, z forward. Drafts of the extension stored SPZ in a
 buffer view, or ``_ROTATION`` and ``_SCALE`` next to COLOR_0.
@@ -41,7 +41,7 @@ _COEFFICIENT = re.compile(re.escape(NAME) + r":SH_DEGREE_(\d)_COEF_(\d)")
 
 
 def is_splats(primitive: Json) -> bool:
-    """Return whether a glTF primitive holds splats, by the extension or one of its drafts."""
+    """Return whether a glTF primitive holds splats by KHR_gaussian_splatting or a draft of it."""
     extensions, attributes = primitive.get("extensions"), primitive.get("attributes")
     has_extension = isinstance(extensions, dict) and any(key in extensions for key in (NAME, *_SPZ))
     drafted = isinstance(attributes, dict) and {"_ROTATION", "_SCALE"} <= attributes.keys()
@@ -49,7 +49,7 @@ def is_splats(primitive: Json) -> bool:
 
 
 def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) -> Splats:
-    """Return the splats of a glTF primitive."""
+    """Decode the splats of a glTF primitive."""
     extensions = object_member(primitive, "extensions", where)
     extension = object_member(extensions, NAME, where)
     mode = primitive.get("mode", 4)
@@ -125,18 +125,18 @@ def _from_attributes(
 
 
 class _Arrays:
-    """Reads the attribute arrays of one glTF primitive; all must have equal row counts."""
+    """Reads the attribute arrays of one glTF primitive, which must have equal lengths."""
 
     def __init__(self, glb: Container, attributes: dict[str, Any], where: str) -> None:
         self._glb, self._attributes, self._where = glb, attributes, where
         self._rows: int | None = None
 
     def read(self, *names: str, widths: tuple[int, ...]) -> Float32[np.ndarray, "n w"]:
-        """Return the first of the attributes ``names`` that the glTF primitive has."""
+        """Read the first of the glTF attributes ``names`` that the primitive has."""
         name = next((name for name in names if name in self._attributes), None)
         if name is None:
             raise PropertyMissing(
-                f"no attribute {names[0]}",
+                f"the primitive lacks the attribute {names[0]}",
                 where=self._where,
                 expected=f"POSITION, and ROTATION, SCALE, OPACITY and SH of {NAME}",
             )
@@ -144,9 +144,9 @@ class _Arrays:
         array = read_accessor(self._glb, self._attributes[name], widths, where)
         if self._rows is not None and len(array) != self._rows:
             raise HeaderMalformed(
-                f"{len(array)} values",
+                f"the attribute has {len(array)} values",
                 where=where,
-                expected=f"{self._rows}, the number of POSITION",
+                expected=f"{self._rows} values, as POSITION has",
             )
         self._rows = len(array)
         return array
@@ -158,12 +158,12 @@ def _harmonics(arrays: _Arrays, attributes: Json, where: str) -> Float32[np.ndar
     }
     degree = max((band for band, _ in stored_pairs), default=0)
     if degree >= len(SH_COUNTS):
-        raise NotSupported(f"SH degree {degree}", where=where, expected="0 to 4")
+        raise NotSupported(f"the splats have SH degree {degree}", where=where, expected="0 to 4")
     pairs = [(band, n) for band in range(degree + 1) for n in range(2 * band + 1)]
     missing = [coefficient(*pair) for pair in pairs if pair not in stored_pairs]
     if missing:
         raise PropertyMissing(
-            f"no attribute {missing[0]}",
+            f"the primitive lacks the attribute {missing[0]}",
             where=where,
             expected=f"all {len(pairs)} coefficients of SH degree {degree}",
         )
@@ -177,7 +177,7 @@ def _harmonics(arrays: _Arrays, attributes: Json, where: str) -> Float32[np.ndar
 
 
 def coefficient(band: int, index: int) -> str:
-    """Return the glTF name of the SH coefficient of degree ``band``, order ``index`` − ``band``."""
+    """Return the glTF attribute name of the SH coefficient of degree ``band`` at ``index``."""
     return f"{NAME}:SH_DEGREE_{band}_COEF_{index}"
 
 
@@ -187,7 +187,7 @@ def _require(
     if not is_valid.all():
         first = int(np.argmin(is_valid))  # the comparisons are false for NaN
         raise ValueInvalid(
-            f"{is_valid.size - np.count_nonzero(is_valid)} of {is_valid.size} values, "
+            f"{is_valid.size - np.count_nonzero(is_valid)} of {is_valid.size} values are invalid: "
             f"the first is {values.ravel()[first]:g}",
             where=where,
             expected=expected,

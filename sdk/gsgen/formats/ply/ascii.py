@@ -46,27 +46,27 @@ def _chunks(
 
 
 def _before(header: Header, vertex: Element) -> tuple[Element, ...]:
-    """Return the PLY elements before ``vertex`` that have properties, and therefore lines."""
+    """Return the PLY elements that come before ``vertex`` in the file and have properties."""
     elements = header.elements[: header.elements.index(vertex)]
     return tuple(element for element in elements if element.properties)
 
 
 def _require_room(data: mmap.mmap, header: Header, vertex: Element) -> None:
-    """Raise FileTruncated if a text PLY file is too short even for rows of one-digit numbers."""
+    """Raise FileTruncated if a text PLY file is too short for its number of rows."""
     remaining = len(data) - header.body
     for element in (*_before(header, vertex), vertex):
         # A digit and a blank or line end for each value; the last line may lack its end.
         least = 2 * len(element.properties) * element.count - 1
         if least > remaining:
             raise FileTruncated(
-                f"{element.count} rows take {least} bytes or more, {remaining} are left",
+                f"the {element.count} rows need {least} bytes or more, but {remaining} are left",
                 where=f"element {shown(element.name)}",
                 hint="copy or download the file again",
             )
 
 
 def _take(lines: Iterator[str], element: Element) -> None:
-    """Skip the lines of the PLY element ``element``: one line per row, lists included."""
+    """Skip the lines of a PLY element in a text file: one line per row, lists included."""
     rows = sum(1 for _ in islice(lines, element.count))
     if rows < element.count:
         raise _ended(element, rows)
@@ -81,13 +81,15 @@ def _ended(element: Element, rows: int) -> FileTruncated:
 
 
 def _lines(data: mmap.mmap, start: int) -> Iterator[str]:
-    """Yield the non-blank lines of a text PLY file from byte ``start`` on, without line ends."""
+    """Yield the non-blank lines of a text PLY file from byte ``start`` on."""
     while start < len(data):
         end = data.find(b"\n", start, start + MAX_LINE)
         if end < 0:
             end = len(data)
         if end - start > MAX_LINE:
-            raise BodyMalformed(f"a line of more than {MAX_LINE} bytes", where=f"byte {start}")
+            raise BodyMalformed(
+                f"the line is longer than the limit of {MAX_LINE} bytes", where=f"byte {start}"
+            )
         # The parser reports characters beyond ASCII as invalid numbers.
         line = data[start:end].decode("ascii", "replace").strip()
         if line:

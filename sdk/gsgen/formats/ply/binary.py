@@ -35,7 +35,7 @@ def binary_rows(
 
 
 def first_row(data: mmap.mmap, header: Header, vertex: Element) -> int:
-    """Return the first byte of the PLY element ``vertex``; raise if the file is too short."""
+    """Return the byte offset of the PLY element ``vertex``; raise if the file is too short."""
     start = header.body
     for element in header.elements[: header.elements.index(vertex)]:
         start = _end(data, header, element, start)
@@ -44,7 +44,7 @@ def first_row(data: mmap.mmap, header: Header, vertex: Element) -> int:
 
 
 def _end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
-    """Return the byte after the PLY element ``element``, which begins at byte ``start``."""
+    """Return the byte offset after the PLY element ``element`` that begins at byte ``start``."""
     if not element.has_lists:
         _require_room(data, element, start)
         return start + element.count * element.row_bytes
@@ -62,7 +62,7 @@ def _end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
 
 
 def _length(data: mmap.mmap, header: Header, item: Property, start: int, row: int) -> int:
-    """Return the number of values of a PLY property whose data in this row begin at ``start``."""
+    """Return how many values a PLY property has in the row whose data begin at byte ``start``."""
     if item.count_type is None:
         return 1
     count = data[start : start + int(item.count_type[1])]
@@ -70,7 +70,9 @@ def _length(data: mmap.mmap, header: Header, item: Property, start: int, row: in
     length = int.from_bytes(count, header.byte_order, signed=signed)
     if length < 0:
         where = f"property {shown(item.name)}, row {row}, byte {start}"
-        raise BodyMalformed(f"a list of {length} values", where=where, expected="0 values or more")
+        raise BodyMalformed(
+            f"the list has {length} values", where=where, expected="0 values or more"
+        )
     return length
 
 
@@ -78,8 +80,8 @@ def _require_room(data: mmap.mmap, element: Element, start: int) -> None:
     needed, remaining = element.count * element.row_bytes, len(data) - start
     if needed > remaining:
         raise FileTruncated(
-            f"{element.count} rows of {element.row_bytes} bytes take {needed} bytes, "
-            f"{remaining} are left from byte {start} on",
+            f"the {element.count} rows of {element.row_bytes} bytes need {needed} bytes, "
+            f"but {remaining} are left from byte {start} on",
             where=f"element {shown(element.name)}",
             hint="copy or download the file again",
         )

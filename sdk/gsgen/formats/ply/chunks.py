@@ -1,4 +1,4 @@
-"""Reads ranges of rows of a 3DGS PLY file, for scenes that exceed the memory."""
+"""Reads row ranges of a 3DGS PLY file, for scenes that do not fit into memory."""
 
 __all__ = ["PlyTable", "ply_table", "read_ply_rows"]
 
@@ -20,7 +20,7 @@ from gsgen.formats.shared.splats import Splats
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlyTable:
-    """The location of the splats in a binary PLY file of float32 properties.
+    """The location of the splats in a binary PLY file whose properties are all float32.
 
     Attributes:
         count: Splats.
@@ -41,7 +41,7 @@ class PlyTable:
 
 
 def ply_table(path: FilePath) -> PlyTable | None:
-    """Return the location of the splats in the PLY file at ``path``.
+    """Return where the splats lie in the PLY file at ``path``: offset, count, row size.
 
     Returns:
         None where rows cannot be read by ranges: the numbers are text, big-endian, packed or of
@@ -65,14 +65,14 @@ def ply_table(path: FilePath) -> PlyTable | None:
 
 
 def read_ply_rows(path: FilePath, table: PlyTable, first: int, count: int) -> Splats:
-    """Read ``count`` splats of the PLY file at ``path`` from row ``first`` on, unchecked."""
+    """Read ``count`` splats of a PLY file from row ``first`` on, without checking values."""
     width = len(table.columns)
     offset = table.first_byte + first * table.row_bytes
     with naming(path):
         rows = np.fromfile(os.fspath(path), "<f4", count * width, offset=offset)
         if len(rows) < count * width:
             raise FileTruncated(
-                f"{len(rows) // width} of {count} rows from row {first} on",
+                f"the file ends after {len(rows) // width} of {count} rows from row {first} on",
                 where="element 'vertex'",
                 hint="copy or download the file again",
             )

@@ -1,4 +1,4 @@
-"""Writes compressed PLY files: 16 bytes a splat, and a byte for each harmonic.
+"""Writes compressed PLY files: 16 bytes per splat, and a byte for each SH coefficient.
 
 The format is that of PlayCanvas (playcanvas/splat-transform), which ``read_ply`` reads too.
 """
@@ -63,7 +63,7 @@ def _ordered(splats: Splats) -> Splats:
 
 
 def _packed(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndarray]:
-    """Return the bounding boxes of 256-row chunks, and the four packed words of each splat."""
+    """Return the bounding box of each chunk of 256 splats, and four packed words per splat."""
     color = rows.color_of(splats.sh[:, 0])
     parts = (splats.position, splats.log_scale, color)
     boxes = [_box(part) for part in parts]
@@ -83,7 +83,7 @@ def _packed(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndarray]:
 def _box(
     values: Float32[np.ndarray, "n 3"] | Float64[np.ndarray, "n 3"],
 ) -> Sequence[Float32[np.ndarray, "c 3"]]:
-    """Return the minimum and the maximum of every 256 rows."""
+    """Return the minimum and the maximum of each chunk of 256 rows."""
     starts = np.arange(0, len(values), rows.CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     return low.astype(np.float32), high.astype(np.float32)

@@ -58,7 +58,7 @@ class Property:
 
     @property
     def size(self) -> int:
-        """The bytes of one value of the PLY property."""
+        """The size in bytes of one value of the PLY property."""
         return int(self.type[1])
 
 
@@ -73,12 +73,12 @@ class Element:
 
     @property
     def has_lists(self) -> bool:
-        """Whether any property of the PLY element is a list, so that its rows differ in size."""
+        """Whether a property of the PLY element is a list, so that row sizes differ."""
         return any(item.count_type for item in self.properties)
 
     @property
     def row_bytes(self) -> int:
-        """The bytes of one binary row of a PLY element without lists."""
+        """The size in bytes of one binary row of a PLY element without lists."""
         return sum(item.size for item in self.properties)
 
     @property
@@ -99,7 +99,7 @@ class Header:
 
     @property
     def antialiased(self) -> bool:
-        """Whether the last comment of Brush or Postshot about it says that splats are antialiased."""
+        """Whether the PLY comments (of Brush or Postshot) declare antialiased splats."""
         matches = [match for line in self.comments if (match := _RENDER_MODE.fullmatch(line))]
         return bool(matches) and (matches[-1][1] or matches[-1][2]).lower() in ("mip", "1")
 
@@ -152,7 +152,7 @@ def parse_header(data: mmap.mmap) -> Header:
 
 
 def _split(data: mmap.mmap) -> tuple[list[str], int]:
-    """Return the PLY header lines between ``ply`` and ``end_header``, and the offset after it."""
+    """Return the lines of a PLY header between ``ply`` and ``end_header``, and the data offset."""
     head = data[:MAX_HEADER]
     if not head.startswith(MAGIC):
         raise NotRecognised(
@@ -166,7 +166,9 @@ def _split(data: mmap.mmap) -> tuple[list[str], int]:
     if not head[: end.start()].isascii():
         offset = next(index for index, byte in enumerate(head) if byte > 127)
         raise HeaderMalformed(
-            f"byte {head[offset]:#04x} at offset {offset}", where="header", expected="ASCII only"
+            f"the PLY header has byte {head[offset]:#04x} at offset {offset}",
+            where="header",
+            expected="ASCII only",
         )
     lines = head[: end.start()].decode("ascii").split("\n")
     return lines[1:-1], end.end()
@@ -223,7 +225,7 @@ def _countable(type_name: str, number: int) -> str:
 
 
 def _grammar(line: str) -> str:
-    """Return the valid form of a PLY header line that begins like ``line``, for error messages."""
+    """Return the valid syntax of a PLY header line like ``line``, for error messages."""
     forms = {
         "format": f"one line `format ENCODING 1.0`, ENCODING {' or '.join(ENCODINGS)}",
         "element": "`element NAME COUNT`",

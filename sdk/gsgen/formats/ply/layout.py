@@ -1,4 +1,4 @@
-"""The property names of splats and point clouds in PLY files.
+"""The names of the properties of splats and of point clouds in PLY files.
 
 The names of splats are those of ``save_ply`` in the 3DGS training code
 (graphdeco-inria/gaussian-splatting, ``scene/gaussian_model.py``).
@@ -25,7 +25,7 @@ _REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS)
 
 
 def splat_groups(degree: int) -> dict[str, tuple[str, ...]]:
-    """Return the PLY properties of each array of ``Splats``, in the order of its columns.
+    """Return the PLY property names of each array of ``Splats``, in the order of its columns.
 
     The file lists ``f_rest`` channel-major: all of red, then green, then blue. The names are
     returned coefficient-major, so that reading by name reorders them.
@@ -42,7 +42,7 @@ def splat_groups(degree: int) -> dict[str, tuple[str, ...]]:
 
 
 def splat_names(degree: int) -> list[str]:
-    """Return the PLY properties of splats in the order of 3DGS training code, without normals."""
+    """Return the PLY property names of splats in the order that 3DGS training code writes."""
     higher_count = 3 * (degree + 1) ** 2 - 3
     return [
         *XYZ,
@@ -55,14 +55,16 @@ def splat_names(degree: int) -> list[str]:
 
 
 def find_vertex(header: Header) -> Element:
-    """Return the PLY element ``vertex``, which holds the points."""
+    """Return the PLY element ``vertex``, whose rows are splats or points."""
     vertex = header.find("vertex")
     if vertex is None:
         names = listed([element.name for element in header.elements])
-        raise PropertyMissing(f"no element 'vertex', found {names}", expected="element 'vertex'")
+        raise PropertyMissing(
+            f"the PLY file has no element 'vertex', only {names}", expected="element 'vertex'"
+        )
     if "packed_position" in vertex.types:
         raise NotSupported(
-            "a compressed PLY",
+            "the file is a compressed PLY",
             where="element 'vertex', property packed_position",
             expected="a plain 3DGS PLY",
             hint="unpack it: `gsgen convert packed.ply plain.ply`",
@@ -70,19 +72,21 @@ def find_vertex(header: Header) -> Element:
     lists = [item.name for item in vertex.properties if item.count_type]
     if lists:
         raise NotSupported(
-            f"{listed(lists)} in lists", where="element 'vertex'", expected="plain numbers"
+            f"the properties {listed(lists)} are lists",
+            where="element 'vertex'",
+            expected="plain numbers",
         )
     return vertex
 
 
 def is_splat(names: Collection[str]) -> bool:
-    """Return whether a PLY file has a property that only splats have."""
+    """Return whether a PLY file has a property that only splats have, such as ``f_dc_0``."""
     splat_only = set(splat_names(0)).difference(XYZ)
     return any(name in splat_only or _REST_NAME.fullmatch(name) for name in names)
 
 
 def splat_degree(names: Collection[str]) -> int:
-    """Return the SH degree of a splat file with the given PLY properties.
+    """Return the SH degree of a PLY splat file from its property names.
 
     Raises:
         PropertyMissing: A property of splats is missing, or the number of ``f_rest`` fits
@@ -92,7 +96,7 @@ def splat_degree(names: Collection[str]) -> int:
     higher = [name for name in names if _REST_NAME.fullmatch(name)]
     if len(higher) not in _REST_COUNTS:
         raise PropertyMissing(
-            f"{len(higher)} properties f_rest: {listed(higher)}",
+            f"the file has {len(higher)} properties f_rest: {listed(higher)}",
             where="element 'vertex'",
             expected="0, 9, 24, 45 or 72, for SH degree 0 to 4",
         )
@@ -109,7 +113,7 @@ def _require_all(names: Collection[str], needed: list[str]) -> None:
     if missing == ["scale_2"]:
         hint = "two scales look like a 2DGS file: flat splats, which gsgen does not read"
     raise PropertyMissing(
-        f"{listed(missing, limit=100)} missing, found {listed(list(names))}",
+        f"the properties {listed(missing, limit=100)} are missing; found {listed(list(names))}",
         where="element 'vertex'",
         expected="all properties of a 3DGS PLY",
         hint=hint,
@@ -123,14 +127,14 @@ def cloud_colors(types: Mapping[str, str]) -> tuple[str, ...]:
     missing = [name for name in (*XYZ, *colors) if name not in types]
     if missing:
         raise PropertyMissing(
-            f"{listed(missing)} missing, found {listed(list(types))}",
+            f"the properties {listed(missing)} are missing; found {listed(list(types))}",
             where="element 'vertex'",
             expected="x, y, z and a colour, or all properties of a 3DGS PLY",
         )
     kinds = {types[name] for name in colors}
     if not (kinds == {"u1"} or kinds <= {"f4", "f8"}):
         raise NotSupported(
-            f"colours of types {', '.join(types[name] for name in colors)}",
+            f"the colours have the types {', '.join(types[name] for name in colors)}",
             where=f"properties {', '.join(colors)}",
             expected="uchar (0 to 255) for all, or float (0 to 1) for all",
         )

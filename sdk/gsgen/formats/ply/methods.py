@@ -1,4 +1,4 @@
-"""Recognises vertex properties with which methods change what a splat of a PLY file means."""
+"""Recognises PLY properties of methods that change the meaning of a splat, such as motion."""
 
 import re
 import warnings
@@ -26,7 +26,7 @@ _HARMLESS: Final = re.compile(r"n[xyz]|(diffuse_)?(red|green|blue)|alpha|f_rest_
 
 
 def require_still_splats(names: Collection[str]) -> None:
-    """Raise NotSupported if properties move the splats or place them in the frame of a triangle."""
+    """Raise NotSupported if PLY properties animate the splats, or attach them to triangles."""
     for title, plugin, pattern in _METHODS:
         matches = [name for name in names if pattern.fullmatch(name)]
         if not matches:
@@ -45,7 +45,7 @@ def require_still_splats(names: Collection[str]) -> None:
 
 
 def warn_of_unknown(names: Collection[str], known: Collection[str], path: FilePath) -> None:
-    """Warn about properties that have no effect, by name."""
+    """Warn about the PLY properties that have no effect on the splats, by name."""
     unknown = [name for name in names if name not in known and not _HARMLESS.fullmatch(name)]
     if unknown:
         text = f"{path}: properties {listed(unknown)} are not understood and have no effect"

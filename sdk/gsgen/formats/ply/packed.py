@@ -1,4 +1,4 @@
-"""Reads compressed PLY files: packed words relative to boxes of 256 splats."""
+"""Reads compressed PLY files: packed words relative to bounding boxes of 256 splats."""
 
 import mmap
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ _REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS[1:])
 
 
 def is_packed(header: Header) -> bool:
-    """Return whether the vertices of a PLY file are packed words."""
+    """Return whether a PLY file is a compressed one, whose vertices are packed words."""
     vertex = header.find("vertex")
     return vertex is not None and rows.WORDS[0] in vertex.types
 
@@ -32,7 +32,9 @@ def read_packed(data: mmap.mmap, header: Header) -> Splats:
     needed = -(-vertex.count // rows.CHUNK)
     if boxes.count < needed:
         raise HeaderMalformed(
-            f"{boxes.count} rows", where="element 'chunk'", expected=f"{needed} or more"
+            f"the element has {boxes.count} rows",
+            where="element 'chunk'",
+            expected=f"{needed} or more",
         )
     words = _columns(data, header, vertex, rows.WORDS, "u4")
     box = _boxes(data, header, boxes, vertex.count)
@@ -54,7 +56,7 @@ def read_packed(data: mmap.mmap, header: Header) -> Splats:
 def _boxes(
     data: mmap.mmap, header: Header, element: Element, count: int
 ) -> Float32[np.ndarray, "n b"]:
-    """Return the bounding box of each splat's chunk; files before 2024 lack boxes of colours."""
+    """Return the bounding box of each splat's chunk; files before 2024 have no colour boxes."""
     names = rows.BOX if rows.BOX[-1] in element.types else _OLD_BOX
     columns = _columns(data, header, element, names, "f4")
     return np.repeat(np.stack(columns, axis=1), rows.CHUNK, axis=0)[:count]
@@ -66,12 +68,16 @@ def _higher(data: mmap.mmap, header: Header, count: int) -> Float32[np.ndarray, 
         return np.empty((count, 0, 3), np.float32)
     if element.count != count:
         raise HeaderMalformed(
-            f"{element.count} rows", where="element 'sh'", expected=f"{count}, the rows of vertex"
+            f"the element has {element.count} rows",
+            where="element 'sh'",
+            expected=f"{count}, as vertex has",
         )
     value_count = len(element.properties)
     if value_count not in _REST_COUNTS:
         raise PropertyMissing(
-            f"{value_count} properties", where="element 'sh'", expected="9, 24, 45 or 72 of f_rest"
+            f"the element has {value_count} properties",
+            where="element 'sh'",
+            expected="9, 24, 45 or 72 of f_rest",
         )
     names = [f"f_rest_{index}" for index in range(value_count)]
     columns = _columns(data, header, element, names, "u1")
@@ -83,7 +89,8 @@ def _element(header: Header, name: str) -> Element:
     element = header.find(name)
     if element is None:
         raise PropertyMissing(
-            f"no element {name!r}", expected="elements chunk and vertex of a compressed PLY"
+            f"the PLY file has no element {name!r}",
+            expected="elements chunk and vertex of a compressed PLY",
         )
     return element
 
@@ -91,12 +98,12 @@ def _element(header: Header, name: str) -> Element:
 def _columns(
     data: mmap.mmap, header: Header, element: Element, names: Sequence[str], code: str
 ) -> list[Shaped[np.ndarray, " n"]]:
-    """Return the columns ``names`` of a PLY element; raise unless their type is ``code``."""
+    """Return the columns ``names`` of a PLY element; raise if their type is not ``code``."""
     wrong = [name for name in names if element.types.get(name) != code]
     if wrong or element.has_lists:
         kinds = {"u4": "uint", "f4": "float", "u1": "uchar"}
         raise PropertyMissing(
-            f"{listed(wrong)} missing or of another type, found {listed(list(element.types))}",
+            f"the properties {listed(wrong)} are missing or of another type; found {listed(list(element.types))}",
             where=f"element {element.name!r}",
             expected=f"{listed(list(names), limit=100)} of type {kinds[code]}, no lists",
         )

@@ -1,4 +1,4 @@
-"""Packs and unpacks the four words of a splat in a compressed PLY file.
+"""Packs and unpacks the four 32-bit words of a splat in a compressed PLY file.
 
 The format is that of PlayCanvas (playcanvas/splat-transform): 256 splats share a box of
 positions, log scales and colours; the numbers of a word divide the box evenly.
@@ -43,7 +43,7 @@ Words = UInt32[np.ndarray, " n"]
 
 
 def split(words: Words, widths: Sequence[int]) -> Int64[np.ndarray, "n m"]:
-    """Split each of ``words`` into numbers of ``widths`` bits, the highest bits first."""
+    """Split 32-bit words into bit fields of ``widths`` bits, highest bits first."""
     columns, shift = [], 32
     for width in widths:
         shift -= width
@@ -52,7 +52,7 @@ def split(words: Words, widths: Sequence[int]) -> Int64[np.ndarray, "n m"]:
 
 
 def join(numbers: Int64[np.ndarray, "n m"], widths: Sequence[int]) -> Words:
-    """Join numbers of ``widths`` bits to words; the inverse of ``split``."""
+    """Join bit fields of ``widths`` bits to 32-bit words; the inverse of ``split``."""
     word, shift = np.zeros(len(numbers), np.int64), 32
     for column, width in zip(numbers.T, widths, strict=True):
         shift -= width
@@ -61,12 +61,12 @@ def join(numbers: Int64[np.ndarray, "n m"], widths: Sequence[int]) -> Words:
 
 
 def shares(words: Words, widths: Sequence[int]) -> Float64[np.ndarray, "n m"]:
-    """Return the numbers packed in ``words`` as fractions of their largest value, from 0 to 1."""
+    """Return the bit fields of 32-bit words as fractions of their maximum, from 0 to 1."""
     return split(words, widths) / (2.0 ** np.array(widths) - 1)
 
 
 def from_shares(values: Float[np.ndarray, "n m"], widths: Sequence[int]) -> Words:
-    """Pack fractions, clipped to [0, 1], into words; the inverse of ``shares``."""
+    """Pack fractions, clipped to [0, 1], into bit fields of words; the inverse of ``shares``."""
     numbers = rounded(np.clip(values, 0, 1) * (2.0 ** np.array(widths) - 1), 0, 2**31)
     return join(numbers, widths)
 
@@ -74,7 +74,7 @@ def from_shares(values: Float[np.ndarray, "n m"], widths: Sequence[int]) -> Word
 def unpack_in_box(
     words: Words, low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 3"]:
-    """Unpack positions or log scales relative to their chunk's bounding box."""
+    """Unpack positions or log scales that are stored relative to a chunk's bounding box."""
     share = shares(words, _AXES)
     with np.errstate(invalid="ignore", over="ignore"):  # the checks of values follow
         return np.asarray(low * (1 - share) + high * share, np.float32)
@@ -85,7 +85,7 @@ def pack_in_box(
     low: Float[np.ndarray, "n 3"],
     high: Float[np.ndarray, "n 3"],
 ) -> Words:
-    """Pack positions or log scales relative to their chunk's bounding box."""
+    """Pack positions or log scales relative to the bounding box of their chunk of splats."""
     return from_shares(_share(values, low, high), _AXES)
 
 
@@ -106,7 +106,7 @@ def pack_rotation(rotation: Float32[np.ndarray, "n 4"]) -> Words:
 def unpack_color(
     words: Words, low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]
 ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
-    """Unpack 32-bit words to constant SH coefficients, and opacities before the sigmoid."""
+    """Unpack 32-bit words to degree-0 SH coefficients and opacity logits."""
     share = shares(words, _COLORS)
     with np.errstate(invalid="ignore", over="ignore"):
         color = low * (1 - share[:, :3]) + high * share[:, :3]
@@ -114,7 +114,7 @@ def unpack_color(
 
 
 def color_of(constant: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    """Convert constant SH coefficients to colours, the unit of colour boxes."""
+    """Convert degree-0 SH coefficients to RGB colours."""
     return np.asarray(0.5 + SH_C0 * constant.astype(np.float64))
 
 
@@ -124,13 +124,13 @@ def pack_color(
     low: Float[np.ndarray, "n 3"],
     high: Float[np.ndarray, "n 3"],
 ) -> Words:
-    """Pack colours relative to their chunk's box, and opacities, into 32-bit words."""
+    """Pack RGB colours, relative to their chunk's range, and opacities into 32-bit words."""
     share = np.column_stack([_share(color, low, high), sigmoid(logit_opacity)])
     return from_shares(share, _COLORS)
 
 
 def unpack_sh(bytes_: UInt8[np.ndarray, "n m"]) -> Float32[np.ndarray, "n m"]:
-    """Unpack bytes to SH coefficients above degree 0; bytes 0 and 255 are the range's ends."""
+    """Unpack bytes to SH coefficients above degree 0."""
     share = (bytes_ + 0.5) / 256
     share[bytes_ == 0], share[bytes_ == 255] = 0, 1
     return ((share - 0.5) * _SH_REACH).astype(np.float32)
@@ -144,6 +144,6 @@ def pack_sh(sh: Float32[np.ndarray, "n m"]) -> UInt8[np.ndarray, "n m"]:
 def _share(
     values: Float[np.ndarray, "n 3"], low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return the relative position of values between ``low`` and ``high``; 0 if these are equal."""
+    """Return values as fractions of the range from ``low`` to ``high``; 0 for an empty range."""
     extent = high.astype(np.float64) - low
     return np.asarray((values - low.astype(np.float64)) / np.where(extent > 0, extent, 1))

@@ -1,4 +1,4 @@
-"""Reads columns of a PLY file by name, for files that do not hold splats.
+"""Reads columns of any PLY file by name, for files that do not hold splats.
 
 Methods that store anchors, or other points that a network turns into splats, use PLY with their
 own properties.
@@ -20,7 +20,7 @@ __all__ = ["ply_properties", "read_ply_columns"]
 
 
 def ply_properties(path: FilePath) -> tuple[str, ...]:
-    """Return the property names of the PLY element ``vertex``, in the file's order."""
+    """Return the property names of the PLY element ``vertex``, in the order of the file."""
     with mapped(path) as data:
         return tuple(item.name for item in find_vertex(parse_header(data)).properties)
 
@@ -49,7 +49,7 @@ def _require_properties(types: Mapping[str, str], groups: Mapping[str, Sequence[
     missing = [name for name in needed if name not in types]
     if missing:
         raise PropertyMissing(
-            f"{listed(missing, limit=100)} missing, found {listed(list(types))}",
+            f"the properties {listed(missing, limit=100)} are missing; found {listed(list(types))}",
             where="element 'vertex'",
             expected=f"the properties {listed(needed, limit=100)}",
         )

@@ -1,4 +1,4 @@
-"""Checks splats and points of a PLY file: raises for values that cannot be drawn, or drops them."""
+"""Checks splats and points of a PLY file; drops or refuses values that cannot be drawn."""
 
 import warnings
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ def require_splats(splats: Splats) -> None:
 
 
 def only_drawable(splats: Splats, path: FilePath) -> Splats:
-    """Return the splats that can be drawn, and warn about dropped splats of the file ``path``."""
+    """Return the splats that can be drawn, and warn about dropped splats of the PLY file."""
     try:
         require_splats(splats)
     except ValueInvalid:
@@ -54,7 +54,7 @@ def only_drawable(splats: Splats, path: FilePath) -> Splats:
 
 
 def only_finite(cloud: PointCloud, path: FilePath) -> PointCloud:
-    """Return the points with finite positions, and warn about dropped points of ``path``."""
+    """Return the points with finite positions, and warn about dropped points of the PLY file."""
     is_valid = np.isfinite(cloud.position)
     drawable = is_valid.all(axis=1)
     if drawable.all():
@@ -71,7 +71,7 @@ def _warn_of(
     values: Float32[np.ndarray, "n m"],
     names: Sequence[str],
 ) -> None:
-    """Warn about the number of dropped rows, with the fault of the first one."""
+    """Warn about the number of rows dropped from a PLY file, and the fault of the first one."""
     drawable = np.asarray(is_valid.all(axis=1))
     row, dropped = int(np.argmin(drawable)), len(drawable) - int(np.count_nonzero(drawable))
     column = int(np.argmin(is_valid[row]))

@@ -22,7 +22,7 @@ Columns = dict[str, tuple[str, Float32[np.ndarray, " n"]]]
 def write_ply(
     path: FilePath, content: Splats | PointCloud, *, format: Encoding = "binary_little_endian"
 ) -> None:
-    """Write ``content`` to ``path`` as a PLY file that ``read_ply`` reads back.
+    """Write splats or coloured points to ``path`` as a PLY file.
 
     Splats are kept bit for bit. The colours of a point cloud are written as bytes, which other
     programs expect, with an error of at most 1/510. The file is written completely or not at

@@ -1,1 +1,1 @@
-"""What do all splat formats share: data classes, errors, notices, axes, quantities?"""
+"""What do all splat file formats share: data classes, errors, warnings, axes, quantities?"""

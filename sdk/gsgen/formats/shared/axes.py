@@ -1,4 +1,4 @@
-"""Converts splats between coordinate systems that differ in the signs of their axes.
+"""Converts splats between coordinate systems whose axes differ in sign.
 
 The signs of the harmonics follow from their parity: the function of degree l and order m is a
 polynomial of z of the parity of l + m, times cos mφ for m ≥ 0 or sin |m|φ for m < 0.
@@ -23,7 +23,7 @@ RDF_LUF: Final[Signs] = (-1, -1, 1)
 
 
 def axis_signs(axes: str) -> Signs:
-    """Return the factors between PLY axes and ``axes``, such as ``RUB``: right, up, back.
+    """Return the signs that convert PLY axes to ``axes``, such as ``RUB`` (right, up, back).
 
     Raises:
         ValueInvalid: ``axes`` is not R or L, then U or D, then F or B.
@@ -40,7 +40,7 @@ def axis_signs(axes: str) -> Signs:
 
 
 def flip(splats: Splats, signs: Signs) -> Splats:
-    """Return ``splats`` in a coordinate system whose axes are multiplied by ``signs``.
+    """Return ``splats`` in a coordinate system whose axes are negated where ``signs`` are −1.
 
     A second call with the same ``signs`` undoes the first.
     """
@@ -62,7 +62,7 @@ def _times(
 
 
 def sh_signs(degree: int, signs: Signs) -> Float32[np.ndarray, " k"]:
-    """Return the sign of each SH coefficient if x, y and z are multiplied by ``signs``."""
+    """Return the sign change of each SH coefficient if x, y and z are multiplied by ``signs``."""
     orders = [(band, m) for band in range(degree + 1) for m in range(-band, band + 1)]
     return np.array([_sh_sign(band, m, signs) for band, m in orders], np.float32)
 

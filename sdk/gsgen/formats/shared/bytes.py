@@ -1,4 +1,4 @@
-"""Reads arrays from a file's bytes, after a check that the file is long enough."""
+"""Reads arrays from the bytes of a file, after checking that the file is long enough."""
 
 import mmap
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ MAX_BYTES: Final = 8 << 30
 
 @contextmanager
 def contents(path: FilePath) -> Iterator[mmap.mmap]:
-    """Map a file into memory; FormatErrors of the ``with`` block name the file.
+    """Map a file into memory; format errors in the ``with`` block then name the file.
 
     Overflows raise no warnings: the checks of values refuse the resulting infinity or NaN.
     """
@@ -35,7 +35,7 @@ def contents(path: FilePath) -> Iterator[mmap.mmap]:
 def take(
     data: Data, dtype: DTypeLike, shape: tuple[int, ...], start: int, where: str
 ) -> Shaped[np.ndarray, "..."]:
-    """Return an array at byte ``start`` of ``data``, as a view."""
+    """Return an array view of ``data`` from byte ``start`` on."""
     kind = np.dtype(dtype)
     count = 1
     for size in shape:  # not np.prod: a hostile size may be beyond 64 bits
@@ -49,7 +49,7 @@ def require_room(data: Data, start: int, needed: int, where: str) -> None:
     remaining = len(data) - start
     if start < 0 or needed > remaining:
         raise FileTruncated(
-            f"{needed} bytes needed from byte {start} on, {max(remaining, 0)} are left",
+            f"the data need {needed} bytes from byte {start} on, but {max(remaining, 0)} are left",
             where=where,
             expected=f"a file of {start + needed} bytes or more; it has {len(data)}",
             hint=DOWNLOAD_HINT,

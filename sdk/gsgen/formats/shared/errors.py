@@ -21,7 +21,7 @@ from gsgen.contract.errors import ExitCode, GsgenError
 
 
 class FormatError(GsgenError):
-    """Base class of errors about splat files, and about data that a file cannot hold.
+    """Base class of errors about splat files, and about data that a file format cannot store.
 
     As text it has one to three lines: the location and the actual value, the expected value, and
     the hint.
@@ -74,7 +74,7 @@ class FileTruncated(FormatError):
 
 @final
 class NotRecognised(FormatError):
-    """Raised if a file is not of the expected splat format, or of none."""
+    """Raised if a file is not of the expected splat format, or of no known format."""
 
 
 @final
@@ -89,7 +89,7 @@ class HeaderMalformed(FormatError):
 
 @final
 class BodyMalformed(FormatError):
-    """Raised if a row of a file does not hold the values that the header announces."""
+    """Raised if a row of a file does not hold the values that its header announces."""
 
 
 @final
@@ -113,12 +113,12 @@ class ValueInvalid(FormatError, ValueError):
 
 
 def shown(text: str, limit: int = 60) -> str:
-    """Return ``text`` quoted and cut to ``limit`` characters, for safe error messages."""
+    """Return ``text`` quoted and truncated to ``limit`` characters, for error messages."""
     return repr(text if len(text) <= limit else text[: limit - 1] + "…")
 
 
 def listed(names: list[str], limit: int = 12) -> str:
-    """Join ``names`` by commas; names after the first ``limit`` are only counted."""
+    """Join names by commas; those after the first ``limit`` are only counted."""
     words = [name if name.isidentifier() else shown(name) for name in names[:limit]]
     if len(names) > limit:
         words.append(f"and {len(names) - limit} more")

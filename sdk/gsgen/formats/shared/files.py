@@ -15,10 +15,17 @@ from gsgen.formats.shared.errors import FileUnreadable, FileUnwritable, FormatEr
 FilePath = str | os.PathLike[str]
 """The types of path arguments."""
 
+# Files and folders that the training code of most methods writes.
+_TRAINING_FILES = ("cfg_args", "point_cloud", "point_cloud.ply")
+_TRAINING_HINT = (
+    "`gsgen export METHOD --checkpoint FOLDER -o OUT.onnx` exports the folder of a training; "
+    "`gsgen plugins` lists the methods"
+)
+
 
 @contextmanager
 def naming(path: FilePath) -> Iterator[None]:
-    """Set the path of every FormatError of the ``with`` block that has no path yet."""
+    """Add the file path to every FormatError of the ``with`` block that has none."""
     try:
         yield
     except FormatError as error:
@@ -28,14 +35,14 @@ def naming(path: FilePath) -> Iterator[None]:
 
 @contextmanager
 def opened(path: FilePath) -> Iterator[BinaryIO]:
-    """Open the file at ``path`` for reading."""
+    """Open the file at ``path`` for reading; faults raise FileUnreadable."""
     with naming(path):
         try:
             _require_regular(path)
             with open(path, "rb") as file:
                 yield file
         except OSError as error:
-            raise FileUnreadable(f"cannot be read: {error.strerror or error}") from error
+            raise FileUnreadable(f"the file cannot be read: {error.strerror or error}") from error
 
 
 @contextmanager
@@ -62,7 +69,7 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
     with naming(path):
         try:
             if is_device(Path(path)):
-                raise FileUnwritable("is a device or a pipe", expected="a file to write")
+                raise FileUnwritable("the path is a device or a pipe", expected="a file to write")
             # Not tempfile: only the owner may read its files.
             part = Path(path).parent / f".{secrets.token_hex(8)}.part"
             try:
@@ -72,7 +79,9 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
             finally:
                 part.unlink(missing_ok=True)
         except OSError as error:
-            raise FileUnwritable(f"cannot be written: {error.strerror or error}") from error
+            raise FileUnwritable(
+                f"the file cannot be written: {error.strerror or error}"
+            ) from error
 
 
 def make_folder(path: FilePath) -> None:
@@ -81,19 +90,23 @@ def make_folder(path: FilePath) -> None:
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise FileUnwritable(f"cannot be written: {error.strerror or error}") from error
+            raise FileUnwritable(
+                f"the file cannot be written: {error.strerror or error}"
+            ) from error
 
 
 def _require_regular(path: FilePath) -> None:
     try:
         status = os.stat(path)
     except ValueError as error:  # a NUL byte in the path
-        raise FileUnreadable(f"cannot be read: {error}") from error
+        raise FileUnreadable(f"the file cannot be read: {error}") from error
     if stat.S_ISDIR(status.st_mode):
-        raise FileUnreadable("is a folder", expected="a file")
+        has_training = any(Path(path, name).exists() for name in _TRAINING_FILES)
+        hint = _TRAINING_HINT if has_training else ""
+        raise FileUnreadable("the path is a folder", expected="a file", hint=hint)
     if not stat.S_ISREG(status.st_mode):
-        raise FileUnreadable("is a device, pipe or socket", expected="a regular file")
+        raise FileUnreadable("the path is a device, pipe or socket", expected="a regular file")
     if status.st_size == 0:
         raise FileUnreadable(
-            "is empty", hint="write it again: the program that wrote it may have failed"
+            "the file is empty", hint="write it again: the program that wrote it may have failed"
         )

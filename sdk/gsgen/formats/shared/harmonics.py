@@ -13,7 +13,7 @@ _SAMPLES = 200
 def rotate_sh(
     sh: Float32[np.ndarray, "n k 3"], rotation: Float[np.ndarray, "3 3"]
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Rotate SH coefficients: the result along ``rotation`` · d has the colour of ``sh`` along d.
+    """Rotate SH coefficients: the result seen along R d has the colour of ``sh`` along d.
 
     Each degree is rotated by its own matrix (Wigner's D), the exact least-squares solution for
     the values along more directions than the matrix has rows.
@@ -33,7 +33,7 @@ def rotate_sh(
 
 
 def _directions() -> Float64[np.ndarray, "d 3"]:
-    """Return evenly spread unit directions, along a spiral of golden angles."""
+    """Return unit directions evenly spread over the sphere, on a golden-angle spiral."""
     steps = np.arange(_SAMPLES) + 0.5
     z = 1 - 2 * steps / _SAMPLES
     around = math.pi * (3 - math.sqrt(5)) * steps
@@ -42,7 +42,7 @@ def _directions() -> Float64[np.ndarray, "d 3"]:
 
 
 def sh_basis(directions: Float[np.ndarray, "d 3"], degree: int) -> Float64[np.ndarray, "d k"]:
-    """Evaluate the real harmonics of the 3DGS sign convention along unit ``directions``.
+    """Evaluate the real spherical harmonics of 3DGS along unit ``directions``.
 
     Y_lm = (−1)^m √(2 (2l+1)/4π · (l−|m|)!/(l+|m|)!) P_l^|m|(z) times cos mφ for m > 0, or
     sin |m|φ for m < 0, with P without the Condon-Shortley phase (Ramamoorthi & Hanrahan 2001,

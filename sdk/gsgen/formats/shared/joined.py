@@ -1,4 +1,4 @@
-"""Concatenates sets of splats."""
+"""Concatenates sets of splats of different SH degrees."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from gsgen.formats.shared.splats import Splats
 
 
 def joined(parts: Sequence[Splats]) -> Splats:
-    """Concatenate sets of splats; harmonics that a set lacks are zero."""
+    """Concatenate sets of splats; SH coefficients that a set lacks are zero."""
     if len(parts) == 1:
         return parts[0]
     count = max(part.sh.shape[1] for part in parts)

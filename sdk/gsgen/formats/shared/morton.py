@@ -1,4 +1,4 @@
-"""Morton order of points, which places neighbours in space next to each other in a file."""
+"""Morton order of points, which stores neighbours in space near each other in a file."""
 
 import numpy as np
 from jaxtyping import Float32, Int64, Integer, UInt64
@@ -17,7 +17,7 @@ _SPREAD = (
 
 
 def morton_order(position: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
-    """Return the order of the rows of ``position`` along Morton's curve in their box.
+    """Return the row order that sorts positions along a Morton curve in their bounding box.
 
     The box has 1024 cells a side. Rows of the same cell keep their order.
     """
@@ -28,7 +28,7 @@ def morton_order(position: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"
 
 
 def grid_order(cells: Integer[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
-    """Return the order of the rows of ``cells``, numbers below 2²¹, along Morton's curve.
+    """Return the row order that sorts integer grid cells (below 2²¹) along a Morton curve.
 
     G. M. Morton 1966, "A computer oriented geodetic data base": the bits of the coordinates,
     interleaved, are the index on the curve. Rows of the same cell keep their order.

@@ -24,7 +24,7 @@ _LONGEST = 200
 
 @contextmanager
 def unpacking(where: str) -> Iterator[None]:
-    """Convert exceptions of zipfile, zlib and NumPy for damaged data to ArchiveDamaged."""
+    """Convert exceptions of zipfile, zlib and NumPy about damaged files to ArchiveDamaged."""
     try:
         yield
     except FormatError:
@@ -34,7 +34,7 @@ def unpacking(where: str) -> Iterator[None]:
             raise
         raise _damaged(where, error) from error
     except MemoryError as error:
-        raise SizeExceeded("takes more memory than is available", where=where) from error
+        raise SizeExceeded("reading takes more memory than is available", where=where) from error
     # The libraries document no common base: BadZipFile, zlib.error, EOFError, ValueError,
     # NotImplementedError, RuntimeError, struct.error, tokenize.TokenError and others.
     except Exception as error:
@@ -45,7 +45,7 @@ def _damaged(where: str, error: Exception) -> ArchiveDamaged:
     reason = str(error)  # may quote the file
     short = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]}…"
     return ArchiveDamaged(
-        f"cannot be unpacked ({type(error).__name__}: {short})",
+        f"the archive cannot be unpacked ({type(error).__name__}: {short})",
         where=where,
         hint="copy, download or save the file again",
     )
@@ -63,9 +63,9 @@ def read_arrays(
     """
     sizes = {key: _declared_bytes(archive, key) for key in keys}
     if sum(sizes.values()) > max_bytes:
-        parts = " and ".join(f"{key} of {size}" for key, size in sizes.items())
+        parts = " and ".join(f"{size} bytes ({key})" for key, size in sizes.items())
         raise SizeExceeded(
-            f"arrays {parts} bytes",
+            f"the arrays take {parts}",
             expected=f"{max_bytes} bytes or fewer together",
             hint="if you trust the file, read it with a larger max_bytes",
         )
@@ -73,7 +73,7 @@ def read_arrays(
 
 
 def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
-    """Return the bytes that an .npz array declares, checked against its zip entry."""
+    """Return the size in bytes that an .npz array declares, checked against its zip entry."""
     entry = archive.getinfo(f"{key}.npy")
     with unpacking(f"array {key}"), archive.open(entry) as stream:
         # This limit holds for any length that the header declares.
@@ -81,7 +81,7 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
         shape, dtype = _parse_header(head)
     if dtype.hasobject:
         raise NotSupported(
-            "holds Python objects",
+            "the array holds Python objects",
             where=f"array {key}",
             expected="numbers",
             hint="save it as an array of one numeric type",
@@ -89,7 +89,7 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
     size = math.prod(shape) * dtype.itemsize
     if head.tell() + size != entry.file_size:
         raise ArchiveDamaged(
-            f"{entry.file_size} bytes, but {dtype} {list(shape)} takes "
+            f"the array has {entry.file_size} bytes, but {dtype} {list(shape)} takes "
             f"{head.tell() + size}, header included",
             where=f"array {key}",
             hint="copy, download or save the file again",
@@ -98,7 +98,7 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
 
 
 def _parse_header(head: BytesIO) -> tuple[tuple[int, ...], np.dtype]:
-    """Read the header of a .npy array; ``head`` then points at the first byte of the data."""
+    """Read the header of a .npy array from a stream, up to the first byte of the data."""
     version = np.lib.format.read_magic(head)
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(head)
@@ -106,7 +106,9 @@ def _parse_header(head: BytesIO) -> tuple[tuple[int, ...], np.dtype]:
         shape, _, dtype = np.lib.format.read_array_header_2_0(head)
     else:
         # Version 3 is for field names beyond Latin-1, which plain arrays do not have.
-        raise ValueError(f"version {version} of the .npy format")
+        raise ValueError(
+            f"the array has version {version} of the .npy format, which is not supported"
+        )
     return shape, dtype
 
 

@@ -11,7 +11,7 @@ SH_C0: Final = 0.5 / math.sqrt(math.pi)
 
 
 def sigmoid(logit: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
-    """Return 1 / (1 + e^-logit)."""
+    """Return the sigmoid 1 / (1 + e^-x) of each logit x."""
     with np.errstate(over="ignore"):  # e^inf is inf, and 1 / inf is the correct 0
         return np.asarray(1 / (1 + np.exp(-logit.astype(np.float64))), np.float32)
 
@@ -24,7 +24,7 @@ def logit(opacity: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
 
 
 def log(scale: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
-    """Return the natural logarithm; 0 becomes -inf."""
+    """Return the natural logarithm of an array; 0 becomes -inf."""
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(scale.astype(np.float64)), np.float32)
 
@@ -46,14 +46,14 @@ def rounded(values: Float[np.ndarray, "..."], low: int, high: int) -> Integer[np
 
 
 def to_bytes(values: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
-    """Round ``values`` to the nearest bytes."""
+    """Round ``values`` to whole numbers from 0 to 255."""
     return rounded(values, 0, 255).astype(np.uint8)
 
 
 def from_largest(
     largest: Integer[np.ndarray, " n"], smaller: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 4"]:
-    """Rebuild unit quaternions from the three components other than the largest.
+    """Rebuild unit quaternions from their three components other than the largest.
 
     Args:
         largest: The index of the component that is not stored; it is positive.

@@ -1,4 +1,4 @@
-"""The classes of splats, points and packed rows that readers return and writers take."""
+"""The data classes of splats, points and packed rows that readers and writers share."""
 
 import math
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float, Float32
 
+from gsgen.contract._notebook import preview_png, summary_html
 from gsgen.formats.shared.errors import ValueInvalid
 
 __all__ = ["SH_COUNTS", "PackedRows", "PointCloud", "Splats"]
@@ -18,7 +19,7 @@ SH_COUNTS = (1, 4, 9, 16, 25)
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Splats:
-    """Gaussians as 3DGS training stores them: before activation and normalisation.
+    """Gaussian splats as 3DGS training stores them: before activation and normalisation.
 
     Coordinates are those of a 3DGS PLY file (x right, y down, z forward). The parameters and
     their activations are those of Kerbl et al. 2023, "3D Gaussian Splatting for
@@ -55,7 +56,7 @@ class Splats:
         _require("sh", self.sh, ("float32",), (rows, "k", 3))
         if self.sh.shape[1] not in SH_COUNTS:
             raise ValueInvalid(
-                f"{self.sh.shape[1]} SH coefficients",
+                f"the splats have {self.sh.shape[1]} SH coefficients",
                 where="sh",
                 expected="1, 4, 9, 16 or 25 (degree 0 to 4)",
             )
@@ -67,6 +68,25 @@ class Splats:
     def degree(self) -> int:
         """The SH degree of the splats, from 0 (constant colour) to 4."""
         return math.isqrt(self.sh.shape[1]) - 1
+
+    def _repr_html_(self) -> str:
+        """Return a picture and the main facts of the splats as HTML, for notebooks."""
+        low, high = ("0", "0") if not len(self) else map(_corner, _extent(self.position))
+        training = "antialiased" if self.antialiased else "classic"
+        rows = [
+            ("SH degree", str(self.degree)),
+            ("box", f"{low} to {high}"),
+            ("training", training),
+        ]
+        return summary_html(f"{len(self):,} splats", rows, preview_png(self))
+
+
+def _extent(position: Float32[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    return position.min(axis=0), position.max(axis=0)
+
+
+def _corner(point: np.ndarray) -> str:
+    return f"({', '.join(f'{value:.3g}' for value in point)})"
 
 
 @final
@@ -96,7 +116,7 @@ class PointCloud:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedRows:
-    """One frame of a generator: the two packed tensors of the contract.
+    """One frame of a generator: packed Gaussians and their appearance.
 
     The validator checks the values, and that both data types agree.
 
@@ -123,10 +143,10 @@ class PackedRows:
 def _require(
     name: str, array: object, dtypes: tuple[str, ...], shape: tuple[int | str, ...]
 ) -> None:
-    """Raise ValueInvalid unless an array has the dtype and shape; letters stand for any size."""
+    """Raise ValueInvalid unless an array has the given dtype and shape; named sizes match any."""
     expected = f"{' or '.join(dtypes)} {_bracketed(shape)}"
     if not isinstance(array, np.ndarray):
-        raise ValueInvalid(f"a {type(array).__name__}", where=name, expected=expected)
+        raise ValueInvalid(f"the value is a {type(array).__name__}", where=name, expected=expected)
     sizes = zip(array.shape, shape, strict=False)
     fits = (
         array.ndim == len(shape)
@@ -134,7 +154,7 @@ def _require(
         and all(length == size or isinstance(size, str) for length, size in sizes)
     )
     if not fits:
-        actual = f"{array.dtype} {_bracketed(array.shape)}"
+        actual = f"the array is {array.dtype} {_bracketed(array.shape)}"
         raise ValueInvalid(actual, where=name, expected=expected)
 
 

@@ -1,4 +1,4 @@
-"""Checks arrays of splats: raises for invalid values with column, first row and number."""
+"""Checks arrays of splats: an invalid value raises with column, first row and number."""
 
 from collections.abc import Sequence
 
@@ -9,10 +9,10 @@ from gsgen.formats.shared.errors import ValueInvalid
 
 
 def require_rows(count: int, where: str) -> None:
-    """Raise ValueInvalid if the number of rows is 0."""
+    """Raise ValueInvalid if a set of splats or points has no rows."""
     if count == 0:
         raise ValueInvalid(
-            "0 rows",
+            "the data have 0 rows",
             where=where,
             expected="at least one",
             hint="the program that wrote the file may have dropped every point",
@@ -22,7 +22,7 @@ def require_rows(count: int, where: str) -> None:
 def require_finite(
     table: Float32[np.ndarray, "n m"], labels: Sequence[str], infinite: Sequence[float] = ()
 ) -> None:
-    """Raise ValueInvalid unless all values are finite or one of ``infinite``."""
+    """Raise ValueInvalid unless all values are finite or in ``infinite``, e.g. -inf."""
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(table.sum()):  # a NaN or an infinity would make the sum non-finite
             return
@@ -34,7 +34,7 @@ def require_finite(
 def finite_or_allowed(
     values: Float32[np.ndarray, "..."], infinite: Sequence[float] = ()
 ) -> Bool[np.ndarray, "..."]:
-    """Return the mask of values that are finite or one of ``infinite``."""
+    """Return the mask of values that are finite or in ``infinite``, e.g. -inf."""
     is_valid = np.isfinite(values)
     for value in infinite:
         is_valid |= values == value
@@ -42,7 +42,7 @@ def finite_or_allowed(
 
 
 def require_colors(table: Float32[np.ndarray, "n 3"], labels: Sequence[str]) -> None:
-    """Raise ValueInvalid unless all values lie in [0, 1]; ``labels`` names the columns."""
+    """Raise ValueInvalid unless all colours lie in [0, 1]; ``labels`` names the columns."""
     hint = "store colours from 0 to 255 as bytes (uchar, uint8)"
     for column, label in zip(table.T, labels, strict=True):
         _require((column >= 0) & (column <= 1), column, label, "0 <= value <= 1", hint)
@@ -60,7 +60,7 @@ def _require(
     first = int(np.argmin(is_valid))
     invalid_count = len(is_valid) - int(np.count_nonzero(is_valid))
     raise ValueInvalid(
-        f"{invalid_count} of {len(is_valid)} rows, row {first} is {column[first]:g}",
+        f"{invalid_count} of {len(is_valid)} rows are invalid: row {first} is {column[first]:g}",
         where=label,
         expected=expected,
         hint=hint,

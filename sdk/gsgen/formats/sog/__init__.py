@@ -1,1 +1,1 @@
-"""How are SOG archives read?"""
+"""How are SOG files (splats in WebP images) read and written?"""

@@ -1,4 +1,4 @@
-"""Chooses the 256 codebook numbers that stand for all values of a SOG image."""
+"""Chooses the 256 codebook numbers that quantise the values in a SOG image."""
 
 from typing import Final
 
@@ -15,7 +15,7 @@ _SAMPLES: Final = 1 << 22
 def make_codebook(
     values: Float[np.ndarray, "..."], weights: Float[np.ndarray, " n"] | None = None
 ) -> Float32[np.ndarray, "256"]:
-    """Return 256 ascending codebook numbers with a small squared error over ``values``.
+    """Return 256 ascending codebook numbers that quantise ``values`` with a small squared error.
 
     The start follows Panter & Dite 1951: the density of the numbers is the cube root of the
     density of the values. Lloyd's iterations (1957) then move each number to the mean of the
@@ -52,13 +52,13 @@ def make_codebook(
 def codes(
     values: Float[np.ndarray, "..."], book: Float32[np.ndarray, "256"]
 ) -> UInt8[np.ndarray, "..."]:
-    """Return for each value the index of the nearest number in ``book``."""
+    """Return for each value the index of the nearest codebook number."""
     middles = (book[1:].astype(np.float64) + book[:-1]) / 2
     return np.searchsorted(middles, values).astype(np.uint8)
 
 
 def _companded(ascending: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "256"]:
-    """Return codebook numbers spread by the cube root of the density: ∫ f^⅓ dx = Σ Δx^⅔."""
+    """Return initial codebook numbers, spaced by the cube root of the values' density."""
     ranks = np.linspace(0, len(ascending) - 1, _KNOTS + 1).astype(np.int64)
     knots = ascending[ranks]
     measure = np.append(0, np.cumsum(np.diff(knots) ** (2 / 3)))

@@ -15,12 +15,12 @@ Image = UInt8[np.ndarray, "p 4"]
 
 
 def most_pixels(needed: int) -> int:
-    """Return the largest number of pixels that an image of ``needed`` values may have."""
+    """Return the largest number of pixels allowed for an image of ``needed`` values."""
     return 2 * needed + (1 << 16)
 
 
 def decode_image(content: bytes, needed: int, where: str, width: int | None = None) -> Image:
-    """Return the first ``needed`` pixels of a WebP image as red, green, blue and alpha.
+    """Decode the first ``needed`` pixels of a WebP image to red, green, blue and alpha.
 
     Raises:
         ArchiveDamaged: The content is not WebP, or cannot be unpacked.
@@ -40,7 +40,7 @@ def decode_image(content: bytes, needed: int, where: str, width: int | None = No
         raise
     except Exception as error:
         raise ArchiveDamaged(
-            f"an image cannot be unpacked ({type(error).__name__}: {error})",
+            f"the SOG image cannot be unpacked ({type(error).__name__}: {error})",
             where=where,
             expected="lossless WebP",
             hint=DOWNLOAD_HINT,
@@ -49,7 +49,7 @@ def decode_image(content: bytes, needed: int, where: str, width: int | None = No
 
 
 def encode_image(pixels: Image, width: int | None = None) -> bytes:
-    """Encode ``pixels``, row by row, as lossless WebP; zeros fill the last row.
+    """Encode pixels, row by row, as lossless WebP; zeros fill the last row.
 
     Args:
         pixels: Red, green, blue and alpha.
@@ -74,7 +74,7 @@ def _pillow(where: str) -> ModuleType:
         from PIL import Image as pillow  # noqa: N813 -- a module
     except ImportError as error:
         raise NotSupported(
-            "images of a SOG need Pillow, which is not installed",
+            "SOG images need Pillow, which is not installed",
             where=where,
             hint="pip install 'gsgen[formats]'",
         ) from error

@@ -1,4 +1,4 @@
-"""Parses the meta.json of a SOG file; values are checked when they are read."""
+"""Parses the meta.json of a SOG file; values are checked on access."""
 
 import json
 import math
@@ -54,48 +54,54 @@ class Meta:
         data = parse_object(content)
         if "lodLevels" in data or "tree" in data:
             raise NotSupported(
-                "a streamed SOG of several levels of detail",
+                "the file is a streamed SOG of several levels of detail",
                 where=META,
-                expected="one SOG",
+                expected="a SOG of one level",
                 hint="read one of the files that it lists",
             )
         if "means" not in data:
-            raise NotRecognised("JSON without means", where=META, expected="the meta.json of a SOG")
+            raise NotRecognised(
+                "the JSON object lacks the key 'means'",
+                where=META,
+                expected="the meta.json of a SOG",
+            )
         version = data.get("version", 1)
         if version != 2:
-            raise NotSupported(f"version {shown(str(version))}", where=META, expected="2")
+            raise NotSupported(
+                f"the SOG version is {shown(str(version))}", where=META, expected="version 2"
+            )
         return cls(data, _whole(data.get("count"), f"{META}, count", MOST_SPLATS))
 
     @property
     def antialiased(self) -> bool:
-        """Whether a SOG declares antialiased splats, by either of the keys that writers use."""
+        """Whether a SOG file declares antialiased splats, by one of two keys that writers use."""
         return self.data.get("model") == ANTIALIASED or self.data.get("antialias") is True
 
     def files(self, group: str, number: int) -> list[str]:
-        """Return the image file names of ``group`` in meta.json."""
+        """Return the image file names of a quantity ``group`` in SOG's meta.json."""
         names = self._list(group, "files", number)
         if not all(isinstance(name, str) for name in names):
             self._refuse(group, "files", f"{number} names")
         return names
 
     def all_files(self) -> list[str]:
-        """Return the names of all images that a SOG's meta.json lists."""
+        """Return the names of all images that the meta.json of a SOG file lists."""
         numbers = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
         groups = [group for group in numbers if self.data.get(group) is not None]
         return [name for group in groups for name in self.files(group, numbers[group])]
 
     def triple(self, group: str, key: str) -> Float64[np.ndarray, "3"]:
-        """Return the three finite numbers ``key`` of ``group`` in meta.json."""
+        """Return the three finite numbers at key ``key`` of ``group`` in SOG's meta.json."""
         return np.asarray(self._numbers(group, key, 3), np.float64)
 
     def codebook(self, group: str) -> Float32[np.ndarray, "256"]:
-        """Return the codebook of ``group`` in meta.json: the number for each byte of its image."""
+        """Return the 256 codebook numbers of ``group`` in SOG's meta.json."""
         with np.errstate(over="ignore"):  # the check of values refuses infinity
             numbers = np.array(self._numbers(group, "codebook", CODES), np.float64)
             return numbers.astype(np.float32)
 
     def palette(self) -> tuple[int, int] | None:
-        """Return the size of the SH palette and its degree; None without harmonics."""
+        """Return the size and degree of the SH palette of a SOG file; None without higher SH."""
         if self.data.get("shN") is None:
             return None
         group = self._group("shN")
@@ -108,7 +114,9 @@ class Meta:
     def _group(self, group: str) -> dict[str, Any]:
         entry = self.data.get(group)
         if not isinstance(entry, dict):
-            raise HeaderMalformed(f"no {group}", where=META, expected="an object")
+            raise HeaderMalformed(
+                f"the JSON object lacks the key {group!r}", where=META, expected="an object"
+            )
         return entry
 
     def _list(self, group: str, key: str, number: int) -> list[Any]:
@@ -131,7 +139,7 @@ class Meta:
 
 
 def parse_object(content: bytes) -> dict[str, Any]:
-    """Parse a JSON object.
+    """Parse a JSON file whose top level is an object.
 
     Raises:
         NotRecognised: The content is not JSON, or not an object.
@@ -140,11 +148,13 @@ def parse_object(content: bytes) -> dict[str, Any]:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise NotRecognised(
-            f"invalid JSON ({error})", where=META, expected="the meta.json of a SOG"
+            f"the file has invalid JSON ({error})", where=META, expected="the meta.json of a SOG"
         ) from error
     if not isinstance(data, dict):
         raise NotRecognised(
-            f"a {type(data).__name__}", where=META, expected="an object, the meta.json of a SOG"
+            f"the JSON value is a {type(data).__name__}",
+            where=META,
+            expected="an object, the meta.json of a SOG",
         )
     return data
 

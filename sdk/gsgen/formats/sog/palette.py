@@ -1,4 +1,4 @@
-"""Clusters the harmonics of all splats into a palette with one entry per splat's label.
+"""Clusters the SH coefficients of all splats into a palette for a SOG file.
 
 A tree splits the splats along the principal axis of a cluster, largest squared error first; its
 leaves, in order, are the first entries, unless rows of the scene do better. Lloyd's iterations
@@ -26,7 +26,7 @@ Rows = Float32[np.ndarray, "n d"]
 
 
 def make_palette(values: Rows, size: int) -> Rows:
-    """Return at most ``size`` palette entries with a small squared error over ``values``.
+    """Return at most ``size`` palette entries that quantise rows with a small squared error.
 
     Of more than half a million rows, evenly spaced ones decide.
     """
@@ -40,7 +40,7 @@ def make_palette(values: Rows, size: int) -> Rows:
 
 
 def _moved(rows: Rows, palette: Rows, rounds: int) -> tuple[Rows, float]:
-    """Return the palette after some Lloyd iterations, and the squared error before the last."""
+    """Return the palette after Lloyd iterations, and the squared error before the last one."""
     error = 0.0
     for _ in range(rounds):
         labels = nearest_entries(rows, palette)
@@ -55,7 +55,7 @@ def _error(rows: Rows, palette: Rows, labels: Int64[np.ndarray, " n"]) -> float:
 
 
 def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
-    """Return for each row the nearest entry of ``palette`` within the closest blocks."""
+    """Return for each row the index of a nearest palette entry, among the closest blocks."""
     block = max(1, round(len(palette) ** 0.5))
     starts = np.arange(0, len(palette), block)
     centres = _group_means(palette, starts)
@@ -77,7 +77,7 @@ def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
 
 
 def _split_clusters(rows: Rows, size: int) -> Rows:
-    """Split clusters until there are ``size``, or until none has two different rows."""
+    """Split clusters of a palette until there are ``size``, or all rows of each are equal."""
     starts = np.zeros(1, np.int64)
     while len(starts) < size:
         counts = np.diff(starts, append=len(rows))
@@ -121,7 +121,7 @@ def _group_means(rows: Rows, starts: Int64[np.ndarray, " k"]) -> Rows:
 
 
 def _means(rows: Rows, labels: Int64[np.ndarray, " n"], palette: Rows) -> Rows:
-    """Return the mean of the rows of each label; an entry without rows is unchanged."""
+    """Return the mean of the rows of each cluster label; a label without rows keeps its entry."""
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
     moved = palette.copy()
@@ -132,5 +132,5 @@ def _means(rows: Rows, labels: Int64[np.ndarray, " n"], palette: Rows) -> Rows:
 def _distances(
     rows: Rows, entries: Rows
 ) -> Float32[np.ndarray, "n k"] | Float64[np.ndarray, "n k"]:
-    """Return squared distances to palette entries, less the constant squared length of each row."""
+    """Return squared distances of rows to palette entries, up to a constant per row."""
     return np.asarray(np.square(entries).sum(axis=1) - 2 * (rows @ entries.T))

@@ -1,4 +1,4 @@
-"""Reads SOG files, version 2: splats in lossless WebP images, zipped or next to meta.json.
+"""Reads SOG files, version 2: splats in lossless WebP images, zipped or beside meta.json.
 
 The format is that of PlayCanvas (playcanvas/splat-transform, "SOG"). Pillow reads the images.
 """
@@ -43,7 +43,7 @@ Fetch = Callable[[str, int], bytes]
 
 
 def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
-    """Read the SOG at ``path``: a zip archive, or the meta.json of an unpacked one.
+    """Read the SOG file at ``path``: a zip archive, or the meta.json of an unpacked archive.
 
     Args:
         path: The file.
@@ -68,7 +68,7 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
 
 
 def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
-    """Read a meta.json with its images, or a lod-meta.json with the SOG files that it lists."""
+    """Read an unpacked SOG by its meta.json, or streamed SOG files by their lod-meta.json."""
     fetch, name = _beside(path), Path(path).name
     data = parse_object(fetch(name, MAX_META))
     if not is_streamed(data):
@@ -90,7 +90,7 @@ def _read_unpacked(path: FilePath, max_bytes: int) -> Splats:
 
 
 def written_bytes(path: FilePath) -> int:
-    """Return the size of a SOG in bytes; a meta.json counts the images that it names."""
+    """Return the size of a SOG in bytes: the archive, or meta.json with the images it names."""
     size = Path(path).stat().st_size
     if Path(path).name.lower() != META:
         return size
@@ -104,7 +104,7 @@ def _within(archive: zipfile.ZipFile, size: int) -> Fetch:
 
     def fetch(name: str, limit: int) -> bytes:
         if name not in names:
-            raise PropertyMissing(f"no {shown(name)}", where="archive")
+            raise PropertyMissing(f"the archive holds no file {shown(name)}", where="archive")
         most = min(limit, size * _MOST_INFLATION)
         with unpacking(f"file {shown(name)}"), archive.open(name) as stream:
             return _limited(stream.read(most + 1), most, name)
@@ -130,7 +130,7 @@ def _beside(path: FilePath) -> Fetch:
 def _limited(content: bytes, limit: int, name: str) -> bytes:
     if len(content) > limit:
         raise SizeExceeded(
-            f"more than {limit} bytes", where=f"file {shown(name)}", hint=DOWNLOAD_HINT
+            f"the file has more than {limit} bytes", where=f"file {shown(name)}", hint=DOWNLOAD_HINT
         )
     return content
 
@@ -140,7 +140,7 @@ def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
     count = meta.count
     if count * _BYTES_EACH > max_bytes:
         raise SizeExceeded(
-            f"{count} splats of some {_BYTES_EACH} bytes",
+            f"the {count} splats take about {_BYTES_EACH} bytes each",
             expected=f"{max_bytes} bytes or fewer",
             hint="if you trust the file, read it with a larger max_bytes",
         )
@@ -152,9 +152,9 @@ def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
     packed = sum(map(len, means))
     if count > packed * _MOST_PER_BYTE:
         raise FileTruncated(
-            f"{count} splats, whose positions are {packed} bytes",
+            f"meta.json declares {count} splats, but their positions are {packed} bytes",
             where=f"{META}, count",
-            expected=f"at most {packed * _MOST_PER_BYTE}, with the best compression",
+            expected=f"at most {packed * _MOST_PER_BYTE} splats, with the best compression",
             hint=DOWNLOAD_HINT,
         )
     low, high = (decode_image(image, count, "means") for image in means)
@@ -185,7 +185,7 @@ def _positions(meta: Meta, low: Image, high: Image) -> Float32[np.ndarray, "n 3"
 
 
 def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
-    """Decode quaternions from SOG pixels; an invalid tag gives the identity."""
+    """Decode quaternions from the pixels of a SOG image; an invalid tag gives the identity."""
     tag = image[:, 3].astype(np.int64) - QUATERNION_TAG
     smaller = (image[:, :3] / 127.5 - 1) * math.sqrt(0.5)
     rotation = unit(from_largest(np.maximum(tag, 0), smaller))
@@ -194,7 +194,7 @@ def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
 
 
 def _higher(meta: Meta, fetched: Callable[[str, int], bytes]) -> Float32[np.ndarray, "n k 3"]:
-    """Return the SH coefficients above degree 0, which each splat takes from a SOG palette."""
+    """Return the SH coefficients above degree 0 of each splat, from the palette of a SOG file."""
     palette = meta.palette()
     if palette is None:
         return np.empty((meta.count, 0, 3), np.float32)
@@ -207,7 +207,9 @@ def _higher(meta: Meta, fetched: Callable[[str, int], bytes]) -> Float32[np.ndar
     indices = decode_image(fetched(labels, meta.count), meta.count, "shN")
     label = indices[:, 0] | indices[:, 1].astype(np.int64) << 8
     if (label >= size).any():
-        raise HeaderMalformed(f"label {int(label.max())}", where="shN", expected=f"0 to {size - 1}")
+        raise HeaderMalformed(
+            f"a palette label is {int(label.max())}", where="shN", expected=f"0 to {size - 1}"
+        )
     # Row y of the image holds palette entries 64 y to 64 y + 63, one after the other.
     entries = image[:, :3].reshape(height * PALETTE_WIDTH, higher_count, 3)
     return np.asarray(meta.codebook("shN")[entries[label]])

@@ -1,4 +1,4 @@
-"""Reads streamed SOG: a lod-meta.json, whose tree lists parts of several SOG files by level.
+"""Reads streamed SOG: a lod-meta.json whose tree refers to rows of several SOG files.
 
 The format is that of PlayCanvas (playcanvas/splat-transform, "Streamed SOG", version 1). A leaf
 of the tree names the rows of a file for each level of detail; level 0 is the finest.
@@ -22,12 +22,12 @@ _MOST_LEAVES: Final = 1 << 20
 
 
 def is_streamed(data: dict[str, Any]) -> bool:
-    """Return whether a parsed JSON object lists levels of detail."""
+    """Return whether a parsed JSON object is the lod-meta.json of a streamed SOG."""
     return "lodLevels" in data or "tree" in data
 
 
 def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_bytes: int) -> Splats:
-    """Return the finest level of every leaf, and the environment if there is one.
+    """Return the splats of a streamed SOG at the finest level of detail.
 
     Args:
         data: The parsed lod-meta.json.
@@ -57,7 +57,7 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
         selected = np.concatenate(rows)
         if selected[-1] >= len(splats) or len(np.unique(selected)) < len(selected):
             raise HeaderMalformed(
-                f"rows up to {selected[-1]} of {shown(names[index])}",
+                f"the tree lists rows up to {selected[-1]} of {shown(names[index])}",
                 where=f"{STREAMED_META}, tree",
                 expected=f"different rows below {len(splats)}",
             )
@@ -68,7 +68,10 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
             raise HeaderMalformed(shown(str(environment)), where=f"{STREAMED_META}, environment")
         parts.append(read(environment, max_bytes - sum(_bytes_of(part) for part in parts)))
     if sum(_bytes_of(part) for part in parts) > max_bytes:
-        raise SizeExceeded("more splats than allowed", expected=f"{max_bytes} bytes or fewer")
+        raise SizeExceeded(
+            "the splats of all files take more memory than allowed",
+            expected=f"{max_bytes} bytes or fewer",
+        )
     return joined(parts)
 
 
@@ -82,7 +85,7 @@ def _bytes_of(splats: Splats) -> int:
 
 
 def _is_inside(name: object) -> bool:
-    """Return whether a name is a relative path that stays in the folder."""
+    """Return whether a file name is a relative path inside the folder."""
     if not isinstance(name, str) or not name or "\0" in name or "\\" in name:
         return False
     path = PurePosixPath(name)
@@ -97,7 +100,7 @@ def _leaves(root: object) -> Iterator[dict[str, Any]]:
         count += 1
         if not isinstance(node, dict) or depth > _MOST_DEPTH or count > _MOST_LEAVES:
             raise HeaderMalformed(
-                f"a node of type {type(node).__name__} at depth {depth}",
+                f"the tree has a node of type {type(node).__name__} at depth {depth}",
                 where=f"{STREAMED_META}, tree",
                 expected=f"objects, at most {_MOST_DEPTH} deep and {_MOST_LEAVES} in all",
             )
@@ -109,7 +112,7 @@ def _leaves(root: object) -> Iterator[dict[str, Any]]:
 
 
 def _finest(leaf: dict[str, Any], files: int) -> tuple[int, int, int]:
-    """Return the file, the first row and the number of rows of a leaf's finest level."""
+    """Return file index, first row and row count of the finest level of a streamed SOG's leaf."""
     levels = leaf.get("lods")
     numbers = [key for key in levels if key.isdecimal()] if isinstance(levels, dict) else []
     entry = levels[min(numbers, key=int)] if isinstance(levels, dict) and numbers else None

@@ -1,4 +1,4 @@
-"""Writes SOG files, version 2: splats in lossless WebP images, zipped or next to meta.json."""
+"""Writes SOG files, version 2: splats in lossless WebP images, zipped or beside meta.json."""
 
 import json
 import math
@@ -41,7 +41,7 @@ Rows = Int64[np.ndarray, " m"]
 
 
 def write_sog(path: FilePath, splats: Splats) -> None:
-    """Write ``splats`` as a SOG: an archive, or the files of one if ``path`` is a meta.json.
+    """Write ``splats`` as a SOG archive, or as separate files if ``path`` is a meta.json.
 
     Splats are written in the order of ``sog_order``. The bytes depend on the splats alone.
 
@@ -55,15 +55,17 @@ def write_sog(path: FilePath, splats: Splats) -> None:
         require_drawable(splats)
         if Path(path).name.lower() == STREAMED_META:
             raise NotSupported(
-                "a streamed SOG, which gsgen only reads", expected=f"{META}, or a suffix .sog"
+                "the path is that of a streamed SOG, which gsgen cannot write",
+                expected=f"{META}, or a suffix .sog",
             )
         if splats.degree > _MOST_DEGREE:
             raise NotSupported(
-                f"harmonics of degree {splats.degree}", expected=f"degree {_MOST_DEGREE} or less"
+                f"the splats have SH degree {splats.degree}",
+                expected=f"degree {_MOST_DEGREE} or less",
             )
         if len(splats) > _WIDEST**2:
             raise NotSupported(
-                f"{len(splats)} splats",
+                f"the scene has {len(splats)} splats",
                 expected=f"{_WIDEST**2} or fewer, the pixels of an image",
                 hint="write several files, each of a box of the scene",
             )
@@ -97,7 +99,7 @@ class _Images:
         self.order = order
 
     def add(self, name: str, pixels: Callable[[Rows], UInt8[np.ndarray, "m c"]]) -> str:
-        """Encode an image with one pixel per splat; channels that ``pixels`` lacks are 255."""
+        """Encode a SOG image with one pixel per splat; missing channels are 255."""
         table = np.full((len(self.order), 4), 255, np.uint8)
         for start in range(0, len(table), _ROWS):
             part = pixels(self.order[start : start + _ROWS])
@@ -138,7 +140,7 @@ def _files(splats: Splats) -> dict[str, bytes]:
 def _stored_positions(
     splats: Splats,
 ) -> tuple[Int64[np.ndarray, "n 3"], Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """Return positions as steps within their range after sgn(x) ln(1 + |x|), and the range."""
+    """Return positions, companded by sgn(x) ln(1 + |x|), as 16-bit steps, and their range."""
     ends = np.stack([splats.position.min(axis=0), splats.position.max(axis=0)]).astype(np.float64)
     low, high = np.sign(ends) * np.log1p(np.abs(ends))
     size = np.where(high > low, high - low, 1.0)
@@ -151,7 +153,7 @@ def _stored_positions(
 
 
 def _finite_scales(log_scale: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-    """Replace log scales of -inf, which JSON lacks, by a scale that is practically flat."""
+    """Replace log scales of -inf, which JSON lacks, by a very small scale."""
     is_flat = np.isneginf(log_scale)
     if not is_flat.any():
         return log_scale
@@ -199,12 +201,12 @@ def _add_palette(splats: Splats, images: _Images) -> dict[str, Any]:
 
 
 def _palette_size(count: int) -> int:
-    """Return the palette size: one entry per splat in small scenes, otherwise a power of two."""
+    """Return the number of SH palette entries: one per splat if few, else a power of two."""
     if count <= _SMALL:
         return count
     return min(MOST_PALETTE, 1 << (count.bit_length() - 1))
 
 
 def _numbers(book: Float32[np.ndarray, "256"]) -> list[float]:
-    """Return the shortest decimals that parse to these float32 numbers."""
+    """Return the shortest decimal numbers that parse to given float32 numbers."""
     return [float(str(number)) for number in book]

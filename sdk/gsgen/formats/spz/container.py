@@ -91,7 +91,7 @@ def _unpack_gzip(data: Data, max_bytes: int) -> Frame:
 
 
 def _inflated(data: Data) -> Iterator[bytes]:
-    """Yield the unpacked bytes of the gzip file ``data``, piece by piece."""
+    """Yield the unpacked bytes of a gzip file, piece by piece."""
     unpacker = zlib.decompressobj(wbits=31)
     try:
         for start in range(0, len(data), _CHUNK):
@@ -103,7 +103,7 @@ def _inflated(data: Data) -> Iterator[bytes]:
                 yield output
     except zlib.error as error:
         raise ArchiveDamaged(
-            f"cannot be unpacked ({error})", where="gzip stream", hint=DOWNLOAD_HINT
+            f"the gzip stream cannot be unpacked ({error})", where="gzip stream", hint=DOWNLOAD_HINT
         ) from error
     if not unpacker.eof:
         raise FileTruncated(
@@ -114,13 +114,15 @@ def _inflated(data: Data) -> Iterator[bytes]:
 
 
 def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
-    """Read the header and the attributes of SPZ versions 1 to 3 from unpacked pieces."""
+    """Parse the header and attributes of SPZ versions 1 to 3 from unpacked gzip data."""
     body = bytearray()
     _fill(body, pieces, _HEADER.size)
     require_room(body, 0, _HEADER.size, "header, unpacked")
     magic, version, count, degree, fraction, flags = _HEADER.unpack_from(body)
     if version > LAST_GZIP:
-        raise HeaderMalformed(f"version {version} in gzip", where="byte 4", expected="1, 2 or 3")
+        raise HeaderMalformed(
+            f"the gzip file has SPZ version {version}", where="byte 4", expected="1, 2 or 3"
+        )
     _require_header(magic, version, count, degree, fraction, size)
     parts = sizes(version, count, degree)
     end = _HEADER.size + sum(parts.values())
@@ -131,7 +133,7 @@ def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
     extra = body[end:]
     if extra and not flags & _EXTENDED:
         raise HeaderMalformed(
-            f"more than the {end} bytes of {count} splats of degree {degree}",
+            f"the file has more than the {end} bytes of {count} splats of degree {degree}",
             where="unpacked data",
             expected=f"{end} bytes",
             hint=DOWNLOAD_HINT,
@@ -169,13 +171,13 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
     _require_memory(sum(parts.values()), max_bytes)
     if stream_count != len(parts):
         raise HeaderMalformed(
-            f"{stream_count} streams",
+            f"the file has {stream_count} streams",
             where="byte 15",
             expected=f"{len(parts)}, one for each attribute",
         )
     if toc < _LONG_HEADER.size:
         raise HeaderMalformed(
-            f"table of contents at byte {toc}", where="byte 16", expected="32 or more"
+            f"the table of contents is at byte {toc}", where="byte 16", expected="byte 32 or more"
         )
     require_room(data, toc, stream_count * _TOC_ENTRY.size, "table of contents")
     signs = _extensions(bytes(data[_LONG_HEADER.size : toc])) if flags & _EXTENDED else RDF_RUB
@@ -185,7 +187,9 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
         packed, unpacked = _TOC_ENTRY.unpack_from(data, entry)
         if unpacked != size:
             raise HeaderMalformed(
-                f"{name} of {unpacked} bytes", where=f"byte {entry + 8}", expected=f"{size}"
+                f"stream {name} unpacks to {unpacked} bytes",
+                where=f"byte {entry + 8}",
+                expected=f"{size} bytes",
             )
         require_room(data, offset, packed, f"stream {name}")
         content = zstd.unpack(
@@ -195,7 +199,9 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
         offset += packed
     if offset != len(data):
         raise HeaderMalformed(
-            f"{len(data)} bytes", where="file", expected=f"{offset}, the end of the last stream"
+            f"the file has {len(data)} bytes",
+            where="file",
+            expected=f"{offset}, the end of the last stream",
         )
     streams = {name: streams.get(name, np.empty(0, np.uint8)) for name in NAMES}
     aliased = bool(flags & _ANTIALIASED)
@@ -218,21 +224,25 @@ def _require_header(
             magic.hex(" "), where="first bytes", expected="4e 47 53 50 (NGSP), the start of an SPZ"
         )
     if not 1 <= version <= LAST:
-        raise NotSupported(f"version {version}", where="byte 4", expected="1, 2, 3 or 4")
+        raise NotSupported(
+            f"the file has SPZ version {version}", where="byte 4", expected="1, 2, 3 or 4"
+        )
     if count == 0:
-        raise ValueInvalid("0 splats", where="byte 8", expected="at least one")
+        raise ValueInvalid("the file has 0 splats", where="byte 8", expected="at least one")
     require_count(count, size)
     if degree > _MOST_DEGREE:
-        raise HeaderMalformed(f"SH degree {degree}", where="byte 12", expected="0 to 4")
+        raise HeaderMalformed(f"the SH degree is {degree}", where="byte 12", expected="0 to 4")
     if fraction > _MOST_FRACTION:
-        raise HeaderMalformed(f"{fraction} fractional bits", where="byte 13", expected="0 to 24")
+        raise HeaderMalformed(
+            f"the positions have {fraction} fractional bits", where="byte 13", expected="0 to 24"
+        )
 
 
 def require_count(count: int, size: int) -> None:
     """Raise FileTruncated if an SPZ file of ``size`` bytes cannot hold ``count`` splats."""
     if count > min(MOST_SPLATS, size * _MOST_PER_NINE_BYTES // 9):
         raise FileTruncated(
-            f"{count} splats in a file of {size} bytes",
+            f"the header declares {count} splats in a file of {size} bytes",
             where="byte 8",
             expected=f"at most {size * _MOST_PER_NINE_BYTES // 9}, with the best compression",
             hint=DOWNLOAD_HINT,
@@ -242,7 +252,7 @@ def require_count(count: int, size: int) -> None:
 def _require_memory(needed: int, max_bytes: int) -> None:
     if needed > max_bytes:
         raise SizeExceeded(
-            f"unpacks to {needed} bytes",
+            f"the file unpacks to {needed} bytes",
             expected=f"{max_bytes} bytes or fewer",
             hint="if you trust the file, read it with a larger max_bytes",
         )
@@ -266,11 +276,11 @@ def _extensions(zone: bytes) -> Signs:
 
 
 def _declared_signs(payload: bytes) -> Signs:
-    """Return the axis signs between a declared coordinate system and that of PLY."""
+    """Return the axis signs that convert a declared SPZ coordinate system to that of PLY."""
     code = int.from_bytes(payload, "little")
     if not 1 <= code <= 8:
         raise NotSupported(
-            f"coordinate system {code}",
+            f"the coordinate system is {code}",
             where="extension SPZ_ADOBE_coordinate_system",
             expected="1 to 8, whose axes are not swapped",
             hint="save it in RUB, which every reader understands",
@@ -280,7 +290,7 @@ def _declared_signs(payload: bytes) -> Signs:
 
 
 def pack(frame: Frame, content: Mapping[str, bytes]) -> bytes:
-    """Return the bytes of an SPZ file with the header ``frame`` and the attributes ``content``."""
+    """Return the bytes of an SPZ file with a given header and unpacked attributes."""
     flags = _ANTIALIASED if frame.antialiased else 0
     common = (MAGIC, frame.version, frame.count, frame.degree, frame.fractional_bits, flags)
     if frame.version <= LAST_GZIP:

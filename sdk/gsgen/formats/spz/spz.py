@@ -1,4 +1,4 @@
-"""Reads and writes SPZ files, versions 1 to 4: a tenth of the size of a PLY file, rounded.
+"""Reads and writes SPZ files, versions 1 to 4: quantised, a tenth of the size of a PLY file.
 
 The format is that of nianticlabs/spz.
 """
@@ -58,7 +58,7 @@ def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES, axes: str | None = N
 
 
 def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: Signs | None = None) -> Splats:
-    """Return the splats of the SPZ file ``data``, with the axes of a PLY file."""
+    """Return the splats of the SPZ file ``data``, in the coordinate axes of a PLY file."""
     frame = container.unpack(data, max_bytes)
     splats = streams.decode(
         frame.streams,
@@ -72,7 +72,7 @@ def decode_spz(data: Data, max_bytes: int = MAX_BYTES, signs: Signs | None = Non
 
 
 def _turned(splats: Splats, signs: Signs) -> Splats:
-    """Convert the axes of ``splats`` as the code of nianticlabs/spz does.
+    """Convert splats to other coordinate axes, exactly as the library nianticlabs/spz does.
 
     That code treats the harmonic of degree 4 and order 4, x⁴ − 6x²y² + y⁴, as odd in y. It is
     even, but existing files are written and read like this.
@@ -139,13 +139,13 @@ def write_spz(
 
 
 def _fractional_bits(splats: Splats, version: int) -> int:
-    """Return the largest number of fractional bits, up to 12, with which all coordinates fit."""
+    """Return the largest number of fractional bits (up to 12) with which all positions fit."""
     reach = float(np.abs(splats.position).max())
     half = version <= streams.HALF_POSITIONS
     limit = _LARGEST_HALF if half else float(streams.COORDINATE_LIMIT)
     if reach > limit:
         raise ValueInvalid(
-            f"a coordinate of {reach:g}",
+            f"the largest coordinate is {reach:g}",
             where="position",
             expected=f"at most {limit:g} in an SPZ file of version {version}",
             hint="scale the scene down, or write another format",
@@ -156,6 +156,8 @@ def _fractional_bits(splats: Splats, version: int) -> int:
 
 def _require_options(version: int, sh_bits: tuple[int, int]) -> None:
     if not 1 <= version <= container.LAST:
-        raise ValueInvalid(str(version), where="version", expected="1, 2, 3 or 4")
+        raise ValueInvalid(f"the version is {version}", where="version", expected="1, 2, 3 or 4")
     if len(sh_bits) != 2 or not all(1 <= bits <= 8 for bits in sh_bits):
-        raise ValueInvalid(str(sh_bits), where="sh_bits", expected="two numbers, 1 to 8")
+        raise ValueInvalid(
+            f"the SH bits are {sh_bits}", where="sh_bits", expected="two numbers, 1 to 8"
+        )

@@ -1,4 +1,4 @@
-"""Encodes and decodes the six attributes of an SPZ file.
+"""Encodes and decodes the six attribute streams of an SPZ file.
 
 The format is that of nianticlabs/spz, in the file's own space (x right, y up, z back).
 """
@@ -33,7 +33,7 @@ _ROOT_HALF = float(np.sqrt(0.5))
 
 
 def sizes(version: int, count: int, degree: int) -> dict[str, int]:
-    """Return the byte size of each SPZ attribute for ``count`` splats."""
+    """Return the size in bytes of each SPZ attribute for ``count`` splats."""
     widths = (
         6 if version <= HALF_POSITIONS else 9,
         1,
@@ -53,7 +53,7 @@ def decode(
     fractional_bits: int,
     antialiased: bool,
 ) -> Splats:
-    """Decode SPZ attribute streams to splats, in the axes of the file."""
+    """Decode SPZ attribute streams to splats, in the coordinate axes of the SPZ file."""
     count = len(streams["alphas"])
     colors = streams["colors"].reshape(count, 1, 3) / np.float32(255)
     higher = streams["sh"].reshape(count, SH_COUNTS[degree] - 1, 3).astype(np.float32)
@@ -143,7 +143,7 @@ def _encode_word_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
 def _encode_harmonics(
     sh: Float[np.ndarray, "n k 3"], sh_bits: Sequence[int]
 ) -> UInt8[np.ndarray, "n k 3"]:
-    """Round SH coefficients to buckets whose width is a power of two, which compresses well."""
+    """Quantise SH coefficients for SPZ to steps of a power of two, which compresses well."""
     first = SH_COUNTS[1] - 1
     codes = np.empty(sh.shape, np.uint8)
     for part, bits in ((slice(first), sh_bits[0]), (slice(first, None), sh_bits[1])):

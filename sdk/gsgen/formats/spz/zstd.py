@@ -1,4 +1,4 @@
-"""Packs and unpacks zstd data with the package ``zstandard``; Python before 3.14 lacks zstd."""
+"""Packs and unpacks zstd data with the package ``zstandard``, since older Python lacks zstd."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ def _package() -> Any:
         import zstandard
     except ImportError as error:
         raise NotSupported(
-            "is packed with zstd, and the package zstandard is not installed",
+            "the file is packed with zstd, and the package zstandard is not installed",
             hint="pip install 'gsgen[formats]'",
         ) from error
     return zstandard
@@ -34,12 +34,15 @@ def unpack(data: bytes, size: int, where: str) -> bytearray:
                 content += piece
     except zstandard.ZstdError as error:
         raise ArchiveDamaged(
-            f"cannot be unpacked ({error})", where=where, hint=DOWNLOAD_HINT
+            f"the zstd stream cannot be unpacked ({error})", where=where, hint=DOWNLOAD_HINT
         ) from error
     if len(content) != size:
         actual_size = f"more than {size}" if len(content) > size else f"{len(content)}"
         raise ArchiveDamaged(
-            f"unpacks to {actual_size} bytes", where=where, expected=f"{size}", hint=DOWNLOAD_HINT
+            f"the stream unpacks to {actual_size} bytes",
+            where=where,
+            expected=f"{size}",
+            hint=DOWNLOAD_HINT,
         )
     return content
 

@@ -44,7 +44,7 @@ def wrap(
     producer: Producer | None = None,
     weighted_sum: WeightedSum | None = None,
 ) -> GaussianGenerator:
-    """Return a generator that runs ``module``.
+    """Return a generator that runs the torch module ``module``.
 
     Args:
         module: Anything that returns a dict, a tuple, an object with attributes or one tensor.
@@ -82,7 +82,7 @@ def wrap(
 
 
 class _Wrapped(GaussianGenerator):
-    """A generator that runs a module and picks the fields of Gaussians from its result."""
+    """A generator that runs a user's torch module and picks the Gaussians from its result."""
 
     def __init__(self, module: nn.Module, outputs: Mapping[str, Take], *, by_name: bool) -> None:
         super().__init__()
@@ -91,7 +91,7 @@ class _Wrapped(GaussianGenerator):
         self.by_name = by_name
 
     def forward(self, *inputs: Tensor) -> Gaussians:
-        """Run the wrapped module, and pick the fields of Gaussians from its result."""
+        """Run the wrapped torch module, and pick the fields of Gaussians from its result."""
         if self.by_name:
             names = [entry.name for entry in self.inputs]
             result = self.module(**dict(zip(names, inputs, strict=True)))
@@ -132,7 +132,7 @@ class _Wrapped(GaussianGenerator):
 
 
 def _described(result: Any) -> str:
-    """Describe the result of a user's module for an error message: type, shape, keys."""
+    """Describe the result of a user's torch module for an error message: type, shape, keys."""
     if isinstance(result, Mapping):
         return f"a dict of {', '.join(repr(key) for key in result)}"
     if isinstance(result, Sequence):

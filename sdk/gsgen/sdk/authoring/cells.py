@@ -1,4 +1,4 @@
-"""Cells: groups of Gaussians that methods with a weighted sum sort instead of Gaussians."""
+"""Cells: groups of Gaussians that weighted blending sorts instead of single Gaussians."""
 
 __all__ = ["Cells", "expect_shape", "expect_spread"]
 
@@ -13,7 +13,7 @@ from gsgen.sdk.math import covariance_upper
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """C cells in the model's local space; each holds the same number of consecutive Gaussians.
+    """C cells in local space, each a group of equally many consecutive Gaussians.
 
     Pass either ``scale`` and ``rotation`` or ``covariance``.
 
@@ -58,7 +58,7 @@ class Cells:
 def expect_shape(
     where: str, value: Tensor | None, *shapes: tuple[int, ...], hint: str = ""
 ) -> None:
-    """Raise if a tensor's shape is not one of the allowed shapes; None is accepted as a tensor."""
+    """Raise if a tensor's shape is not one of the allowed shapes; None passes."""
     if value is None or tuple(value.shape) in shapes:
         return
     expected = " or ".join(str(list(shape)) for shape in shapes)
@@ -69,7 +69,10 @@ def expect_shape(
 def expect_spread(
     scale: Tensor | None, rotation: Tensor | None, covariance: Tensor | None, where: str
 ) -> None:
-    """Raise unless Gaussians have either scale and rotation or covariances."""
+    """Raise unless Gaussians have either scales and rotations, or covariances."""
     presence = (scale is not None, rotation is not None, covariance is not None)
     if presence not in ((True, True, False), (False, False, True)):
-        raise GeneratorInvalid("expected either scale and rotation, or covariance", where=where)
+        raise GeneratorInvalid(
+            "the extent is missing or given twice, expected either scale and rotation, or covariance",
+            where=where,
+        )

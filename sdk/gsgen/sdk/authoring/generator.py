@@ -1,4 +1,4 @@
-"""Base class of generators: a torch module that declares its inputs and returns Gaussians."""
+"""The base class of generators: torch modules that declare inputs and return Gaussians."""
 
 __all__ = ["GaussianGenerator", "Gaussians"]
 
@@ -53,7 +53,7 @@ class Gaussians:
     def __post_init__(self) -> None:
         expect_spread(self.scale, self.rotation, self.covariance, "Gaussians")
         if (self.sh is None) == (self.rgb is None):
-            raise GeneratorInvalid("give exactly one of sh and rgb", where="Gaussians")
+            raise GeneratorInvalid("give colours as exactly one of sh and rgb", where="Gaussians")
         n = self.position.shape[0]
         for name, width in (("position", 3), ("scale", 3), ("rotation", 4), ("covariance", 6)):
             self._expect(name, (n, width))
@@ -81,7 +81,7 @@ class Gaussians:
         expect_shape(f"Gaussians.{name}", value, *shapes, hint=hint)
 
     def take(self, rows: Int[Tensor, " m"], count: Int[Tensor, "1"] | None = None) -> "Gaussians":
-        """Return the Gaussians of the given rows, in their order.
+        """Return the Gaussians at the given row indices, in their order.
 
         Args:
             rows: Row indices, for example from :func:`gsgen.sdk.math.keep_rows`.
@@ -112,7 +112,7 @@ class Gaussians:
 
 
 class GaussianGenerator(nn.Module, ABC):
-    """A torch module that emits Gaussians every frame.
+    """Base class of generators: a torch module that returns Gaussians for every frame.
 
     Subclasses set the class attributes below (or set them on the instance) and write
     ``forward``, which takes the declared inputs in order and returns :class:`Gaussians`.

@@ -1,4 +1,4 @@
-"""Declarations of frame inputs by role; each function returns an entry of the manifest.
+"""Functions that declare frame inputs by role; each returns an entry of the manifest.
 
 The Visionary viewer binds the default names to the correct role.
 """
@@ -19,12 +19,12 @@ Range = tuple[float, float]
 
 
 def view(name: str = "camera") -> Input:
-    """Declare the world→camera matrix, float32 [4, 4], in the generator's memory order."""
+    """Declare the input for the view matrix (world→camera), float32 [4, 4]."""
     return Input(name=name, role="view", shape=(4, 4), default="identity")
 
 
 def projection(name: str = "proj") -> Input:
-    """Declare the input for the camera→clip matrix, float32 [4, 4], with depth 0..1."""
+    """Declare the input for the projection matrix (camera→clip, depth 0..1), float32 [4, 4]."""
     return Input(name=name, role="projection", shape=(4, 4), default="identity")
 
 
@@ -36,7 +36,7 @@ def time(
     frames: int | None = None,
     fps: float | None = None,
 ) -> Input:
-    """Declare the input for the time, float32 [1].
+    """Declare the input for the animation time, float32 [1].
 
     Args:
         name: The tensor's name.
@@ -85,7 +85,7 @@ def pose(
     range: Range = (-3.1416, 3.1416),
     skeleton: Sequence[Joint] = (),
 ) -> Input:
-    """Declare joint rotations, float32 [joints, 3] (axis-angle) or [joints, 4] (quaternions).
+    """Declare the input for joint rotations: [joints, 3] axis-angle or [joints, 4] quaternions.
 
     Args:
         joints: Number of joints; 5 for ``flame``, 16 for ``mano``.
@@ -127,7 +127,7 @@ def root_translation(name: str = "root_translation", *, range: Range = (-1.0, 1.
 def root_rotation(
     name: str = "root_rotation", *, convention: Literal["axis-angle", "matrix"] = "axis-angle"
 ) -> Input:
-    """Declare a body's root rotation, float32 [3] (axis-angle, radians) or [3, 3] (matrix)."""
+    """Declare the input for a body's root rotation: float32 [3] axis-angle or [3, 3] matrix."""
     if convention == "matrix":
         return Input(
             name=name, role="root_rotation", shape=(3, 3), default="identity", convention=convention
@@ -188,7 +188,11 @@ def audio(
     """
     if (samples is None) == (mel is None):
         hint = "Give samples=160, or mel=(columns, bands)."
-        raise GeneratorInvalid("needs samples or mel, not both", where="inputs.audio", hint=hint)
+        raise GeneratorInvalid(
+            "the sound input has both or neither of samples and mel, expected one of them",
+            where="inputs.audio",
+            hint=hint,
+        )
     return Input(
         name=name,
         role="audio",
@@ -203,7 +207,7 @@ def audio(
 
 
 def condition(size: int, name: str = "condition", *, range: Range = (-3.0, 3.0)) -> Input:
-    """Declare the input for numbers that another model computes, float32 [size]."""
+    """Declare the input for numbers that another model computes (a latent code), float32 [size]."""
     return Input(name=name, role="condition", shape=(size,), range=range, default="zeros")
 
 
@@ -215,7 +219,7 @@ def appearance_id(count: int, name: str = "appearance_id") -> Input:
 def control(
     name: str, *, range: Range, default: float, size: int = 1, label: str | None = None
 ) -> Input:
-    """Declare an input for a slider with a name of its own, float32 [size]."""
+    """Declare the input for a named slider, float32 [size]."""
     return Input(
         name=name, role="control", shape=(size,), range=range, default=default, label=label
     )
@@ -228,7 +232,7 @@ def image(
     *,
     range: Range = (0.0, 1.0),
 ) -> Input:
-    """Declare the rendered image of a post-process model, [1, channels, height, width].
+    """Declare the input of a post-process model: the rendered image, [1, channels, height, width].
 
     Args:
         channels: 3, or 4 with alpha.
@@ -247,7 +251,7 @@ def timestep(default: float, name: str = "timestep", *, range: Range = (0, 999))
 
 
 def conditioning(rows: int, width: int, name: str = "conditioning") -> Input:
-    """Declare the conditioning vectors of a post-process model, float32 [1, rows, width]."""
+    """Declare a post-process model's input of conditioning vectors, float32 [1, rows, width]."""
     return Input(
         name=name, role="conditioning", shape=(1, rows, width), range=(-3.0, 3.0), default="zeros"
     )

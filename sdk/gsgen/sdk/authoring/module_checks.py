@@ -1,4 +1,4 @@
-"""Checks of an author's module before it is run, for mistakes that Python does not report."""
+"""Checks a user's torch module before it is run, for mistakes that Python does not report."""
 
 __all__ = ["validate_module"]
 
@@ -22,14 +22,16 @@ def validate_module(module: Any) -> None:
     """
     if isinstance(module, type):
         name = module.__name__
-        raise GeneratorInvalid("is a class, expected an instance", where=name, hint=f"{name}()")
+        raise GeneratorInvalid(
+            "the generator is a class, expected an instance", where=name, hint=f"{name}()"
+        )
     name = type(module).__name__
     if not isinstance(module, nn.Module):
         hint = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
-        raise GeneratorInvalid("is not a torch module", where=name, hint=hint)
+        raise GeneratorInvalid("the object is not a torch module", where=name, hint=hint)
     if "_modules" not in vars(module):
         hint = "Begin it with super().__init__()."
-        raise GeneratorInvalid("__init__ does not call its parent's", where=name, hint=hint)
+        raise GeneratorInvalid("__init__ does not call super().__init__()", where=name, hint=hint)
     _require_inputs(getattr(module, "inputs", ()), f"{name}.inputs")
 
 
@@ -37,10 +39,10 @@ def _require_inputs(declared: Any, where: str) -> None:
     if isinstance(declared, Input):
         hint = "A tuple of one has a comma: inputs = (inputs.time(),)"
         raise GeneratorInvalid(
-            "is a single input, expected a tuple of inputs", where=where, hint=hint
+            "the attribute is a single input, expected a tuple of inputs", where=where, hint=hint
         )
     if isinstance(declared, str) or not isinstance(declared, tuple | list):
-        message = f"is {type(declared).__name__}, expected a tuple of inputs"
+        message = f"the attribute is {type(declared).__name__}, expected a tuple of inputs"
         raise GeneratorInvalid(message, where=where, hint=_INPUTS_HINT)
     for index, entry in enumerate(declared):
         if not isinstance(entry, Input):

@@ -1,4 +1,4 @@
-"""Packs, casts, pads and names the outputs of an author's module as the contract requires."""
+"""Packs, casts, pads and names the outputs of a user's torch module as the contract requires."""
 
 __all__ = [
     "APPEARANCE_RGB", "APPEARANCE_SH", "CELLS", "COUNT", "GAUSSIANS", "Packed", "PackedGenerator",
@@ -35,7 +35,7 @@ def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
 
 
 def check_whole_cells(capacity: int, per_cell: int) -> None:
-    """Raise if a capacity in rows is not a multiple of ``per_cell``, the rows of each cell."""
+    """Raise if the capacity is not a multiple of ``per_cell``, the Gaussians per cell."""
     if capacity % per_cell:
         message = (
             f"{capacity} packed Gaussians are not a multiple of {per_cell}, the size of a cell"
@@ -46,14 +46,14 @@ def check_whole_cells(capacity: int, per_cell: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """The dtype of packed outputs and their capacity in rows."""
+    """The dtype of a generator's packed outputs, and their capacity in rows."""
 
     dtype: torch.dtype  # float32 or float16, for all outputs except the count
     capacity: int  # number of rows of the outputs; rows after the Gaussians are zero
 
 
 class PackedGenerator(nn.Module):
-    """Wraps a generator as a module whose outputs are packed as the contract requires."""
+    """Wraps a generator as a torch module with outputs in the contract's packed layout."""
 
     def __init__(self, generator: GaussianGenerator, packed: Packed) -> None:
         super().__init__()
@@ -96,7 +96,7 @@ class PackedGenerator(nn.Module):
         return torch.nn.functional.pad(gaussians.rgb, (0, 1), value=1.0)
 
     def _cells(self, gaussians: Gaussians, cells: Cells) -> Float[Tensor, "c 10"]:
-        """Pack the cells of Gaussians; cells without a live Gaussian get visibility 0."""
+        """Pack the cells (groups) of Gaussians; cells without a live Gaussian get visibility 0."""
         n, c = gaussians.position.shape[0], cells.position.shape[0]
         per_cell = n // c
         check_whole_cells(self.packed.capacity, per_cell)

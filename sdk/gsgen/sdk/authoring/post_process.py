@@ -1,4 +1,4 @@
-"""Base class of post-process models: a torch module from image to image."""
+"""The base class of post-process models: torch modules from image to image."""
 
 __all__ = ["PostProcess"]
 
@@ -12,7 +12,7 @@ from gsgen.contract.spec.manifest import Input, Producer
 
 
 class PostProcess(nn.Module, ABC):
-    """A torch module that takes the rendered image and returns one of the same size.
+    """Base class of post-process models: a torch module from the rendered image to an image.
 
     Subclasses set the class attributes below (or set them on the instance) and write ``forward``,
     which takes the declared inputs in order and returns [1, 3 or 4, H, W].

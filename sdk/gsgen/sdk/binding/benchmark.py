@@ -1,4 +1,4 @@
-"""Measures the frame time of a model on a provider, in a child process.
+"""Measures the frame time of a model on an execution provider, in a child process.
 
 If a driver crashes, only the measurement on its provider is lost.
 """

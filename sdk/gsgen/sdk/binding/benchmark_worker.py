@@ -1,4 +1,4 @@
-"""The worker process of a benchmark: runs one model on one provider, then exits."""
+"""The child process of a benchmark: runs one model on one execution provider, then exits."""
 
 __all__ = ["main"]
 
@@ -68,7 +68,7 @@ def _measure(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def _time_frame(session: FrameSession, inputs: dict[str, np.ndarray]) -> tuple[float, float, float]:
-    """Measure one frame in seconds: in total, copying to the device, and copying back."""
+    """Measure the time of one frame in seconds: total, copy to the device, copy back."""
     start = time.perf_counter()
     session.write(inputs)
     written = time.perf_counter()

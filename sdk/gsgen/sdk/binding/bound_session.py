@@ -1,4 +1,4 @@
-"""An ONNX Runtime session whose inputs and outputs are bound once to fixed buffers."""
+"""An ONNX Runtime session whose inputs and outputs stay bound to fixed buffers."""
 
 __all__ = ["BoundSession", "TensorSpec", "tensor_specs", "translate_error"]
 
@@ -81,7 +81,7 @@ def tensor_specs(arguments: Any) -> tuple[TensorSpec, ...]:
 
 
 class BoundSession:
-    """An ONNX Runtime session with its bound buffers, for use by one thread at a time.
+    """An ONNX Runtime session with bound input and output buffers, for one thread at a time.
 
     Attributes:
         session: ONNX Runtime's session.
@@ -116,18 +116,18 @@ class BoundSession:
         self.outputs = self._bind_outputs(tensor_specs(session.get_outputs()))
 
     def write(self, tensors: Mapping[str, np.ndarray]) -> frozenset[str]:
-        """Copy tensors into the input buffers; return the names of the inputs that changed."""
+        """Copy tensors into the session's input buffers; return the names of changed inputs."""
         return frozenset(
             [name for name, array in tensors.items() if self.inputs[name].write(array)]
         )
 
     def run(self) -> None:
-        """Compute a frame; a capturing session records the first frame and replays the others."""
+        """Compute a frame; with graph capture, the first frame is recorded, later ones replayed."""
         self._read.clear()
         self.session.run_with_iobinding(self._binding, self._options)
 
     def run_uncaptured(self) -> None:
-        """Compute a frame without capture or replay: every kernel is launched."""
+        """Compute a frame without graph capture: every GPU kernel is launched again."""
         self._read.clear()
         self.session.run_with_iobinding(self._binding, self._uncaptured_options)
 
@@ -138,7 +138,7 @@ class BoundSession:
         return self._read[name]
 
     def copies(self) -> dict[str, np.ndarray]:
-        """Return copies of all outputs of the session, by name."""
+        """Return copies of all outputs of the session, by output name."""
         return {name: self.read(name).copy() for name in self.outputs}
 
     def close(self) -> None:
@@ -190,7 +190,7 @@ class BoundSession:
 def _check_output_sizes(
     output_specs: tuple[TensorSpec, ...], shapes: Mapping[str, tuple[int, ...]], memory: str
 ) -> None:
-    """Raise if outputs are too large: allocating them might hang a driver or the machine."""
+    """Raise if the model's outputs are too large to be allocated safely."""
     limit, limit_name = _host_bytes(), "this machine's memory"
     if memory == "gpu" and limit > _BUFFER_BYTES:
         limit, limit_name = _BUFFER_BYTES, "the largest buffer of WebGPU"
@@ -198,7 +198,9 @@ def _check_output_sizes(
         size = math.prod(shapes[spec.name]) * spec.dtype.itemsize
         if size > limit:
             message = f"shape {list(shapes[spec.name])} takes {size / 1e9:.1f} GB"
-            raise RunFailed(f"{message}, more than {limit_name}", where=f"output {spec.name}")
+            raise RunFailed(
+                f"the output of {message}, more than {limit_name}", where=f"output {spec.name}"
+            )
 
 
 def _host_bytes() -> int:

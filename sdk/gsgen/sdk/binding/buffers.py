@@ -1,4 +1,4 @@
-"""Buffers for a session's inputs and outputs, on the host or on a device."""
+"""Buffers for the inputs and outputs of an ONNX Runtime session, on the host or a device."""
 
 __all__ = ["Buffer", "DeviceBuffer", "HostBuffer", "make_buffer"]
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Buffer(ABC):
-    """The memory of one tensor, which is bound to an ONNX Runtime session once.
+    """The memory of one tensor, which is bound once to an ONNX Runtime session.
 
     Attributes:
         value: ONNX Runtime's handle of the memory.
@@ -25,12 +25,12 @@ class Buffer(ABC):
 
     @property
     def nbytes(self) -> int:
-        """The size of the buffer in bytes."""
+        """The size of the tensor's buffer in bytes."""
         return math.prod(self.shape) * self.dtype.itemsize
 
     @abstractmethod
     def write(self, array: np.ndarray) -> bool:
-        """Copy an array of the buffer's shape and dtype into the buffer's memory.
+        """Copy an array of the tensor's shape and dtype into the tensor's buffer.
 
         Returns:
             Whether any bit of the memory changed.
@@ -38,12 +38,12 @@ class Buffer(ABC):
 
     @abstractmethod
     def read(self) -> np.ndarray:
-        """Return the content of the buffer, read-only; a later call may reuse the array."""
+        """Return the content of the tensor's buffer, read-only; later calls may reuse the array."""
 
 
 @final
 class HostBuffer(Buffer):
-    """Host memory that ONNX Runtime reads and writes in place, without copies."""
+    """A tensor's buffer in host memory, which ONNX Runtime reads and writes without copies."""
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
         import onnxruntime
@@ -66,7 +66,7 @@ class HostBuffer(Buffer):
 
 @final
 class DeviceBuffer(Buffer):
-    """Device memory of one tensor, with a fixed host array for copies in both directions."""
+    """A tensor's buffer in device memory, with a fixed host array for copies both ways."""
 
     def __init__(
         self, session: Any, shape: tuple[int, ...], dtype: np.dtype[Any], memory: str

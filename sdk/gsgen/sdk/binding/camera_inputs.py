@@ -1,4 +1,4 @@
-"""Cameras that a session accepts, and the values of camera inputs derived from them."""
+"""Derives the values of a model's camera inputs from a camera: matrices, centre, viewport."""
 
 __all__ = ["FAR_RATIO", "Camera", "CameraLike", "Pinhole", "camera_values", "pinhole_projection"]
 
@@ -19,7 +19,7 @@ Matrix = Float[np.ndarray, "4 4"]
 
 @runtime_checkable
 class CameraLike(Protocol):
-    """An object with a view and a projection matrix; ``width`` and ``height`` are optional.
+    """Protocol of a camera with view and projection matrices; width and height are optional.
 
     Both matrices multiply column vectors: the translation of ``view`` is in its last column.
     """
@@ -35,7 +35,7 @@ class CameraLike(Protocol):
 
 @runtime_checkable
 class Pinhole(Protocol):
-    """A camera with intrinsics, such as :class:`gsgen.runtime.Camera`; ``far`` is optional."""
+    """Protocol of a camera with intrinsics (fx, fy, cx, cy), such as gsgen.runtime.Camera."""
 
     @property
     def view(self) -> Matrix:
@@ -100,7 +100,7 @@ def _matrices(camera: Camera) -> tuple[Matrix, Matrix]:
     except (TypeError, ValueError) as error:
         actual = f"is a {type(camera).__name__}"
         expected = "expected .view and .projection, .view and intrinsics, or the pair of matrices"
-        raise InputInvalid(f"{actual}, {expected}", where="camera") from error
+        raise InputInvalid(f"the camera {actual}, {expected}", where="camera") from error
     return view, projection
 
 

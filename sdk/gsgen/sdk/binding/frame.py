@@ -1,4 +1,4 @@
-"""One computed frame of a model: outputs by name, decoded on request."""
+"""The outputs of one computed frame of a model, decoded on request."""
 
 __all__ = ["Frame"]
 
@@ -16,7 +16,7 @@ from gsgen.sdk.binding.buffers import Buffer
 
 
 class FrameSource(Protocol):
-    """The session that computed a frame and holds its outputs."""
+    """Protocol of the session that computed a frame and holds its output buffers."""
 
     manifest: Manifest | None
 
@@ -25,18 +25,18 @@ class FrameSource(Protocol):
         """The output buffers of the session, by output name."""
 
     def read(self, name: str, number: int) -> np.ndarray:
-        """Return an output of frame ``number`` as an array; raise if a newer frame replaced it."""
+        """Return an output of frame ``number``; raise if a newer frame has overwritten it."""
 
     def handle(self, name: str, number: int) -> Any:
         """Return the ``OrtValue`` that holds an output of frame ``number``."""
 
     def hold_frame(self, number: int) -> AbstractContextManager[None]:
-        """Prevent other threads from computing while frame ``number`` is read."""
+        """Prevent other threads from computing a new frame while frame ``number`` is read."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """The outputs that a model computed for one set of inputs.
+    """The outputs that a model computed for one set of input values.
 
     Arrays are read-only views of the session's buffers and valid until its next run; a frame
     computed with ``copy=True`` has arrays of its own.
@@ -52,7 +52,7 @@ class Frame:
     copies: Mapping[str, np.ndarray] | None = None
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return an output of the frame; a device output is copied to the host, to the same array.
+        """Return an output of the frame as an array; device memory is copied to the host.
 
         Raises:
             UnknownName: The model has no such output.
@@ -105,7 +105,7 @@ class Frame:
 
     @property
     def cells(self) -> np.ndarray:
-        """The packed cells that contain a live Gaussian, [cells, 10], in the model's dtype."""
+        """The packed cells (groups) that contain a live Gaussian, [cells, 10], in model dtype."""
         outputs = self._declared()
         if outputs.cells is None:
             raise _undeclared("cells")
@@ -124,7 +124,7 @@ class Frame:
             return decode(self.rows, self.appearance, appearance.space)
 
     def _capacity(self, name: str) -> int:
-        """Return the number of rows of an output, without copying it from the device."""
+        """Return the number of rows of an output without copying the output from the device."""
         tensors = self.session.outputs if self.copies is None else self.copies
         return tensors[name].shape[0]
 

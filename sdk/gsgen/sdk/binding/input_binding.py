@@ -1,4 +1,4 @@
-"""One input of a model: its shape, dtype and range, and the conversion of values to its tensor."""
+"""Converts values to a model input's tensor, by the input's shape, dtype and range."""
 
 __all__ = ["InputBinding", "default_tensor"]
 
@@ -44,11 +44,11 @@ class InputBinding:
 
     @property
     def transposed(self) -> bool:
-        """Whether the input expects the transpose of a matrix, as its memory order declares."""
+        """Whether the matrix input is column-major, so that matrices are fed transposed."""
         return self.role in _MATRICES and self.order == "column"
 
     def tensor(self, value: object) -> np.ndarray:
-        """Convert a value to the tensor of a model input; a number fills a tensor of one element.
+        """Convert a value to the tensor of a model input; a number fills a one-element tensor.
 
         Matrices are passed as in mathematics, and stored as the manifest declares.
 
@@ -63,7 +63,9 @@ class InputBinding:
                 actual = (
                     f"{array.min():g}" if array.size == 1 else f"{array.min():g} … {array.max():g}"
                 )
-                raise self._invalid(f"is {actual}, expected {limits[0]:g} … {limits[1]:g}")
+                raise self._invalid(
+                    f"the value is {actual}, expected {limits[0]:g} … {limits[1]:g}"
+                )
         return array.T if self.transposed else array
 
     def fitting(self, value: object) -> np.ndarray:
@@ -75,7 +77,7 @@ class InputBinding:
         try:
             array = np.asarray(value)
         except ValueError as error:  # a list of rows of unequal length
-            raise self._invalid(f"is not an array: {error}") from error
+            raise self._invalid(f"the value cannot be converted to an array: {error}") from error
         if array.shape != self.shape:
             if array.ndim or self.shape.count(1) != len(self.shape):
                 actual = f"the value has shape {list(array.shape)}"
@@ -84,11 +86,11 @@ class InputBinding:
         if array.dtype == self.dtype:
             return array
         if array.dtype.kind not in "biuf" or not np.can_cast(array.dtype, self.dtype, "same_kind"):
-            raise self._invalid(f"is {array.dtype}, expected {self.dtype}")
+            raise self._invalid(f"the value is {array.dtype}, expected {self.dtype}")
         return self._converted(array)
 
     def default(self) -> np.ndarray:
-        """Return the tensor that an input has until the caller sets a value."""
+        """Return the tensor that a model input has until the caller sets a value."""
         if self.declared is None:
             return np.zeros(self.shape, self.dtype)
         tensor = default_tensor(self.declared, self.shape)
@@ -99,7 +101,7 @@ class InputBinding:
             limits = np.iinfo(self.dtype)
             if not (array.min() >= limits.min and array.max() <= limits.max):
                 actual = f"{array.min()} … {array.max()}"
-                raise self._invalid(f"is {actual}, which {self.dtype} cannot hold")
+                raise self._invalid(f"the value is {actual}, which {self.dtype} cannot represent")
         return np.asarray(array.astype(self.dtype))
 
     def _invalid(self, message: str) -> InputInvalid:

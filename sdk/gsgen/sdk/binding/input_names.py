@@ -1,4 +1,4 @@
-"""Resolves a tensor name or a role to an input of the model."""
+"""Finds the model input that a tensor name or an input role refers to."""
 
 __all__ = ["InputNames"]
 
@@ -20,7 +20,7 @@ class InputNames:
 
     @classmethod
     def of(cls, ports: Iterable[InputBinding], where: str) -> "InputNames":
-        """Return the names and roles of a model's inputs."""
+        """Collect the names and roles of a model's inputs."""
         entries = list(ports)
         roles = {port.role for port in entries if port.role}
         return cls(
@@ -30,7 +30,7 @@ class InputNames:
         )
 
     def find(self, word: str) -> str:
-        """Return the input that a tensor name or a role refers to; tensor names take precedence.
+        """Return the model input that a tensor name or a role refers to; names take precedence.
 
         Raises :class:`InputInvalid` if several inputs have the role.
         """

@@ -1,4 +1,4 @@
-"""Facts about a model before it runs: structure, manifest, open dimensions and probes."""
+"""Facts about a model before it runs: graph structure, manifest, symbolic dimensions."""
 
 __all__ = ["ModelFacts", "Tensors", "read_model_facts"]
 
@@ -27,7 +27,7 @@ Tensors = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class ModelFacts:
-    """A model file and its manifest."""
+    """A model's file and manifest, with facts derived from them."""
 
     path: Path  # the ONNX file
     file: ModelFile  # the file's structure
@@ -35,15 +35,15 @@ class ModelFacts:
 
     @cached_property
     def graph(self) -> Graph:
-        """The model's graph, which is read at its first use, to explain a fault."""
+        """The model's graph, which is read on first use to explain errors."""
         return read_graph(self.file)
 
     def output_origin(self, output: str) -> str:
-        """Return name and operator of the node that computes an output, as text."""
+        """Return name and operator of the graph node that computes an output, as text."""
         return output_origin(self.graph, output)
 
     def input_binding(self, spec: TensorSpec, sizes: Mapping[str, int]) -> InputBinding:
-        """Return a model's input with its declaration in the manifest."""
+        """Return a model input together with its declaration in the manifest."""
         space = self.manifest.space if isinstance(self.manifest, GeneratorManifest) else None
         order = space.matrix_order if space else "column"
         shape = spec.shape(sizes)
@@ -65,12 +65,14 @@ class ModelFacts:
             if name not in opened:
                 raise UnknownName.among("open dimension", name, opened, str(self.path))
             if not size > 0:
-                raise ConfigInvalid(f"is {size}, expected at least 1", where=f"size {name}")
+                raise ConfigInvalid(
+                    f"the size is {size}, expected at least 1", where=f"size {name}"
+                )
         declared = {name: size for name, size in opened.items() if size is not None}
         return declared | dict(sizes)
 
     def probes(self, ports: Iterable[InputBinding]) -> list[Tensors]:
-        """Return two different sets of test inputs: probes of the manifest, else random numbers."""
+        """Return two different sets of test inputs: from the manifest, or else random numbers."""
         entries = list(ports)
         if self.manifest is not None and set(self._declared) == {p.name for p in entries}:
             shapes = {port.name: port.shape for port in entries}
@@ -85,7 +87,7 @@ class ModelFacts:
         return {i.name: i for i in self.manifest.inputs} if self.manifest else {}
 
     def open_dimensions(self) -> Iterator[tuple[str, int | None]]:
-        """Yield the symbolic dimensions of all inputs with the sizes that the manifest declares.
+        """Yield the symbolic dimensions of all model inputs, with sizes that the manifest declares.
 
         A dimension without a symbol is called ``NAME[AXIS]``.
         """
@@ -104,7 +106,7 @@ def _random(port: InputBinding, rng: np.random.Generator, top: int) -> np.ndarra
 
 
 def read_model_facts(path: Path, manifest: Manifest | None) -> ModelFacts:
-    """Read a model's structure, and its embedded manifest unless one is passed."""
+    """Read the structure of a model file, and its embedded manifest unless one is passed."""
     file = open_model(path)
     if manifest is None and file.manifest_text is not None:
         manifest = loads(file.manifest_text)

@@ -1,4 +1,4 @@
-"""Compares replayed frames with frames computed without capture, and names the faulty operator."""
+"""Compares frames replayed by graph capture with frames computed without it."""
 
 __all__ = ["WrongReplay", "agree", "largest_difference", "output_origin", "wrong_outputs"]
 
@@ -24,7 +24,7 @@ _CULPRITS = frozenset({
 
 @dataclass(frozen=True, slots=True)
 class WrongReplay:
-    """An output whose replays differ from a run without capture."""
+    """A model output whose replayed frames differ from frames computed without graph capture."""
 
     output: str  # the output, as a location
     actual: str  # how its replays differ, and the operator that computes it
@@ -33,7 +33,7 @@ class WrongReplay:
 def wrong_outputs(
     uncaptured: Sequence[Outputs], replayed: Sequence[Outputs], origin: Callable[[str], str]
 ) -> Iterator[WrongReplay]:
-    """Yield every output whose replayed frames are wrong.
+    """Yield every model output whose frames replayed by graph capture are wrong.
 
     ``replayed`` holds the frames of ``uncaptured``: the first was captured, the others replayed.
     ``origin`` describes the operator that an output, given by name, comes from.
@@ -56,7 +56,7 @@ def wrong_outputs(
 
 
 def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
-    """Return whether two arrays agree within a tolerance wherever the first array is finite."""
+    """Return whether two arrays agree within a tolerance wherever the first one is finite."""
     if a.shape != b.shape or a.dtype != b.dtype:
         return False
     if _same_bits(a, b):
@@ -69,7 +69,7 @@ def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
 
 
 def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference of two arrays; infinity if only the first is finite."""
+    """Return the largest difference of two arrays; infinite if only the first is finite."""
     if a.shape != b.shape:
         return float("inf")
     x, y = a.astype(np.float64), b.astype(np.float64)
@@ -84,7 +84,7 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def output_origin(graph: "Graph", name: str) -> str:
-    """Describe the node that probably breaks an output under replay: producer or ancestor."""
+    """Describe the node that probably makes an output wrong in replayed frames."""
     if graph.input(name) is not None:
         return "it is an unchanged input"
     producer = graph.producers.get(name)

@@ -42,7 +42,7 @@ _open_sessions: "weakref.WeakSet[FrameSession]" = weakref.WeakSet()
 
 
 class FrameSession:
-    """A loaded model that computes frames: buffers are bound and commands captured once.
+    """A loaded model that computes frames, with bound buffers and optional graph capture.
 
     ::
 
@@ -75,7 +75,7 @@ class FrameSession:
         threads: int = 0,
         stop: Stop | None = None,
     ) -> None:
-        """Open a model, bind buffers and run the model once, so that the first frame is not slower.
+        """Open a model, bind its buffers, and run it once, so that the first frame is fast.
 
         Args:
             model: The ONNX file. Validate it first if it is not your own.
@@ -129,7 +129,7 @@ class FrameSession:
 
     @property
     def left_on_cpu(self) -> tuple[Node, ...]:
-        """Nodes that run on the CPU although the session is on a GPU."""
+        """The graph nodes that run on the CPU although the session is on a GPU."""
         if self.provider == "cpu":
             return ()
         return tuple(node for node in self.nodes if node.provider == CPU)
@@ -162,7 +162,7 @@ class FrameSession:
         camera: Camera | None = None,
         copy: bool = False,
     ) -> Frame:
-        """Update inputs of the model and compute a frame.
+        """Set given inputs of the model, and compute a frame.
 
         Args:
             values: As in :meth:`update`.
@@ -191,7 +191,7 @@ class FrameSession:
     def update(
         self, values: Mapping[str, object] | None = None, *, camera: Camera | None = None
     ) -> frozenset[str]:
-        """Update model inputs in place for the next run; if one value is invalid, change no input.
+        """Set model inputs for the next frame; if one value is invalid, no input changes.
 
         Args:
             values: Tensor name or role → value. A number fills an input of one element. Matrices
@@ -216,7 +216,7 @@ class FrameSession:
             return ready.bound.write(tensors)
 
     def write(self, tensors: Mapping[str, np.ndarray]) -> None:
-        """Copy tensors unchanged into inputs, by name; matrices are in memory order.
+        """Copy tensors unchanged into model inputs, by name; matrices are in memory order.
 
         Raises:
             InputInvalid: A tensor has another shape, or a dtype that cannot be converted.
@@ -259,7 +259,7 @@ class FrameSession:
 
     @contextmanager
     def hold_frame(self, number: int) -> Iterator[None]:
-        """Prevent other threads from computing while frame ``number`` is read.
+        """Prevent other threads from computing a new frame while frame ``number`` is read.
 
         Raises:
             FrameGone: The session has computed a newer frame.
@@ -282,7 +282,7 @@ class FrameSession:
     # ---- The end
 
     def close(self) -> None:
-        """Release the session, its buffers and its capture; a second call does nothing."""
+        """Release the session, its buffers and its graph capture; a second call does nothing."""
         with self._lock:
             if self._ready is not None:
                 self._ready.bound.close()

@@ -1,4 +1,4 @@
-"""Opens a session and verifies its graph capture; after a fault, opens it without capture.
+"""Opens a session with graph capture if its replayed frames are correct, else without.
 
 Capture records kernels and not buffer copies, so a captured model may repeat its first frame
 forever without an error. Therefore, before the first frame, two different inputs are computed
@@ -96,7 +96,7 @@ def _defaults(ports: Mapping[str, InputBinding]) -> Tensors:
 
 
 def _capture_fault(sources: ModelFacts, ready: WarmSession) -> str:
-    """Run two frames without and with capture; return the fault of the capture, or an empty text."""
+    """Compare two frames with and without graph capture; return the fault, or an empty text."""
     probes = sources.probes(ready.ports.values())
     try:
         uncaptured = _frames(ready.bound, probes, captured=False)
@@ -124,7 +124,7 @@ def _frames(bound: BoundSession, probes: list[Tensors], *, captured: bool) -> li
 
 
 def _with_operators(message: str, nodes: tuple[Node, ...]) -> str:
-    """Append the operators that prevent capture to ONNX Runtime's message."""
+    """Append to ONNX Runtime's message the operators that prevent graph capture."""
     culprits = [node.operator for node in nodes if node.operator in CONTROL_FLOW]
     culprits += [node.operator for node in nodes if node.provider == CPU]
     operators = ", ".join(dict.fromkeys(culprits))

@@ -1,1 +1,1 @@
-"""The commands that come with the SDK, one module each."""
+"""The gsgen commands that come with the SDK, one module each."""

@@ -20,7 +20,7 @@ _MILLION = 1e6
 
 
 class ProviderName(StrEnum):
-    """The execution providers that users can select; typer accepts lists of an Enum only."""
+    """The execution providers that `gsgen bench` offers, as an enumeration for typer."""
 
     CPU = "cpu"
     WEBGPU = "webgpu"
@@ -78,7 +78,7 @@ def bench(
 
 
 def _need_models(models: list[Path]) -> None:
-    """Exit with an error if one of the files is not a model, before any model is measured."""
+    """Exit with an error before measuring if one of the files is not a model."""
     from gsgen.contract.model.model_file import open_model
 
     with exit_at_error():
@@ -170,7 +170,7 @@ def _decimal_size(count: int) -> str:
 
 
 def _notes(result: "BenchmarkResult") -> list[str]:
-    """Return remarks about a benchmark result that the figures do not show."""
+    """Return remarks about a benchmark result, such as a fallback, that its numbers do not show."""
     if result.state != "measured":
         return [result.reason]
     facts, notes = result.facts, []

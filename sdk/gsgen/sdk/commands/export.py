@@ -30,7 +30,7 @@ class _Targets(TyperGroup):
     """The command group of `gsgen export`: all installed plugins, and any ``module:factory``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Move the target to the front if options precede it."""
+        """Move the export target before the options if options precede it on the command line."""
         known = [word for word in args if word in self.commands or is_target(word)]
         if args and args[0].startswith("-") and known:
             position = args.index(known[0])
@@ -38,7 +38,7 @@ class _Targets(TyperGroup):
         return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command of an export target; raise with suggestions for an unknown target."""
+        """Return the command for an export target; raise with suggestions if unknown."""
         word = args[0]
         if word not in self.commands and is_target(word):
             wants_help = bool({"-h", "--help"} & set(args))
@@ -96,7 +96,7 @@ def _command_for(target: str, *, wants_help: bool) -> Any:
 
 
 def _described(target: str) -> str:
-    """Return a sentence about the arguments of a user's generator factory."""
+    """Return a sentence about the arguments that a user's generator factory takes."""
     from gsgen.sdk.plugins.factory import load_factory
 
     parameters = load_factory(target).parameters.values()
@@ -106,7 +106,7 @@ def _described(target: str) -> str:
 
 
 def _function_of(plugin: Plugin) -> tuple[Callable[..., Any], dict[str, Any]]:
-    """Return the export function of a plugin; for a broken plugin, one that raises its error."""
+    """Return the export function of a plugin, or one that raises the plugin's error."""
     try:
         return plugin.function, {}
     except TypeError as error:

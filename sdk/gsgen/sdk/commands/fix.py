@@ -1,4 +1,4 @@
-"""`gsgen fix`: repair outputs that violate a rule, where only one repair is possible."""
+"""`gsgen fix`: repair a model that violates rules, where only one repair is possible."""
 
 __all__ = ["fix"]
 
@@ -93,9 +93,12 @@ def _manifest(path: Path) -> "GeneratorManifest":
     try:
         manifest = loads(path.read_text("utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigInvalid(f"cannot be read: {error}", where=str(path)) from error
+        raise ConfigInvalid(f"the manifest cannot be read: {error}", where=str(path)) from error
     except GsgenError as error:
         raise ConfigInvalid(error.message, where=str(path)) from error
     if not isinstance(manifest, GeneratorManifest):
-        raise ConfigInvalid(f"is a {manifest.kind}, expected a gaussian-generator", where=str(path))
+        raise ConfigInvalid(
+            f"the manifest is that of a {manifest.kind}, expected a gaussian-generator",
+            where=str(path),
+        )
     return manifest

@@ -1,4 +1,4 @@
-"""`gsgen float16`: convert a model to float16 within its tolerances."""
+"""`gsgen float16`: convert a model to float16 within its declared tolerances."""
 
 __all__ = ["float16"]
 
@@ -45,7 +45,7 @@ def float16(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a float16 copy of MODEL; nodes whose rounding error is measured as too large stay float32.
+    """Write a float16 copy of MODEL; nodes whose rounding error is too large stay float32.
 
     Exits 0 if the copy keeps the tolerances, 1 if no copy does (then nothing is written), 4 if
     MODEL is not a model.

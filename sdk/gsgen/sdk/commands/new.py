@@ -1,4 +1,4 @@
-"""`gsgen new`: create the package of a plugin from a template."""
+"""`gsgen new`: create a plugin package from a template."""
 
 __all__ = ["new"]
 
@@ -16,7 +16,7 @@ def new(
         Path, typer.Option(help="Folder that will contain the package's folder.")
     ] = Path(),
 ) -> None:
-    """Create the package of a plugin NAME: a method, its export command, and passing tests.
+    """Create a plugin package NAME: a method, its export command, and passing tests.
 
     Exits 0 if it was created, 2 if the name is not valid or the folder exists.
     """

@@ -1,4 +1,4 @@
-"""Options and results that several commands of the SDK share."""
+"""Options and helper functions that several commands of the SDK share."""
 
 __all__ = [
     "AsJson", "DryRun", "ModelFile", "Sizes", "copy_of", "echo_json", "exit_at_error", "first_names",
@@ -47,13 +47,15 @@ def sizes_of(entries: Iterable[str] | None, option: str) -> dict[str, int]:
 def _sized(entry: str, option: str) -> tuple[str, int]:
     symbol, sign, size = entry.partition("=")
     if not sign or not (size.isascii() and size.isdigit() and int(size) > 0):
-        raise ConfigInvalid(f"is {entry!r}, expected SYMBOL=SIZE, such as J=24", where=option)
+        raise ConfigInvalid(
+            f"the value is {entry!r}, expected SYMBOL=SIZE, such as J=24", where=option
+        )
     return symbol, int(size)
 
 
 @contextmanager
 def exit_at_error() -> Iterator[None]:
-    """Print an error about a model and exit with its code; raise errors about options."""
+    """Print an error about a model, and exit with the error's code; raise errors about options."""
     try:
         yield
     except ConfigInvalid:
@@ -72,6 +74,6 @@ def echo_json(document: object) -> None:
 
 
 def first_names(names: Sequence[str], most: int) -> str:
-    """Join the first names of a list, and add how many more there are."""
+    """Join the first names of a list, followed by the number of the remaining ones."""
     remainder = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + remainder

@@ -19,7 +19,7 @@ def plugins(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the installed plugins: what each exports, its inputs, and the files it reads.
+    """List the installed plugins: method, model inputs, and the files that each reads.
 
     Exits 2 if no plugin has a given name.
     """

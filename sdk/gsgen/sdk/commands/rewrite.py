@@ -91,7 +91,7 @@ def rewrite(
 
 
 def _show(result: "Rewritten") -> None:
-    """Print the report of a rewrite, and a warning for outputs that could not be compared."""
+    """Print the report of a graph rewrite, and a warning for outputs that were not compared."""
     for line in _report(result):
         typer.echo(line)
     if result.uncompared:

@@ -1,4 +1,4 @@
-"""Exports a scene that does not change as a generator without inputs; torch is not needed.
+"""Exports a static scene as a generator without inputs; torch is not needed.
 
 The graph holds weights alone. Each output ends on a Mul by one, so that capture and replay have a
 kernel to record.
@@ -54,7 +54,7 @@ _OUTPUT_NAMES = {"sh": "color_sh", "rgb": "color_rgb"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConstantRows:
-    """Packed Gaussians of a scene that does not change."""
+    """Packed Gaussians of a static scene, with appearance and row count."""
 
     rows: Float[np.ndarray, "n 10"]  # packed Gaussians, float32 or float16 [N, 10]
     appearance: Float[np.ndarray, "n c"]  # SH or RGB, float32 or float16 [N, C]
@@ -69,7 +69,7 @@ class ConstantRows:
 
     @property
     def degree(self) -> int | None:
-        """The SH degree of the appearance, or None for RGB."""
+        """The SH degree of the appearance, or None for raw RGB."""
         return degree_of(self.appearance.shape[1] // 3) if self.space == "sh" else None
 
     @property
@@ -79,13 +79,13 @@ class ConstantRows:
 
 
 class ConstantSource(ABC):
-    """A scene that does not change, and can be packed as float32 or float16."""
+    """Base class of static scenes that can be packed as float32 or float16."""
 
     family: ClassVar[str | None] = None  # the manifest's word for the kind of generator
 
     @abstractmethod
     def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:
-        """Return the scene's Gaussians in packed rows.
+        """Return the Gaussians of the scene as packed rows.
 
         Without ``dtype``, the rows have the source's own; ``target`` may read one SH degree alone.
         """
@@ -93,7 +93,7 @@ class ConstantSource(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportedConstant(ExportResult):
-    """A finished export of a scene that does not change."""
+    """The result of exporting a static scene."""
 
     manifest: GeneratorManifest  # the embedded manifest
     rows: ConstantRows  # the exported rows
@@ -105,7 +105,7 @@ class ExportedConstant(ExportResult):
 
     @property
     def contents(self) -> str:
-        """A short description of the model: the origin of the Gaussians and their dtype."""
+        """A short description of the exported model: source of the Gaussians and their dtype."""
         return f"{self.rows.description}, {self.rows.dtype}"
 
 
@@ -121,7 +121,7 @@ def export_constant(
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> ExportedConstant:
-    """Export a constant scene as a generator that emits the same Gaussians in every frame.
+    """Export a static scene as a generator that outputs the same Gaussians in every frame.
 
     Options are those of :func:`gsgen.sdk.export`; the graph needs no rewrites. ``dtype`` is the
     source's own by default. Rows up to ``capacity`` are zero. The bits of the outputs are compared,
@@ -151,7 +151,7 @@ def export_constant(
 def constant_manifest(
     packed: ConstantRows, name: str, *, family: str | None, capacity: int | None = None
 ) -> GeneratorManifest:
-    """Return the manifest of a generator that emits constant packed Gaussians."""
+    """Return the manifest of a generator that outputs constant packed Gaussians."""
     count = len(packed.rows)
     total = count if capacity is None else capacity
     if total < count:
@@ -185,7 +185,7 @@ def write_constant(
     count: int | None = None,
     opset: int = OPSET,
 ) -> None:
-    """Write a generator that emits given packed Gaussians and appearance, bit for bit, every frame.
+    """Write a generator that outputs given packed Gaussians and appearance bit for bit.
 
     ``manifest`` names the outputs; rows up to its capacity are zero, and the first ``count`` rows
     are live, by default all. Write to the draft of
@@ -261,7 +261,7 @@ def _save(model: ModelProto, path: Path) -> None:
 
 
 def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
-    """Run the exported model once, and raise unless its outputs have the source's bits."""
+    """Run an exported static scene once; raise unless its outputs equal the source bit for bit."""
     limits = Limits().for_model(sum(value.nbytes for value in outputs.values()))
     with execute(path, list(outputs), [Probe(label="no inputs", inputs={})], limits) as execution:
         if execution.fault is not None:
@@ -276,4 +276,7 @@ def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
                 raise ParityFailed(message, where=where)
             # NaN equals NaN: its payload does not change what is drawn.
             if not np.array_equal(actual, expected, equal_nan=actual.dtype.kind == "f"):
-                raise ParityFailed("output differs from the packed rows of the source", where=where)
+                raise ParityFailed(
+                    "the exported model's output differs from the packed rows of the source",
+                    where=where,
+                )

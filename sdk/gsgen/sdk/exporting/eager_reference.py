@@ -13,7 +13,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.geometry import covariance_upper
-from gsgen.contract.spec.manifest import Bounds
+from gsgen.contract.spec.manifest import Bounds, GeneratorManifest
 from gsgen.sdk.authoring.cells import Cells
 from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
 from gsgen.sdk.errors import GeneratorInvalid
@@ -29,7 +29,7 @@ _CHUNK = 1 << 16
 
 
 class EagerRuns:
-    """The outputs of a generator in eager torch for several test inputs, computed on demand.
+    """The outputs of a torch generator for several sets of test inputs, computed on demand.
 
     Results are kept while they are small; beyond :data:`KEPT_BYTES` a probe is run again each time.
 
@@ -63,7 +63,7 @@ class EagerRuns:
         return (self[index] for index in range(len(self)))
 
     def __add__(self, other: "EagerRuns") -> "EagerRuns":
-        """Join two sequences of test inputs, with the torch outputs computed so far."""
+        """Concatenate two sequences of test inputs, with the torch outputs computed so far."""
         joined = EagerRuns(self.generator, (*self.probes, *other.probes))
         for index, reference in self._kept.items():
             joined._keep(index, reference)
@@ -80,6 +80,21 @@ class EagerRuns:
 def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
     """Run a generator once in eager torch, without gradients."""
     return _reference(generator, probe, call_module(generator, _tensors(probe)))
+
+
+def packed_outputs(reference: Reference, manifest: GeneratorManifest) -> dict[str, np.ndarray]:
+    """Pack the results of eager torch as float32 tensors, by the names of a model's outputs."""
+    outputs, cells = manifest.outputs, reference.cells
+    assert outputs.gaussians is not None
+    assert outputs.appearance is not None
+    rows, color = layout.encode(reference.gaussians)
+    packed = {outputs.gaussians.name: rows, outputs.appearance.name: color}
+    if outputs.count is not None:
+        packed[outputs.count.name] = np.array([reference.count], np.int32)
+    if outputs.cells is not None and cells is not None:
+        columns = (cells.position, cells.visibility[:, None], cells.covariance)
+        packed[outputs.cells.name] = np.concatenate(columns, axis=1).astype(np.float32)
+    return packed
 
 
 def run_watched(generator: GaussianGenerator, probe: Probe) -> tuple[Reference, Watch]:
@@ -124,7 +139,7 @@ def _reference(generator: GaussianGenerator, probe: Probe, output: Any) -> Refer
 
 
 def _refuse_negative(scale: np.ndarray) -> None:
-    """Raise if most scales are negative: squared logarithms would pass as huge Gaussians.
+    """Raise if most scales of Gaussians are negative, because they are probably logarithms.
 
     Single negative scales are accepted: methods that add an offset to a scale
     (Deformable-3D-Gaussians) have them, and draw their squares.
@@ -132,7 +147,7 @@ def _refuse_negative(scale: np.ndarray) -> None:
     wrong = int((scale < 0).all(axis=1).sum())
     if wrong > len(scale) / 2:
         raise GeneratorInvalid(
-            f"is negative in {wrong:,} of {len(scale):,} rows, down to {scale.min():g}; "
+            f"the scale is negative in {wrong:,} of {len(scale):,} rows, down to {scale.min():g}; "
             "expected standard deviations",
             where="Gaussians.scale",
             hint="3DGS stores logarithms: take torch.exp of them; or take abs, if signs have no meaning.",
@@ -168,13 +183,13 @@ def _covariance(ellipsoids: Gaussians | Cells) -> np.ndarray:
 
 
 def _array(tensor: Tensor) -> np.ndarray:
-    """Return a tensor as float32, or as float64 if it has more precision."""
+    """Convert a torch tensor to a float32 array, or float64 if it has more precision."""
     dtype = torch.float64 if tensor.dtype == torch.float64 else torch.float32
     return np.asarray(tensor.detach().to(dtype).cpu().numpy())
 
 
 def measure_bounds(references: Iterable[Reference]) -> Bounds:
-    """Return the box around the centres of the visible Gaussians of all frames, slightly widened.
+    """Return the bounding box of the visible Gaussians of all frames, slightly widened.
 
     Raises:
         GeneratorInvalid: No centre is finite and visible.
@@ -190,7 +205,7 @@ def measure_bounds(references: Iterable[Reference]) -> Bounds:
 
 
 def _corners(reference: Reference) -> tuple[np.ndarray, ...]:
-    """Return the smallest and largest coordinates of the visible Gaussians, if there are any."""
+    """Return the bounding box of the visible Gaussians' centres, or None without any."""
     points = reference.gaussians.position[: reference.count][_visible(reference)]
     return (points.min(axis=0), points.max(axis=0)) if len(points) else ()
 

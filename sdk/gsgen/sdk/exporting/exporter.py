@@ -1,4 +1,4 @@
-"""Export a generator: run it in eager torch, trace and rewrite it, verify and validate the file."""
+"""Exports a generator to ONNX: runs it in torch, traces, rewrites, verifies and validates it."""
 
 __all__ = ["Exported", "export"]
 
@@ -25,6 +25,7 @@ from gsgen.contract.spec.manifest import (
     GeneratorManifest,
     GeneratorOutputs,
     Producer,
+    ReferenceImage,
     Tolerances,
 )
 from gsgen.contract.spec.roles import ROLES
@@ -47,6 +48,7 @@ from gsgen.sdk.exporting.eager_reference import (
     EagerRuns,
     Reference,
     measure_bounds,
+    packed_outputs,
     run_eager,
     run_watched,
 )
@@ -63,6 +65,7 @@ from gsgen.sdk.float16.convert_model import Float16Result, float16_manifest, to_
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.rewriting.rewrite import prepare
+from gsgen.sdk.source_pictures import add_source_pictures
 
 # Distances of the cameras of the SDK's own probes, as a share of those of the contract's probes.
 _DISTANCES = {"close": 0.2, "far": 8.0}
@@ -82,7 +85,7 @@ _HALF_BUDGET, _HALF_PROBES = 24, 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported(ExportResult):
-    """A finished export of a generator.
+    """The result of exporting a generator to ONNX.
 
     Attributes:
         manifest: The embedded manifest.
@@ -102,7 +105,7 @@ class Exported(ExportResult):
 
     @property
     def contents(self) -> str:
-        """The number of rows of the exported model, and their dtype."""
+        """A short description of the exported model: number of Gaussians and their dtype."""
         assert self.manifest.outputs.gaussians is not None
         return f"{self.manifest.outputs.gaussians.capacity:,} rows, {self.dtype}"
 
@@ -115,11 +118,12 @@ class _Options:
     opset: int
     target: str
     rewrite: bool
+    pictures: int  # reference pictures of the eager module
     probes: int  # probes of eager torch, besides the all-zero one
 
     @property
     def searches_float16(self) -> bool:
-        """Whether a search decides which weights become float16, after the graph is rewritten."""
+        """Whether a search over rounding errors decides which weights become float16."""
         return self.dtype == "float16" and self.rewrite
 
 
@@ -134,6 +138,7 @@ def export(
     target: str = "core",
     rewrite: bool = True,
     verify: Literal["quick", "full"] = "full",
+    pictures: int = 0,
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> Exported:
@@ -154,6 +159,8 @@ def export(
             exported it.
         settings: Level, limits and severities of the validation.
         verify: How many probes are compared with eager torch: ``quick`` takes a third of them.
+        pictures: How many pictures of the eager module become reference images of the model, which
+            level ``render`` compares with; the renderer draws them (``gsgen[runtime]``).
         progress: Called with a message when a step begins.
 
     Raises:
@@ -174,6 +181,7 @@ def export(
         opset=opset,
         target=target,
         rewrite=rewrite,
+        pictures=pictures,
         probes=_PROBES[verify],
     )
     with padded_harmonics(generator, half=options.dtype == "float16", target=target) as notes:
@@ -225,11 +233,19 @@ def _export(
         manifest = float16_manifest(manifest)
     suspects = Suspects(generator, example, hazards, options.rewrite)
 
-    # Step 6: verification.
+    images: list[ReferenceImage] = []
+
+    def run_packed(probe: Probe) -> dict[str, np.ndarray]:
+        return packed_outputs(run_eager(generator, probe), manifest)
+
+    # Step 6: verification, and pictures of the module.
     def verify(draft: Path) -> Parity:
         slack = (_HALF_SLACK, _HALF_ROUNDINGS) if searches else (None, 1)
         parity = check_parity(draft, manifest, references, suspects, progress, *slack)
         check_memory(generator, described.watch, references)
+        if options.pictures:
+            progress("drawing the module in eager torch")
+            images.extend(add_source_pictures(draft, run_packed, options.pictures))
         return parity
 
     # Steps 7 and 8: validation and atomic write.
@@ -243,7 +259,7 @@ def _export(
     )
     return Exported(
         path=path,
-        manifest=manifest,
+        manifest=replace(manifest, reference_images=tuple(images)),
         parity=parity,
         report=report,
         changes=tuple(changes),
@@ -252,7 +268,7 @@ def _export(
 
 
 def _default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
-    """Return the default dtype of outputs: float32, or float16 if the target reads RGB only so."""
+    """Return the default output dtype: float32, unless the target reads RGB only as float16."""
     if target not in HALF_RGB:
         return "float32"
     probe = _probes(_manifest(generator, "", "float32", None, 1, None))[0]
@@ -261,7 +277,7 @@ def _default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
 
 @dataclass(frozen=True, slots=True)
 class _Description:
-    """Declarations of a generator module, and the results of its runs in eager torch."""
+    """The declarations of a generator, and the results of its runs in eager torch."""
 
     manifest: GeneratorManifest  # the manifest to embed
     references: EagerRuns  # results at the contract's probes, and at probes far from them
@@ -272,7 +288,7 @@ class _Description:
 def _describe(
     generator: GaussianGenerator, options: _Options, dtype: Dtype, progress: Progress
 ) -> _Description:
-    """Build the manifest from the generator's declarations and its outputs in eager torch."""
+    """Build the manifest of a generator from its declarations and its outputs in eager torch."""
     _check_inputs(generator)
     # The bounds are not known yet, so the first probes lie around the default bounds.
     draft = _manifest(generator, options.name, dtype, None, 1, None)
@@ -317,7 +333,7 @@ def _check_inputs(generator: GaussianGenerator) -> None:
             raise GeneratorInvalid(f"two inputs are named {entry.name!r}", where=where, hint=hint)
         if entry.shape is None:
             hint = "Make inputs with the functions of gsgen.sdk.inputs."
-            raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, hint=hint)
+            raise GeneratorInvalid(f"input {entry.name!r} has no shape", where=where, hint=hint)
 
 
 def _check_cells(generator: GaussianGenerator, reference: Reference) -> None:
@@ -373,7 +389,7 @@ def _probes(manifest: GeneratorManifest, *, seed: int = 0, count: int = 8) -> tu
 
 
 def _far_probes(manifest: GeneratorManifest) -> Iterator[Probe]:
-    """Yield test inputs beside those of the contract: cameras inside and far outside the scene.
+    """Yield test inputs with cameras inside the scene and far outside of it.
 
     All other inputs are sampled with another seed.
     """

@@ -1,4 +1,4 @@
-"""The memory that the outputs of an exported frame take, and whether the target can bind them."""
+"""The memory that one frame's outputs take, and whether the target's GPU can bind them."""
 
 __all__ = ["check_fits", "describe_size", "frame_bytes"]
 
@@ -39,13 +39,13 @@ def _sizes(manifest: GeneratorManifest) -> _Sizes:
 
 
 def frame_bytes(manifest: GeneratorManifest) -> int:
-    """Return the size in bytes of the Gaussians of a frame, as the exported model stores them."""
+    """Return the size in bytes of one frame's outputs, as the exported model stores them."""
     sizes = _sizes(manifest)
     return sizes.rows + sizes.color
 
 
 def describe_size(manifest: GeneratorManifest, *, seconds: float, runs: int) -> str:
-    """Return a sentence on the size, time and memory of an export; empty for a small frame.
+    """Return a sentence about size, time and memory of a large export; empty for a small one.
 
     Args:
         manifest: Declares the outputs.
@@ -66,7 +66,7 @@ def describe_size(manifest: GeneratorManifest, *, seconds: float, runs: int) -> 
 
 
 def check_fits(generator: GaussianGenerator, manifest: GeneratorManifest, target: str) -> None:
-    """Raise if an output of the generator is larger than a storage buffer of the target.
+    """Raise if an output of the generator exceeds the target's storage buffer size.
 
     Raises:
         GeneratorInvalid: It is; the hint names the options that make it smaller.

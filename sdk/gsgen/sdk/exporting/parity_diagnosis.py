@@ -1,4 +1,4 @@
-"""Explain why an exported model differs from torch: lost inputs, and suspicious lines of code."""
+"""Explains why an exported model differs from torch: ignored inputs, or untraceable code."""
 
 __all__ = ["Suspects", "diagnose"]
 
@@ -33,7 +33,7 @@ _UNKNOWN = (
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """The possible causes of a difference between an exported model and torch."""
+    """Possible causes of a difference between an exported model and its torch module."""
 
     generator: GaussianGenerator  # the module
     traced: Probe  # the inputs that it was traced with
@@ -44,7 +44,7 @@ class Suspects:
 def diagnose(
     suspects: Suspects, manifest: GeneratorManifest, references: EagerRuns, run: Run
 ) -> tuple[str, str]:
-    """Return the reason why a model differs from torch, as a part of a sentence, and a hint."""
+    """Return why an exported model differs from torch, as part of a sentence, and a hint."""
     lost_roles = _lost_inputs(suspects, manifest, references, run)
     reason = f"; {' and '.join(lost_roles)} has no effect in the model" if lost_roles else ""
     return reason, _hint(suspects, references)
@@ -62,7 +62,7 @@ def _hint(suspects: Suspects, references: EagerRuns) -> str:
 def _lost_inputs(
     suspects: Suspects, manifest: GeneratorManifest, references: EagerRuns, run: Run
 ) -> list[str]:
-    """Return the roles whose inputs have an effect in torch but not in the model."""
+    """Return the input roles that have an effect in torch, but not in the exported model."""
     base, far = suspects.traced, references.probes[-1]
     varied = [
         (role, probe)

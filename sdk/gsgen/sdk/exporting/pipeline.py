@@ -26,12 +26,12 @@ OPSET = SAFEST_OPSET
 
 
 def silent(_: str) -> None:
-    """Ignore a progress message of an export."""
+    """Ignore a progress message: the default progress callback of an export."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportResult(ABC):
-    """The path, report and figures of a finished export."""
+    """Base class of an export's result: path, validation report and statistics."""
 
     path: Path
     report: "Report"  # the validator's report on it
@@ -61,7 +61,7 @@ def write_export(
     progress: Progress,
     must_conform: bool = True,
 ) -> "tuple[_Verified, Report]":
-    """Save a model to a temporary file, verify and validate the file, and rename it on success.
+    """Save a model to a temporary file, verify and validate it, and rename it on success.
 
     ``save`` writes the draft; ``verify`` raises if the draft differs from its reference.
     """
@@ -81,7 +81,7 @@ def check_contract(
     *,
     must_conform: bool = True,
 ) -> "Report":
-    """Validate an exported file before it gets its final name, and return the validation report.
+    """Validate an exported model before it gets its final name; raise if it breaks a rule.
 
     Raises :class:`ExportRejected`, which carries the report, if the model breaks a rule.
     """

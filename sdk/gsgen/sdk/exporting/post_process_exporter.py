@@ -1,4 +1,4 @@
-"""Export a post-process model: run it in eager torch, trace and rewrite it, verify and validate it."""
+"""Exports a post-process model to ONNX: runs it in torch, traces, rewrites and verifies it."""
 
 __all__ = ["ExportedImage", "export_post_process"]
 
@@ -50,7 +50,7 @@ _TRACED_SIZE, _SECOND_SIZE = (64, 64), (48, 80)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportedImage(ExportResult):
-    """A finished export of a post-process model.
+    """The result of exporting a post-process model.
 
     Attributes:
         manifest: The embedded manifest.
@@ -64,12 +64,12 @@ class ExportedImage(ExportResult):
 
     @property
     def dtype(self) -> Dtype:
-        """The dtype of the images."""
+        """The dtype of the model's images."""
         return self.manifest.outputs.image.dtype
 
     @property
     def contents(self) -> str:
-        """The size and the dtype of the image that the exported model takes."""
+        """A short description of the exported model: size and dtype of its input image."""
         shape = _image(self.manifest.inputs).shape
         size = "any size" if shape is None else f"{shape[2]} × {shape[3]} (height × width)"
         return f"an image of {size}, {self.dtype}"
@@ -170,7 +170,7 @@ def _widened(probe: Probe) -> Probe:
 
 
 class _Positional(nn.Module):
-    """Calls a model by position, so that the traced inputs get the names of the manifest."""
+    """Calls a torch module with positional inputs, so that traced inputs keep manifest names."""
 
     def __init__(self, model: nn.Module) -> None:
         super().__init__()
@@ -192,7 +192,9 @@ def _check_inputs(model: PostProcess) -> None:
     images = [entry.name for entry in model.inputs if entry.role == "image"]
     if len(images) != 1:
         hint = "Give one gsgen.sdk.inputs.image()."
-        raise GeneratorInvalid(f"{len(images)} images, expected one", where=where, hint=hint)
+        raise GeneratorInvalid(
+            f"the model declares {len(images)} image inputs, expected one", where=where, hint=hint
+        )
     image = _image(model.inputs)
     if image.range is not None and image.range != model.image_range:
         message = (
@@ -211,7 +213,7 @@ def _check_inputs(model: PostProcess) -> None:
             raise GeneratorInvalid(message, where=where)
         if entry.shape is None and entry.role != "image":
             hint = "Make inputs with the functions of gsgen.sdk.inputs."
-            raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, hint=hint)
+            raise GeneratorInvalid(f"input {entry.name!r} has no shape", where=where, hint=hint)
 
 
 def _manifest(model: PostProcess, name: str, dtype: Any) -> PostProcessManifest:
@@ -229,7 +231,7 @@ def _manifest(model: PostProcess, name: str, dtype: Any) -> PostProcessManifest:
 def _probes_of_sizes(
     model: PostProcess, manifest: PostProcessManifest, dtype: Dtype
 ) -> Iterator[Probe]:
-    """Yield the test inputs for each compared image size: two sizes for models of any size."""
+    """Yield the test inputs for each tested image size: two sizes if the model takes any size."""
     any_size = _image(model.inputs).shape is None
     for size in (_TRACED_SIZE, _SECOND_SIZE) if any_size else (_TRACED_SIZE,):
         yield from _probes(manifest, dtype, (1, model.channels, *size))

@@ -1,4 +1,4 @@
-"""Repairs a model: only faults with one right answer, each repair validated and listed."""
+"""Repairs a model file: only faults with one right repair, each validated and listed."""
 
 __all__ = ["Repair", "RepairRequest", "RepairResult", "repair"]
 
@@ -37,7 +37,7 @@ from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
 @dataclass(frozen=True, slots=True)
 class RepairRequest:
-    """Facts that the model does not contain, and repairs that are made only on request."""
+    """Facts that a model file lacks, and repairs that the user has to ask for."""
 
     sizes: Mapping[str, int] = field(default_factory=dict)  # symbolic dimension → its size
     manifest: GeneratorManifest | None = None  # the manifest to embed; the model's own if absent
@@ -48,7 +48,7 @@ class RepairRequest:
 
 @dataclass(frozen=True, slots=True)
 class Repair:
-    """One change that repairs a model, and the id of the rule that requires it."""
+    """One repair of a model file, and the id of the rule that requires it."""
 
     description: str
     rule: str
@@ -56,7 +56,7 @@ class Repair:
 
 @dataclass(frozen=True, slots=True)
 class RepairResult:
-    """The repairs of a model, and its reports before and after them."""
+    """The repairs of a model file, with its validation reports before and after them."""
 
     repairs: tuple[Repair, ...]  # the changes, in order
     before: Report  # the report on the source
@@ -84,7 +84,9 @@ def repair(
     if request.manifest is not None:
         steps.append((Repair("embedded the given manifest", "GM001"), lambda _: None))
     if not steps:
-        raise GsgenError("has no fault that gsgen can repair without guessing", where=str(source))
+        raise GsgenError(
+            "the model has no fault that gsgen can repair without guessing", where=str(source)
+        )
     model = ir.load(source)
     _check_symbols(model, request.sizes)
     external_weights = has_external_weights(model)
@@ -106,7 +108,7 @@ def repair(
 
 @contextmanager
 def _draft(target: Path | None, source: Path) -> Iterator[Path]:
-    """Yield a temporary path for the repaired model; in a dry run, delete the file afterwards."""
+    """Yield a temporary path for the repaired model, which becomes the target or is deleted."""
     if target is not None:
         with atomic_write(target) as draft:
             yield draft
@@ -130,14 +132,16 @@ Steps = list[tuple[Repair, Change]]
 def _own_manifest(subject: InspectedModel) -> GeneratorManifest:
     if subject.parsed is None:
         raise GsgenError(
-            "has no manifest, so the meaning of its outputs is unknown",
+            "the model has no manifest, so the meaning of its outputs is unknown",
             where=str(subject.file.path),
             hint="Derive one with `gsgen inspect MODEL --emit-manifest`, check it, and give it "
             "with --manifest FILE.",
         )
     if not isinstance(subject.manifest, GeneratorManifest):
         hint = "See `gsgen validate --level static`."
-        raise GsgenError("is not a Gaussian Generator", where=str(subject.file.path), hint=hint)
+        raise GsgenError(
+            "the model is not a Gaussian Generator", where=str(subject.file.path), hint=hint
+        )
     return subject.manifest
 
 

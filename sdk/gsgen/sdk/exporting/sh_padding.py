@@ -1,4 +1,4 @@
-"""Pad a generator's spherical harmonics with zeros, up to the degree that its consumer reads."""
+"""Pads a generator's SH coefficients with zeros up to the degree that a viewer reads."""
 
 __all__ = ["padded_harmonics"]
 
@@ -18,7 +18,7 @@ from gsgen.sdk.exporting.sh_degrees import stored_degree
 def padded_harmonics(
     generator: GaussianGenerator, *, half: bool, target: str
 ) -> Iterator[list[str]]:
-    """Make a generator return spherical harmonics of the degree that the exported file stores.
+    """Pad a generator's SH with zeros to the degree that the exported file stores.
 
     Yields notes on the padding; the list stays empty if the SH need none.
     """

@@ -1,4 +1,4 @@
-"""Find the line of the user's code that raised an error or that runs now."""
+"""Finds the line of a user's code that raised an error or is running now."""
 
 __all__ = ["current_user_line", "user_line_of"]
 
@@ -34,7 +34,7 @@ def user_line_of(error: BaseException) -> str:
 
 
 def current_user_line() -> str:
-    """Return ``file:line (code)`` of the innermost frame of the user's code that runs now."""
+    """Return ``file:line (code)`` of the innermost running frame of the user's code."""
     for frame in _frames():
         name = frame.f_code.co_filename
         if is_user_file(name):

@@ -1,4 +1,4 @@
-"""Watches a torch module run, and records operations that tracing cannot follow, with hints.
+"""Watches a torch module run, and records operations that tracing cannot follow.
 
 Tracing records torch functions. A value of an input that leaves torch (a Python number, a numpy
 array, a branch) is either refused, or keeps its value of the traced frame. The same holds for
@@ -82,7 +82,7 @@ class Hazard:
 
     @property
     def hint(self) -> str:
-        """The code to write in place of an operation that tracing cannot follow."""
+        """The code to write instead of an operation that tracing cannot follow."""
         return _DESCRIPTIONS_AND_HINTS[self.kind][1]
 
     def __str__(self) -> str:
@@ -129,16 +129,16 @@ class Watch(TorchFunctionMode):
 
     @property
     def changes_module(self) -> bool:
-        """Whether the run changed an attribute, a parameter or a buffer of the module."""
+        """Whether the run changed an attribute, a parameter or a buffer of the torch module."""
         return bool(self._undo)
 
     def undo(self) -> None:
-        """Restore every attribute and buffer of the module to its value before the run."""
+        """Restore all attributes and buffers of the torch module to their values before the run."""
         for step in reversed(self._undo):
             step()
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Call a torch function, record operations that tracing cannot follow, and mark results."""
+        """Call a torch function, and record if tracing cannot follow the operation."""
         kwargs = kwargs or {}
         name = getattr(func, "__name__", "")
         leaves = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor)]

@@ -1,4 +1,4 @@
-"""Trace a torch module into an ONNX graph, with torch's own exporter."""
+"""Traces a torch module into an ONNX graph with torch's own exporter."""
 
 __all__ = ["TensorNames", "trace_generator", "trace_module"]
 
@@ -47,7 +47,7 @@ def trace_generator(
 
 @dataclass(frozen=True, slots=True)
 class TensorNames:
-    """The names of a graph's inputs, outputs and symbolic dimensions."""
+    """The names for a traced graph's inputs, outputs and symbolic dimensions."""
 
     inputs: tuple[str, ...]  # in the order of the module's arguments
     outputs: tuple[str, ...]  # in the order of its results
@@ -64,7 +64,7 @@ def trace_module(
     where: str,
     hazards: Sequence[Hazard] = (),
 ) -> ir.Model:
-    """Trace any module with ``torch.onnx.export(dynamo=True)``, and return the graph.
+    """Trace any torch module with ``torch.onnx.export(dynamo=True)``, and return the ONNX graph.
 
     ``where`` is the module's name in an error, which ``hazards`` explain and which names the line
     of the user's code.
@@ -96,7 +96,7 @@ def trace_module(
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress torch's messages about operators, failed attempts and graphs during tracing."""
+    """Suppress the console messages of torch's exporter during tracing."""
     level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -109,7 +109,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> ExportFailed:
-    """Return an error of tracing with torch's reason, the line of the user's code, and a hint."""
+    """Return a tracing error with torch's reason, the line of the user's code, and a hint."""
     root: BaseException = error
     while root.__cause__ is not None:
         root = root.__cause__

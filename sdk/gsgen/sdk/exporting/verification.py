@@ -1,4 +1,4 @@
-"""Verifies an exported file: its outputs agree with torch, and frames are independent."""
+"""Verifies an exported file: outputs agree with torch, and frames are independent."""
 
 __all__ = ["check_memory", "check_parity", "run_exported"]
 
@@ -39,7 +39,7 @@ def check_parity(
     allowed: Tolerances | None = None,
     roundings: int = 1,
 ) -> Parity:
-    """Compare an exported model with eager torch, at the contract's test inputs and far from them.
+    """Compare an exported model with eager torch, for normal test inputs and far cameras.
 
     ``allowed`` are the manifest's tolerances by default; the rounding of stored outputs is added to
     them ``roundings`` times. The error names the field, the row, and the likely cause.
@@ -71,14 +71,14 @@ def check_parity(
 
 
 def _told(outputs: Iterable[ModelOutput], total: int, progress: Progress) -> Iterator[ModelOutput]:
-    """Yield the model's outputs for each test input, and report the progress."""
+    """Yield the model's outputs for each set of test inputs, and report progress."""
     for number, output in enumerate(outputs, start=1):
         progress(f"comparing with eager torch: probe {number} of {total}")
         yield output
 
 
 def _nudged(probe: Probe) -> Iterator[Probe]:
-    """Yield pairs of test inputs on opposite sides of a given one, each float moved slightly."""
+    """Yield pairs of test inputs in which each float is slightly increased or decreased."""
     rng = np.random.default_rng(0)
     for _ in range(_PAIRS):
         signs = {name: rng.choice([-1, 1], array.shape) for name, array in probe.inputs.items()}
@@ -93,7 +93,7 @@ def _nudged(probe: Probe) -> Iterator[Probe]:
 
 
 def _run(path: Path, manifest: GeneratorManifest, probes: Sequence[Probe]) -> Iterator[ModelOutput]:
-    """Yield a model's outputs for each test input; arrays are valid until the next input."""
+    """Yield a model's outputs for each set of test inputs; arrays are valid until the next one."""
     rows, color, count, *cells = names = output_names(manifest)
     for outputs in run_exported(path, names, probes, frame_bytes=frame_bytes(manifest)):
         yield ModelOutput(
@@ -119,7 +119,7 @@ def run_exported(
 
 
 def check_memory(generator: GaussianGenerator, watch: Watch, references: EagerRuns) -> None:
-    """Raise if a module's result depends on earlier frames, which changed the module's state.
+    """Raise if a torch module's result depends on earlier frames, by its changed state.
 
     A value that forward keeps from its first frame stays the same in the model, too, so comparing
     the two does not find it.

@@ -1,4 +1,4 @@
-"""Convert a post-process model to float16, except for nodes and weights whose rounding is visible.
+"""Converts a post-process model to float16, except for nodes whose rounding is visible.
 
 WebGPU adds up in the dtype of its operands: a convolution of a few hundred float16 numbers is off
 by several times the rounding of float16, and a deep network amplifies that. So operators that add
@@ -86,7 +86,7 @@ def image_to_float16(
 
 
 class _Measure:
-    """Measures how far rounding to float16 changes the image of a post-process model."""
+    """Measures how much rounding to float16 changes the image of a post-process model."""
 
     def __init__(self, model: ir.Model, probes: Sequence[Probe]) -> None:
         self._model, self._probes = InstrumentedModel(model), probes
@@ -94,7 +94,7 @@ class _Measure:
         self.rebase()
 
     def rebase(self) -> None:
-        """Take the images computed with the weights stored so far as the new reference."""
+        """Recompute the reference images with the weights that are already stored as float16."""
         self._expected = [self._output_image(probe, (), self.stored) for probe in self._probes]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
@@ -131,7 +131,7 @@ class _Measure:
 
 
 def _halve_input(graph: ir.Graph, name: str) -> None:
-    """Make a graph input float16, and cast it to float32 for the readers in the graph."""
+    """Make a graph input float16, and cast it to float32 for the nodes that read it."""
     value = next(graph_input for graph_input in graph.inputs if graph_input.name == name)
     node = ir.node("Cast", [value], attributes={"to": FLOAT.value})
     widened = node.outputs[0]

@@ -1,4 +1,4 @@
-"""Convert a generator to float16, except for nodes and tables whose rounding exceeds the tolerance.
+"""Converts a generator to float16, except where the rounding error exceeds the tolerance.
 
 A search rounds nodes alone and in groups, at the contract's probes, and compares the outputs with
 those of float32 in the contract's units: positions in standard deviations of their Gaussian,
@@ -58,7 +58,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Float16Result:
-    """Counts, errors and path of a finished conversion to float16.
+    """The result of a conversion to float16: counts of nodes and weights, errors, and path.
 
     Attributes:
         path: The file; None if it was not written.
@@ -122,7 +122,7 @@ def write_float16(
     manifest = subject.parsed.manifest if subject.parsed is not None else None
     if not isinstance(manifest, GeneratorManifest) or manifest.outputs.gaussians is None:
         raise RewriteFailed(
-            "has no manifest of a Gaussian Generator, so errors have no units",
+            "the model has no manifest of a Gaussian Generator, so errors have no units",
             where=str(source),
             hint="Derive one with `gsgen inspect MODEL --emit-manifest` and embed it with "
             "`gsgen fix`.",
@@ -176,7 +176,8 @@ def to_float16(
     search = _Search(model, measure, arithmetic=arithmetic, budget=budget)
     if not search.nodes and not measure.weights:
         raise RewriteFailed(
-            "has no node that computes in float32, and no large float32 weight", where="model"
+            "the model has no node that computes in float32, and no large float32 weight",
+            where="model",
         )
     if not measure.rounded.holds:
         raise RewriteFailed(
@@ -215,7 +216,7 @@ def to_float16(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Choice:
-    """The nodes that compute in float32, and the weight tables that are stored in 16 bits."""
+    """The chosen nodes that stay float32, and the weight tables to store in 16 bits."""
 
     retained: tuple[RetainedFloat32, ...]  # nodes that compute in float32, with reasons
     retained_weights: tuple[RetainedFloat32, ...]  # tables that are stored in float32, with reasons
@@ -251,7 +252,7 @@ class _Search:
         self._guards = epsilon_guards(self.nodes, opset)
 
     def choose(self, share: float, progress: Progress) -> _Choice:
-        """Choose weight tables, then nodes, whose rounding uses a share of the tolerance."""
+        """Choose the weights, then the nodes, that float16 can hold within the tolerance."""
         measure, nodes = self._measure, self.nodes
         # Tables come first: their size decides the size of the file and of the download.
         progress(f"measuring which of {len(measure.weights)} weights may be float16")
@@ -287,7 +288,7 @@ class _Search:
 
 
 def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
-    """Raise if float16 SH rows would not fill 32-bit words (rule GO015)."""
+    """Raise if rows of float16 SH would not fill whole 32-bit words (rule GO015)."""
     color = manifest.outputs.appearance
     if color is None or color.space != "sh":
         return
@@ -296,7 +297,7 @@ def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
     channels = shape[-1] if shape else 0
     if isinstance(channels, int) and channels % 2:
         raise RewriteFailed(
-            f"has {channels} channels of SH, whose float16 rows do not fill words of 4 bytes "
+            f"the output has {channels} channels of SH, whose float16 rows do not fill words of 4 bytes "
             "(rule GO015)",
             where=f"output {color.name}",
             hint="Keep outputs float32 (`gsgen float16 --keep-outputs`), or export with "

@@ -95,14 +95,14 @@ class ErrorProbe:
         return ModelOutput(rows, color, int(np.ravel(count)[0]), *cells)
 
     def _stored_as(self, output: ModelOutput) -> ModelOutput:
-        """Round an output to the dtype in which the converted model stores it."""
+        """Round an output to the dtype in which the float16 model stores it."""
         with np.errstate(over="ignore"):
             cells = None if output.cells is None else output.cells.astype(self.storage)
             rows, color = (output.rows.astype(self.storage), output.color.astype(self.storage))
             return ModelOutput(rows, color, output.count, cells)
 
     def parity(self, selected: Collection[int]) -> Parity:
-        """Round the selected nodes and tables, and compare the outputs with those of float32."""
+        """Compare outputs with the selected nodes and tables rounded to float16 against float32."""
         flags = np.zeros(len(self.model.units), np.bool_)
         flags[list(selected)] = True
         stored = np.zeros(len(self.weights), np.bool_)
@@ -115,23 +115,23 @@ class ErrorProbe:
         return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
-        """Return the output field whose tolerance rounded nodes use most, and the used share."""
+        """Return the output field most affected by rounding nodes, and the used tolerance share."""
         used = {field.field: self._used(field) for field in self.parity(selected).fields}
         worst = max(used, key=lambda field: used[field], default="")
         return used.get(worst, 0.0), worst
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the output field whose tolerance 16-bit weights use most, and the used share."""
+        """Return the output field most affected by 16-bit weights, and the used tolerance share."""
         self.stored = stored
         return self(())
 
     def _used(self, field: FieldParity) -> float:
-        """Return the used share of a field's tolerance, without the error of storing outputs."""
+        """Return the share of a field's tolerance that rounding uses, beyond float16 outputs."""
         base = self._stored.get(field.field, 0.0)
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 
     def of_model(self, model: ir.Model, limits: Limits) -> Parity:
-        """Compare a float16 model with float32, also at test inputs that the search did not use."""
+        """Compare a float16 model with float32, also for test inputs unseen by the search."""
         probes = [*self.probes, *self._unseen]
         known = self._references if self._step == 1 else ()
         references = chain(known, (self._reference(probe) for probe in probes[len(known) :]))
@@ -155,7 +155,7 @@ def _cannot_run(message: str) -> RewriteFailed:
 
 
 def _unseen(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:
-    """Return test inputs with other cameras, times and poses than those of the float16 search."""
+    """Return test inputs with other cameras, times and poses than the float16 search used."""
     inputs = probes[0].inputs
     shapes = {name: array.shape for name, array in inputs.items()}
     dtypes = {name: array.dtype.name for name, array in inputs.items()}

@@ -1,4 +1,4 @@
-"""A model that rounds selected nodes and weights to float16, with another selection in each run."""
+"""A model that rounds selected nodes and weights to float16, selectable for each run."""
 
 __all__ = ["FLAGS", "GUARD_ELEMENTS", "InstrumentedModel", "tables"]
 
@@ -82,31 +82,31 @@ class InstrumentedModel:
         selected: Bool[np.ndarray, " n"],
         stored: Bool[np.ndarray, " w"] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Return the float32 outputs with the selected nodes and tables rounded to float16."""
+        """Return the float32 outputs with the selected nodes and weights rounded to float16."""
         if stored is None:
             stored = np.zeros(len(self.weights), np.bool_)
         session_inputs = {**inputs, **self._constants(stored), FLAGS: selected}
         return _run(self._session, self._names, session_inputs)
 
     def _halved(self, name: str) -> HalfTable:
-        """Return a weight table, stored in 16 bits per number."""
+        """Return a weight table rounded to its 16-bit storage."""
         if name not in self._halves:
             in_steps = self.weights.index(name) not in self.unstepped
             self._halves[name] = half_table(self._tables[name], in_steps=in_steps)
         return self._halves[name]
 
     def is_in_steps(self, table: int) -> bool:
-        """Return whether a weight table is stored in even steps rather than as float16."""
+        """Return whether a weight table is quantised in even steps rather than as float16."""
         return self._halved(self.weights[table]).step is not None
 
     def store_unstepped(self, tables: Collection[int]) -> None:
-        """Store given weight tables as float16, and others as float16 or in even steps."""
+        """Store given weight tables as float16; even steps stay allowed for all others."""
         for table in self.unstepped ^ frozenset(tables):
             self._halves.pop(self.weights[table], None)
         self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})
 
     def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
-        """Return weight tables and results of constant nodes, cached for one selection."""
+        """Return weights and results of constant nodes, cached for one selection of tables."""
         key = stored.tobytes()
         if key != self._cached.key or not self._cached.arrays:
             arrays = {
@@ -121,14 +121,14 @@ class InstrumentedModel:
 
 @dataclass(frozen=True, slots=True)
 class _CachedConstants:
-    """Cached weight tables and results of constant nodes, for one selection of stored tables."""
+    """Cached results of constant nodes for one selection of 16-bit weight tables."""
 
     key: bytes
     arrays: Mapping[str, np.ndarray]
 
 
 def tables(graph: ir.Graph) -> list[ir.Value]:
-    """Return the float32 weights that fit the range of float16, without small constants."""
+    """Return the large float32 weights of a model whose values fit the range of float16."""
     return [value for value in graph.initializers.values() if _is_table(value)]
 
 
@@ -153,7 +153,7 @@ def _run(session: Any, names: list[str], arrays: Mapping[str, np.ndarray]) -> di
 
 
 def _feed_tables(model: ir.Model, names: Sequence[str]) -> None:
-    """Turn weight tables into graph inputs, so that each run can round them."""
+    """Turn weight tables into graph inputs, so that each run can feed them rounded."""
     for name in names:
         value = model.graph.initializers.pop(name, None)
         if value is not None:

@@ -1,4 +1,4 @@
-"""Decides which weight tables and nodes stay float32: costly ones, ε guards, and isolated nodes."""
+"""Decides which nodes and weights stay float32: sensitive ones, ε guards, isolated nodes."""
 
 __all__ = ["RetainedFloat32", "choose_tables", "epsilon_guards", "merge_islands", "retained_nodes"]
 
@@ -26,7 +26,7 @@ _BEHIND_GUARDS = (
 
 @dataclass(frozen=True, slots=True)
 class RetainedFloat32:
-    """A node or weight table of a model that stays float32, with the reason.
+    """A node or weight that stays float32 in a float16 model, with the reason.
 
     Attributes:
         node: Its name; for a node, the name of its first result.
@@ -41,7 +41,7 @@ class RetainedFloat32:
 
 
 def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
-    """Choose weight tables to store in 16 bits: large tables first, since they save the most.
+    """Choose weight tables to store in 16 bits, large ones first, within the allowed error.
 
     A table whose even steps are too coarse is tried as float16, which rounds small numbers less.
 
@@ -82,7 +82,7 @@ def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
 
 
 def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
-    """Return nodes that stay float32 for safety: comparisons, ε guards, constants above 65,504.
+    """Return nodes that must stay float32: comparisons, ε guards, constants above 65,504.
 
     Case 1: a comparison turns a small error into a large one, at a time between the probes.
     Case 2: a constant beyond 65,504 becomes infinite.
@@ -122,7 +122,7 @@ def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
 def retained_nodes(
     nodes: Sequence[ir.Node], guarded: Mapping[ir.Node, str], costly: Sequence[Sensitivity]
 ) -> list[RetainedFloat32]:
-    """Return the nodes that stay float32: ε guards, and groups whose error is too large."""
+    """Return the nodes that stay float32: ε guards, and groups with too large an error."""
     able = set(nodes)
     retained = [
         RetainedFloat32(node_key(node), reason) for node, reason in guarded.items() if node in able
@@ -137,7 +137,7 @@ def retained_nodes(
 def merge_islands(
     boundary: Boundary, nodes: Sequence[ir.Node], retained: Sequence[RetainedFloat32]
 ) -> list[RetainedFloat32]:
-    """Return further nodes to keep in float32, because fewer Casts are then needed."""
+    """Return further nodes to keep in float32, so that fewer Casts between dtypes are needed."""
     keep = {entry.node for entry in retained}
     added: list[RetainedFloat32] = []
     while True:

@@ -1,4 +1,4 @@
-"""Searches for many nodes or tables that can be quantized together, with few measurements."""
+"""Searches for many nodes or weights that can be quantized together, with few measurements."""
 
 __all__ = ["Search", "Sensitivity", "max_quantizable"]
 
@@ -20,7 +20,7 @@ class Sensitivity:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The quantized nodes or tables that a sensitivity search chose, and the measured errors."""
+    """The result of a sensitivity search: the nodes or weights to quantize, and the errors."""
 
     quantized: frozenset[int]  # indices of the units that can be quantized together
     # the other units, in groups, each with its error if quantized alone

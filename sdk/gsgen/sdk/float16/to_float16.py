@@ -1,4 +1,4 @@
-"""Convert a graph to float16, except for a list of nodes."""
+"""Converts an ONNX graph to float16, except for given nodes."""
 
 __all__ = [
     "FLOAT", "HALF", "Boundary", "ToFloat16", "can_compute_in_float16", "convertible_indices",
@@ -59,7 +59,7 @@ class ToFloat16(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> None:
-        """Return None: no target asks for this pass, since a search must choose the nodes first."""
+        """Return None: no target needs this rewrite, since a search must choose the nodes first."""
         return
 
     def rewrite(self, model: ir.Model) -> None:
@@ -104,7 +104,7 @@ class ToFloat16(CautiousRewrite):
 
 
 def node_key(node: ir.Node) -> str:
-    """Return the key of a node in lists of float32 nodes: the name of the node's first output."""
+    """Return the key that identifies a node in lists: the name of its first output."""
     return next((value.name for value in node.outputs if value.name), node.name or "")
 
 
@@ -206,7 +206,7 @@ def _convert_weight(
 
 
 def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: HalfInputs) -> None:
-    """Store a weight in 16 bits, for readers in float16 and in float32."""
+    """Store a weight of the graph in 16 bits, for nodes that read float16 and float32."""
     value.const_value = ir.tensor(table.numbers, name=value.name)
     value.type = ir.TensorType(value.const_value.dtype)
     if table.step is None or table.start is None:
@@ -230,7 +230,7 @@ def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, half_inputs: Half
 def _convert_value(
     graph: ir.Graph, value: ir.Value, half_inputs: HalfInputs, *, is_half: bool
 ) -> None:
-    """Insert a Cast after a graph value for the nodes that read the other float dtype."""
+    """Insert a Cast after a graph value, for nodes that read it in the other float dtype."""
     mismatched = [use for use in _readers(value) if (use in half_inputs) is not is_half]
     if not mismatched:
         return
@@ -241,7 +241,7 @@ def _convert_value(
 
 
 def _convert_output(graph: ir.Graph, index: int, value: ir.Value, *, is_half: bool) -> None:
-    """Cast a graph output to its new float dtype, and keep its name."""
+    """Cast a graph output to float16 or float32, and keep its name."""
     dtype = HALF if is_half else FLOAT
     if value.dtype == dtype:
         return
@@ -277,7 +277,7 @@ def _insert_after(graph: ir.Graph, value: ir.Value, node: ir.Node) -> None:
 
 
 class Boundary:
-    """Counts the Casts that a conversion to float16 inserts between float16 and float32 nodes."""
+    """Counts the Casts between float16 and float32 nodes that a conversion would insert."""
 
     def __init__(self, graph: ir.Graph, opset: int) -> None:
         self._graph = graph
@@ -289,11 +289,11 @@ class Boundary:
         }
 
     def casts(self, keep: Collection[str]) -> int:
-        """Return the number of Casts between float16 and float32 nodes, without those of outputs."""
+        """Return the number of Casts between float16 and float32 nodes, outputs not counted."""
         return sum(self._needs(value, keep) for value in _values(self._graph))
 
     def saved(self, node: ir.Node, keep: Collection[str]) -> int:
-        """Return the number of Casts that keeping a node in float32 saves."""
+        """Return how many Casts are saved if a node is kept in float32."""
         near = {v for v in (*node.inputs, *node.outputs) if v is not None}
         before = sum(self._needs(value, keep) for value in near)
         return before - sum(self._needs(value, {*keep, node_key(node)}) for value in near)

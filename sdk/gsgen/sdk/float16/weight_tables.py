@@ -1,4 +1,4 @@
-"""Stores weight tables in 16 bits a number: as float16, or in even steps for each column.
+"""Stores weight tables in 16 bits per number: as float16, or quantised in even steps.
 
 Float16 rounds every number to 11 significant bits. 65,536 even steps between the smallest and the
 largest number of a column are finer for numbers that fill the range: positions in a scene,
@@ -32,7 +32,7 @@ Block = tuple[slice, slice, slice]
 
 @dataclass(frozen=True, slots=True)
 class HalfTable:
-    """A table of weights, stored in 16 bits a number."""
+    """A weight table stored in 16 bits per number."""
 
     numbers: np.ndarray  # float16, or the steps as uint16; of the table's shape
     # size of a step, float32 [columns], [] for all, or of another axis, such as [rows, 1]; None
@@ -43,7 +43,7 @@ class HalfTable:
 
     @property
     def decoded(self) -> Float32[np.ndarray, "..."]:
-        """The float32 numbers that the graph computes from the stored 16-bit numbers."""
+        """The float32 numbers that the graph computes from the table's 16-bit numbers."""
         numbers = self.numbers.astype(np.float32)
         if self.step is None or self.start is None:
             return numbers
@@ -64,7 +64,7 @@ def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> H
 
 
 def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
-    """Store a weight table in even steps; None if float16 is as close, by the mean square."""
+    """Quantise a weight table in even steps; None if float16 has no larger error."""
     axis = _axis_of_steps(array)
     start, width = _range(array, axis)
     step = (width / _STEPS).astype(np.float32)
@@ -87,7 +87,7 @@ def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
 
 
 def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
-    """Return the axis along which a weight table's step size varies; None for one step size."""
+    """Return the axis along which a weight table's quantisation step varies; None for one step."""
     last = array.ndim - 1
     axes = [k for k, n in enumerate(array.shape) if 1 < n <= array.size // _LEAST_ROWS]
     coarse = {k: float(np.square(_range(array, k)[1]).mean()) for k in axes}
@@ -99,7 +99,7 @@ def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
 def _range(
     array: Float32[np.ndarray, "..."], axis: int | None
 ) -> tuple[Float32[np.ndarray, " k"], np.ndarray]:
-    """Return minimum and width of a weight table's value range at each position of an axis."""
+    """Return minimum and width of a weight table's values at each position along an axis."""
     other_axes = tuple(k for k in range(array.ndim) if k != axis)
     least = np.atleast_1d(array.min(axis=other_axes))
     return least, np.atleast_1d(array.max(axis=other_axes)).astype(np.float64) - least
@@ -110,7 +110,7 @@ def _size(shape: tuple[int, ...]) -> int:
 
 
 def _blocks(shape: tuple[int, int, int]) -> Iterator[Block]:
-    """Divide the shape of a table into slices of limited size, to bound the memory."""
+    """Divide a weight table's shape into slices of limited size, to bound the memory."""
     _, middle, inner = shape
     sizes = (max(1, _BLOCK // (middle * inner)), max(1, _BLOCK // inner), _BLOCK)
     for position in np.ndindex(*(-(-n // size) for n, size in zip(shape, sizes, strict=True))):
@@ -121,5 +121,5 @@ def _blocks(shape: tuple[int, int, int]) -> Iterator[Block]:
 
 
 def _error(table: HalfTable, array: Float32[np.ndarray, "..."]) -> float:
-    """Return the sum of squared errors of a decoded weight table."""
+    """Return the sum of squared errors of a 16-bit weight table."""
     return float(np.square(table.decoded - array, dtype=np.float64).sum())

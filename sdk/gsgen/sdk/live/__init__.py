@@ -1,1 +1,1 @@
-"""Does a model compute the same when WebGPU captures and replays it (validation level ``live``)?"""
+"""Does a model compute the same in WebGPU, captured and replayed (validation level ``live``)?"""

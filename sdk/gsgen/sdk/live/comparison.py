@@ -1,4 +1,4 @@
-"""Compares outputs of the WebGPU provider with the CPU, and replays with uncaptured runs."""
+"""Compares WebGPU outputs with CPU outputs, and replayed frames with uncaptured ones."""
 
 __all__ = ["disagreements", "wrong_replays"]
 
@@ -29,7 +29,7 @@ _EXPECTED = "the CPU's value"
 
 
 def wrong_replays(live: Live) -> Iterator[WrongReplay]:
-    """Yield every output whose replayed frames differ from uncaptured ones, undeclared ones too."""
+    """Yield every output whose frames replayed by graph capture differ from uncaptured frames."""
     graph = live.subject.graph
     pairs = [(f.uncaptured, f.replayed) for f in live.frames if f.uncaptured and f.replayed]
     uncaptured, replayed = ([expected for expected, _ in pairs], [actual for _, actual in pairs])
@@ -37,7 +37,7 @@ def wrong_replays(live: Live) -> Iterator[WrongReplay]:
 
 
 def disagreements(live: Live) -> Iterator[tuple[str, str, str]]:
-    """Yield (location, actual, expected) for each field or output where CPU and GPU disagree."""
+    """Yield (location, actual, expected) for each output field in which CPU and WebGPU differ."""
     frames = [frame for frame in live.frames if frame.uncaptured is not None]
     packed = _compare_rows(live, frames)
     if packed is not None:
@@ -53,7 +53,7 @@ def disagreements(live: Live) -> Iterator[tuple[str, str, str]]:
 
 
 def _compare_rows(live: Live, frames: list[Frame]) -> Parity | None:
-    """Compare packed Gaussians of two runs field by field; None for a model without packed rows."""
+    """Compare packed Gaussians of two runs field by field; None for a model without Gaussians."""
     generator = live.subject.generator
     if generator is None:
         return None
@@ -92,7 +92,7 @@ def _model_outputs(live: Live, frame: Frame, outputs: Outputs | None) -> ModelOu
 
 
 def _some_rows(outputs: ModelOutputs) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the indices of the rows and cells to compare; selected cells have all their rows."""
+    """Select the indices of Gaussians and cells to compare, evenly spaced if there are many."""
     if outputs.cells is None or outputs.gaussians is None:
         return _even_indices(outputs.count, _MOST_ROWS), None
     per_cell = len(outputs.gaussians) // len(outputs.cells)
@@ -118,7 +118,7 @@ def _declared_names(live: Live) -> set[str]:
 
 
 def _compare_whole(name: str, frames: list[Frame]) -> Iterator[tuple[str, str, str]]:
-    """Compare one whole output of two runs, relative to the output's largest value."""
+    """Compare one output of two runs as a whole, relative to its largest value."""
     for frame in frames:
         cpu, gpu = np.asarray(frame.cpu[name]), np.asarray((frame.uncaptured or {})[name])
         if not agree(cpu, gpu, _TOLERANCE):

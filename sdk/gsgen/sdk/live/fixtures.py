@@ -41,7 +41,7 @@ def integers_of_64_bits() -> ModelSpec:
 
 @invalid("GB014", level=Level.LIVE)
 def branches_by_if() -> ModelSpec:
-    """Fixture: a generator with an If whose branches differ; a graph rule warns about it, too."""
+    """Fixture: a generator with an If whose branches differ, so that WebGPU cannot capture it."""
     branched = drifting().reworded(
         SHIFT_NODE,
         "late = Greater (time, half) turned = If (late) <then_branch = t () => (float[1] a) { a = Neg (time) }, "
@@ -64,7 +64,7 @@ def round_on_the_cpu() -> ModelSpec:
 
 @invalid("GB016", level=Level.LIVE)
 def output_from_idle_sum() -> ModelSpec:
-    """Fixture: a generator whose output is a ReduceSum over no axis, which only copies."""
+    """Fixture: a generator whose output is a ReduceSum over no axes, which is only a copy."""
     return drifting().reworded(
         _OUTPUT_NODE,
         "packed = Concat <axis = 1> (moved, opacity, spread) "

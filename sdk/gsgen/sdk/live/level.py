@@ -1,4 +1,4 @@
-"""Runs a model as viewers do: in ONNX Runtime's WebGPU provider, captured once and replayed.
+"""Validation level ``live``: runs a model in WebGPU as viewers do, captured and replayed.
 
 The model runs in a child process (:mod:`gsgen.sdk.live.worker`), on a GPU or a software driver.
 Each frame is computed without capture and by a session that replays captured commands. Inputs
@@ -35,7 +35,7 @@ Event = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class EarlyStop:
-    """The reason why a session ended before the last frame."""
+    """The reason why a WebGPU session ended before the last frame."""
 
     phase: str  # ``plain`` or ``captured``
     frame: int  # number of the frame; -1 during the creation of the session
@@ -44,7 +44,7 @@ class EarlyStop:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The outputs of one frame on the CPU, in WebGPU without capture, and in WebGPU by replay.
+    """The outputs of one frame on the CPU, in WebGPU, and in WebGPU by replay of a capture.
 
     Attributes:
         probe: The inputs.
@@ -61,7 +61,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Live:
-    """The results of running a model in the WebGPU provider."""
+    """The results of running a model in ONNX Runtime's WebGPU provider."""
 
     subject: InspectedModel
     adapter: str  # the adapter that it ran on
@@ -73,14 +73,14 @@ class Live:
 
     @property
     def refusal(self) -> str:
-        """The reason why ONNX Runtime refused to capture the model; empty if it did not refuse."""
+        """Why ONNX Runtime refused to capture the model's graph; empty if it did not."""
         stop = self.stop
         early = stop is not None and stop.phase == "captured" and not self.accepted
         return stop.message if stop is not None and early else ""
 
     @property
     def state(self) -> str:
-        """The result of the graph capture, in one line."""
+        """The result of the graph capture as one line of text."""
         if self.accepted:
             replayed = sum(frame.replayed is not None for frame in self.frames)
             return f"accepted, {max(replayed - 1, 0)} replays"
@@ -107,7 +107,7 @@ def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
 
 
 def survey(seconds: float = 60) -> dict[str, str]:
-    """Start a child process that returns versions and adapter of the WebGPU provider."""
+    """Start a child process that reports the versions and adapter of the WebGPU provider."""
     _need_package()
     with execute(Path(), [], [], Limits(seconds=seconds), _WORKER, half=False) as execution:
         _raise_if_unavailable(execution)
@@ -121,7 +121,7 @@ def _need_package() -> None:
 
 
 def _select_runs(trial: ProbeRuns) -> list[int]:
-    """Return runs of the model with different inputs; the last run repeats the first."""
+    """Select runs of a model with different inputs; the last run repeats the first."""
     plan = trial.plan
     runs = [run for run in range(plan.values) if not plan.probes[run].zeros]
     zeros = [run for run in range(plan.values) if plan.probes[run].zeros]

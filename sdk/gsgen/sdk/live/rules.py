@@ -1,20 +1,31 @@
-"""Rules GB011 to GB017: captured and replayed on a GPU, a model computes the same as on the CPU.
+"""Rules GB011 to GB017: WebGPU, with graph capture and replay, computes the same as the CPU.
 
 Registered in the entry point group ``gsgen.rules``; the module imports nothing heavy.
 """
 
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from functools import partial
+from typing import TYPE_CHECKING
 
+from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
-from gsgen.contract.validation.level_backend import LevelBackend
+from gsgen.contract.validation.level_backend import LevelBackend, LevelContext
 from gsgen.contract.validation.rule import rule
-from gsgen.sdk.binding.providers.webgpu import WEBGPU
-from gsgen.sdk.live.level import Live, prepare_live
 
-RUNNER = LevelBackend(Level.LIVE, "replaying frames in WebGPU", prepare_live)
+if TYPE_CHECKING:
+    from gsgen.sdk.live.level import Live
+
+
+def _prepare(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
+    from gsgen.sdk.live.level import prepare_live
+
+    return prepare_live(probe_runs)
+
+
+RUNNER = LevelBackend(Level.LIVE, "replaying frames in WebGPU", _prepare)
 
 _MOST_FRAMES = "every frame of several, with inputs that change"
 _live_rule = partial(rule, over="live", kinds=KINDS)
@@ -23,7 +34,7 @@ _live_rule = partial(rule, over="live", kinds=KINDS)
 @_live_rule(
     "GB011", "ep-agreement", Severity.ERROR, fixture="integers_of_64_bits", needs=("GB017", "GV001")
 )
-def ep_agreement(live: Live) -> Iterator[Violation]:
+def ep_agreement(live: "Live") -> Iterator[Violation]:
     """The outputs of the WebGPU provider equal those of the CPU, within the model's tolerances.
 
     Why:
@@ -47,8 +58,8 @@ def ep_agreement(live: Live) -> Iterator[Violation]:
     fixture="branches_by_if",
     needs=("GB017", "GB015"),
 )
-def capture_accepted(live: Live) -> Iterator[Violation]:
-    """ONNX Runtime agrees to capture the graph.
+def capture_accepted(live: "Live") -> Iterator[Violation]:
+    """ONNX Runtime's WebGPU provider agrees to capture the graph.
 
     Why:
         Without capture, every kernel is launched again in every frame, which takes longer than the
@@ -64,7 +75,7 @@ def capture_accepted(live: Live) -> Iterator[Violation]:
 @_live_rule(
     "GB015", "all-nodes-on-gpu", Severity.WARNING, fixture="round_on_the_cpu", needs=("GB017",)
 )
-def all_nodes_on_gpu(live: Live) -> Iterator[Violation]:
+def all_nodes_on_gpu(live: "Live") -> Iterator[Violation]:
     """The WebGPU provider runs every node; no node runs on the CPU.
 
     Why:
@@ -75,6 +86,8 @@ def all_nodes_on_gpu(live: Live) -> Iterator[Violation]:
         Write the operation with operators that have WebGPU kernels at this operator set: Round as
         Floor and Where, Sign as Where, 64-bit integers as 32-bit ones, and export at operator set 18.
     """
+    from gsgen.sdk.binding.providers.webgpu import WEBGPU
+
     cpu_nodes = [node for node in live.nodes or () if node.provider != WEBGPU]
     for operator in dict.fromkeys(node.operator for node in cpu_nodes):
         first, *similar = [node for node in cpu_nodes if node.operator == operator]
@@ -87,8 +100,8 @@ def all_nodes_on_gpu(live: Live) -> Iterator[Violation]:
 @_live_rule(
     "GB016", "replay-not-stale", Severity.ERROR, fixture="output_from_idle_sum", needs=("GB014",)
 )
-def replay_not_stale(live: Live) -> Iterator[Violation]:
-    """Replayed frames equal those of a session without capture for the same inputs.
+def replay_not_stale(live: "Live") -> Iterator[Violation]:
+    """Frames replayed by graph capture equal uncaptured frames for the same inputs.
 
     Why:
         Capture records kernels, not buffer copies, so an output that an operator merely copies
@@ -108,7 +121,7 @@ def replay_not_stale(live: Live) -> Iterator[Violation]:
 
 
 @_live_rule("GB017", "runs-on-webgpu", Severity.ERROR, fixture="split_into_many", needs=("GV025",))
-def runs_on_webgpu(live: Live) -> Iterator[Violation]:
+def runs_on_webgpu(live: "Live") -> Iterator[Violation]:
     """ONNX Runtime's WebGPU provider runs the model to the end.
 
     Why:

@@ -1,4 +1,4 @@
-"""The worker process of validation level ``live``: runs one model in WebGPU, then exits.
+"""The child process of validation level ``live``: runs one model in WebGPU, then exits.
 
 Every frame is computed twice: by a session without capture, then by one that captures its commands
 with the first frame and replays them for the others. Both write their outputs to files for the
@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gsgen.contract.probing.sandbox_worker import Emit, keep_outputs, read_inputs, serve
+from gsgen.contract.probing.sandbox_worker import Emit, input_reader, keep_outputs, serve
 from gsgen.contract.process.limits import limit_memory
 from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.sdk.binding.bound_session import BoundSession
@@ -34,7 +34,7 @@ _SOFTWARE = re.compile("llvmpipe|swiftshader|basic render|warp", re.IGNORECASE)
 
 
 class Opener(Protocol):
-    """Opens a session for a model, with or without capture."""
+    """Protocol of a function that opens a session for a model, with or without graph capture."""
 
     def __call__(self, model: Path | bytes, *, capture: bool) -> Any: ...
 
@@ -65,7 +65,7 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
 
 
 def _set_driver_environment(folder: Path) -> None:
-    """Set environment variables for drivers, unless the user already did."""
+    """Set environment variables for GPU drivers, unless the user already did."""
     usual = {
         "ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER": "1",
         "VK_LOADER_DEBUG": "driver",
@@ -125,11 +125,13 @@ def _run_smallest(opener: Opener, dtype: str) -> None:
     session = opener(model.SerializeToString(), capture=False)
     (doubled,) = session.run(None, {"x": np.arange(4, dtype=dtype)})
     if doubled.tolist() != [0, 2, 4, 6]:
-        raise RuntimeError(f"0..3 doubled is {doubled.tolist()}, expected [0, 2, 4, 6]")
+        raise RuntimeError(
+            f"the WebGPU adapter computes 2 · [0, 1, 2, 3] as {doubled.tolist()}, expected [0, 2, 4, 6]"
+        )
 
 
 class _Frames:
-    """Computes the frames of one model, without capture and by replay."""
+    """Computes the frames of one model in WebGPU, without graph capture and by replay."""
 
     def __init__(self, folder: Path, job: dict[str, Any], emit: Emit, opener: Opener) -> None:
         self.folder, self.job, self.emit, self.opener = folder, job, emit, opener
@@ -140,7 +142,7 @@ class _Frames:
             self._phase("captured", self._captured)
 
     def _phase(self, name: str, work: Callable[[], None]) -> bool:
-        """Run one phase of a WebGPU job, and return whether the phase succeeded; report errors."""
+        """Run one phase of a WebGPU job, report errors, and return whether it succeeded."""
         self.index = -1
         try:
             work()
@@ -152,10 +154,11 @@ class _Frames:
         return True
 
     def _frames(self, phase: str) -> Iterator[dict[str, np.ndarray]]:
-        for index, names in enumerate(self.job["probes"]):
+        inputs_of = input_reader(self.folder, self.job)
+        for index in range(len(self.job["probes"])):
             self.index = index
             self.emit("begin", phase=phase, probe=index)
-            yield read_inputs(self.folder / f"probe_{self.index}.npz", names)
+            yield inputs_of(index)
 
     def _keep(self, phase: str, outputs: dict[str, np.ndarray]) -> None:
         sample = keep_outputs(self.folder, outputs, self.known, self.emit)
@@ -170,7 +173,7 @@ class _Frames:
             self._keep("plain", dict(zip(names, outputs, strict=True)))
 
     def _captured(self) -> None:
-        """Capture the first frame, and replay the capture for the others with the same buffers."""
+        """Capture the first frame, and compute the others by replay with the same buffers."""
         session = self.opener(Path(self.job["model"]), capture=True)
         self.emit("accepted")
         bound: BoundSession | None = None

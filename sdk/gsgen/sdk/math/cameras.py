@@ -1,4 +1,4 @@
-"""Camera centre and frustum test, from matrices in either memory order."""
+"""Camera centre and frustum test from view and projection matrices in either memory order."""
 
 __all__ = ["camera_centre", "frustum_mask"]
 
@@ -14,7 +14,7 @@ _SMALLEST_SCALE = 1e-12
 
 
 def camera_centre(view: Float[Tensor, "4 4"], order: Order = "column") -> Float[Tensor, "3"]:
-    """Return the camera's centre, −Rᵀ t / s², in local space.
+    """Return the camera centre −Rᵀ t / s² of a view matrix, in local space.
 
     Args:
         view: World→camera: a rotation times a uniform scale s, and a translation.
@@ -67,7 +67,7 @@ def frustum_mask(
 
 
 def _product(columns: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
-    """Return the product of a table's columns by Mul: few runtimes have a ReduceProd kernel."""
+    """Return the row products of a table by Mul, since few runtimes have a ReduceProd kernel."""
     first, *factors = columns.unbind(dim=1)
     for factor in factors:
         first = first * factor

@@ -1,4 +1,4 @@
-"""Selection of rows with static shapes: a fixed number of row indices, and a count.
+"""Selects rows with static shapes: a fixed number of row indices, and a count of valid ones.
 
 Rows are sorted by TopK, which ONNX Runtime's WebGPU provider captures; onnxruntime-web 1.22 has no
 kernel for it. If that matters, multiply opacity by the mask instead.
@@ -19,7 +19,7 @@ _MOST_ROWS = 1 << 24
 def keep_rows(
     mask: Float[Tensor, " n"], capacity: int
 ) -> tuple[Int[Tensor, " c"], Int[Tensor, "1"]]:
-    """Return the indices of the rows that a mask keeps, then of other rows, and the kept count.
+    """Return the row indices that a mask keeps, followed by other rows, and the kept count.
 
     Args:
         mask: Above zero for rows to keep.
@@ -57,8 +57,8 @@ def top_rows(score: Float[Tensor, " n"], capacity: int) -> Int[Tensor, " c"]:
 def _sizes(values: Tensor, capacity: int, where: str) -> tuple[int, int]:
     n = values.shape[0]
     if capacity < 1:
-        raise GeneratorInvalid(f"capacity is {capacity}, expected 1 or more", where=where)
+        raise GeneratorInvalid(f"the capacity is {capacity}, expected 1 or more", where=where)
     if n > _MOST_ROWS:
-        message = f"{n} rows, expected {_MOST_ROWS} at most"
+        message = f"the mask or scores have {n} rows, expected {_MOST_ROWS} at most"
         raise GeneratorInvalid(message, where=where, hint="Select rows in several parts.")
     return n, min(capacity, n)

@@ -13,7 +13,7 @@ from gsgen.sdk.math.rotations import quaternion_to_matrix
 def covariance_upper(
     scale: Float[Tensor, "n 3"], rotation: Float[Tensor, "n 4"]
 ) -> Float[Tensor, "n 6"]:
-    """Return xx xy xz yy yz zz of the covariance R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6).
+    """Return the upper triangles of the covariances R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6).
 
     Args:
         scale: Linear standard deviations along the local axes.

@@ -1,4 +1,4 @@
-"""Conversion of spherical harmonics from the layouts of methods to the contract's [N, K, 3]."""
+"""Converts spherical harmonics from the layouts of 3DGS methods to the contract's [N, K, 3]."""
 
 __all__ = [
     "sh_from_channel_major",
@@ -20,7 +20,7 @@ _Y0 = 0.28209479177387814
 
 
 def sh_from_channel_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
-    """Reorder SH coefficients that are stored red first, then green, then blue.
+    """Reorder SH coefficients that are stored channel by channel (all red, green, blue).
 
     Args:
         sh: [N, 3, K], or [N, 3K] with all red coefficients first.
@@ -35,7 +35,7 @@ def sh_from_channel_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
 
 
 def sh_from_coefficient_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
-    """Reshape SH coefficients that are stored in sequence, each as red, green, blue.
+    """Reshape SH coefficients that are stored one after another, each as red, green, blue.
 
     Args:
         sh: [N, K, 3], or [N, 3K] with the constant term first.
@@ -76,7 +76,7 @@ def sh_from_rgb(rgb: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1 3"]:
 
 
 def sh_of_degree(sh: Float[Tensor, "n k 3"], degree: int) -> Float[Tensor, "n l 3"]:
-    """Truncate SH to a degree, or pad them to it with zeros.
+    """Truncate SH coefficients to a degree, or pad them to the degree with zeros.
 
     Args:
         sh: Coefficient-major coefficients.

@@ -1,4 +1,4 @@
-"""Bilinear sampling of feature planes by gathers, which every runtime captures.
+"""Bilinear sampling of feature planes by Gather operators, which every runtime captures.
 
 ``F.grid_sample`` becomes GridSample, which is not captured above operator set 19 and wrong in
 float16 in older browsers. Here four rows of a table are gathered and interpolated.
@@ -70,7 +70,7 @@ def sample_plane(
 def _neighbours(
     coordinate: Float[Tensor, "n 1"], size: int, *, align_corners: bool, padding: Padding
 ) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 2"]]:
-    """Return both neighbouring texels of a coordinate as float indices, and their weights."""
+    """Return the two neighbouring texels of a coordinate as float indices, and their weights."""
     half = 0.5 * (size - 1 if align_corners else size)
     texel = coordinate * half + 0.5 * (size - 1)
     if padding == "border":

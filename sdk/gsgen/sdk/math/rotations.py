@@ -1,4 +1,4 @@
-"""Unit vectors, quaternions and rotation matrices."""
+"""Torch functions for unit vectors, quaternions and rotation matrices."""
 
 __all__ = [
     "SMALL_ANGLE",
@@ -31,7 +31,7 @@ def safe_normalize(
 
 
 def quaternion_to_matrix(quaternion: Float[Tensor, "... 4"]) -> Float[Tensor, "... 3 3"]:
-    """Convert quaternions (w, x, y, z), which are normalised here, to rotation matrices."""
+    """Convert quaternions (w, x, y, z), which need not be normalised, to rotation matrices."""
     w, x, y, z = safe_normalize(quaternion).unbind(dim=-1)
     entries = (
         1 - 2 * (y * y + z * z),
@@ -50,7 +50,7 @@ def quaternion_to_matrix(quaternion: Float[Tensor, "... 4"]) -> Float[Tensor, ".
 def quaternion_multiply(
     a: Float[Tensor, "... 4"], b: Float[Tensor, "... 4"]
 ) -> Float[Tensor, "... 4"]:
-    """Return the Hamilton product a b of quaternions (w, x, y, z): first b turns, then a."""
+    """Return the Hamilton product a b of quaternions (w, x, y, z): rotate by b, then by a."""
     aw, ax, ay, az = a.unbind(dim=-1)
     bw, bx, by, bz = b.unbind(dim=-1)
     entries = (

@@ -1,4 +1,4 @@
-"""Linear blend skinning: joints rotate, and Gaussians follow them by their skinning weights.
+"""Linear blend skinning: Gaussians follow rotating joints by their skinning weights.
 
 A kinematic chain is a loop over joints, which graph capture does not support. Here every joint's
 transform is multiplied by that of its parent, the products by those of their parents, and so on.
@@ -26,7 +26,7 @@ def skinning_transforms(
     parents: Sequence[int],
     translation: Float[Tensor, "3"] | None = None,
 ) -> Float[Tensor, "j 3 4"]:
-    """Return the map of each joint from the rest pose to the pose (Loper et al. 2015, "SMPL").
+    """Return each joint's transform from the rest pose to the pose (Loper et al. 2015, "SMPL").
 
     Args:
         turns: Rotation of each joint in its parent's frame; see
@@ -81,7 +81,7 @@ def _local(turns: Tensor, joints: Tensor, parents: Sequence[int]) -> Float[Tenso
 
 
 def _chained(local: Float[Tensor, "j 4 4"], parents: Sequence[int]) -> Float[Tensor, "j 4 4"]:
-    """Multiply each joint's transform by those of all its ancestors."""
+    """Multiply each joint's local transform by those of all its ancestors."""
     root = torch.eye(4, dtype=local.dtype, device=local.device)[None]
     transforms = torch.cat([local, root], dim=0)
     for ancestors in _ancestor_rounds(parents):
@@ -90,7 +90,7 @@ def _chained(local: Float[Tensor, "j 4 4"], parents: Sequence[int]) -> Float[Ten
 
 
 def _ancestor_rounds(parents: Sequence[int]) -> Iterator[list[int]]:
-    """Yield each joint's ancestor at distance 1, 2, 4, …; the last index means no ancestor."""
+    """Yield each joint's ancestor 1, 2, 4, … levels up; the joint count means no ancestor."""
     none = len(parents)
     ancestors = [*parents, none]
     while any(ancestor != none for ancestor in ancestors):
@@ -103,10 +103,12 @@ def _indices(values: Sequence[int], like: Tensor) -> Tensor:
 
 
 def _parent_indices(parents: Sequence[int], count: int, shape: tuple[int, ...]) -> list[int]:
-    """Validate the parents of joints, and return parent indices; a root gets the joint count."""
+    """Validate the parents of joints, and return them; a root joint gets the joint count."""
     where = "skinning_transforms, parents"
     if len(parents) != count or shape != (count, 3):
-        message = f"{count} turns, {len(parents)} parents and joints of shape {list(shape)}"
+        message = (
+            f"{count} rotations, {len(parents)} parents and joint positions of shape {list(shape)}"
+        )
         raise GeneratorInvalid(f"{message} differ in number", where=where)
     for joint, parent in enumerate(parents):
         if parent not in (-1, NO_PARENT) and not 0 <= parent < count:

@@ -1,4 +1,4 @@
-"""Which graph rewrites exist, and which outputs can they repair?"""
+"""Which graph rewrites and output repairs exist?"""
 
 __all__ = [
     "CastCount", "EndOutputsOnCompute", "MultiplyMatrices", "PadColor", "PinDimensions",

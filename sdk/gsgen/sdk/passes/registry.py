@@ -1,4 +1,4 @@
-"""All graph rewrites, in the order in which they run.
+"""The list of all graph rewrites, in the order in which they run.
 
 A comment gives the reason for each block's position. Every pass runs once in a round; rounds are
 repeated until nothing changes, so a pass may rely on a later pass of the previous round.

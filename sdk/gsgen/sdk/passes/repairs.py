@@ -33,7 +33,7 @@ class _OutputRepair(_Repair):
 
 
 class CastCount(_OutputRepair):
-    """Cast the row count to int32 [1]: runtimes bind four bytes to it (rule GO011).
+    """Cast the row count output to int32 [1]: runtimes bind four bytes to it (rule GO011).
 
     ::
 
@@ -61,7 +61,7 @@ class CastCount(_OutputRepair):
 
 
 class PadColor(_OutputRepair):
-    """Pad float16 RGB to four channels with ones: a row must fill whole words (rule GO015).
+    """Pad float16 RGB to four channels with ones, so that rows fill whole words (rule GO015).
 
     ::
 
@@ -95,7 +95,7 @@ class PadColor(_OutputRepair):
 
 
 class SilencePadding(_Repair):
-    """Set every value of the rows after the count to zero (rules GV002 and GV018).
+    """Set every value of the padding rows after the row count to zero (rules GV002 and GV018).
 
     Where selects, so a NaN after the count is removed; a product would keep it::
 
@@ -108,7 +108,7 @@ class SilencePadding(_Repair):
         self.count = count
 
     def repair(self, model: ir.Model) -> bool:
-        """Mask the rows after the count of each output, with the condition row number < count."""
+        """Set each output to zero from row index ``count`` on, by a mask over row indices."""
         graph, count = model.graph, _output(model, self.count)
         outputs = [_output(model, name) for name in self.names]
         rows = outputs[0].shape[0] if outputs[0].shape is not None else None
@@ -135,7 +135,7 @@ class RenameOutputs(_Repair):
         self.names = names
 
     def repair(self, model: ir.Model) -> bool:
-        """Rename the outputs of a model; inner values with one of the new names get another one."""
+        """Rename outputs of a model; inner values that already have a new name get another."""
         renames = {old: new for old, new in self.names.items() if old != new}
         graph = model.graph
         ends = {*graph.inputs, *(v for v in graph.outputs if v.name not in renames)}
@@ -154,7 +154,7 @@ class RenameOutputs(_Repair):
 
 
 class PinDimensions(_Repair):
-    """Give symbolic dimensions of inputs and outputs a fixed size (rule GO004)."""
+    """Give symbolic dimensions of model inputs and outputs a fixed size (rule GO004)."""
 
     def __init__(self, sizes: Mapping[str, int]) -> None:
         super().__init__()

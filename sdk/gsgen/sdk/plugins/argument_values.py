@@ -1,4 +1,4 @@
-"""Convert texts of the command line to values of a declared type, without evaluating code."""
+"""Converts text of the command line to values of a declared type, without evaluating code."""
 
 __all__ = ["convert", "name_of"]
 
@@ -100,7 +100,7 @@ def _nothing(text: str) -> None:
 
 
 def _described(annotation: Any) -> str:
-    """Return a phrase for the values of a type, such as ``a whole number``."""
+    """Return a phrase for the values that a type allows, such as ``a whole number``."""
     origin = get_origin(annotation)
     if origin is Annotated:
         return _described(get_args(annotation)[0])
@@ -122,6 +122,6 @@ def _described(annotation: Any) -> str:
 
 
 def name_of(annotation: Any) -> str:
-    """Return a Python type as it is written in an annotation."""
+    """Return the name of a Python type as an annotation shows it."""
     is_class = isinstance(annotation, type) and get_origin(annotation) is None
     return annotation.__name__ if is_class else str(annotation).replace("typing.", "")

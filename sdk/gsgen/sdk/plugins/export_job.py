@@ -1,4 +1,4 @@
-"""Run `gsgen export`: build the module or scene, export it, and print the result."""
+"""Runs `gsgen export`: builds the module or scene, exports it, and prints the result."""
 
 __all__ = ["run_export"]
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
-    """Build a module or scene, export it, and print the validator's findings.
+    """Build a torch module or scene, export it, and print the validator's findings.
 
     Exits with code 1 if no conforming model can be exported.
     """
@@ -60,13 +60,14 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
 
 def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult":
-    """Check the options, build the module or scene, and export it by its kind."""
+    """Check the options, build the torch module or scene, and export it by its kind."""
     from gsgen.contract.spec.severity import Level
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.settings import Settings
     from gsgen.sdk.exporting.constant_generator import ConstantSource, export_constant
 
     # Options are checked before a slow step begins.
+    request.refuse_splat_file()
     settings = Settings(level=Level.parse(request.level, "--level"))
     load_target(request.target)
     progress("building the generator")
@@ -80,6 +81,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
     }
     # Case 1: a scene that does not change; torch may be absent.
     if isinstance(module, ConstantSource):
+        _refuse_pictures(request)
         return export_constant(
             module, request.output, dtype=request.dtype, capacity=request.capacity, **options
         )
@@ -90,6 +92,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
     options["rewrite"] = request.rewrite
     # Case 2: a model from image to image.
     if isinstance(module, PostProcess):
+        _refuse_pictures(request)
         if request.capacity is not None:
             message = "a post-process model returns an image, which has no Gaussians"
             raise ConfigInvalid(message, where="--capacity", hint="Leave the option out.")
@@ -97,7 +100,16 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
         return export_post_process(module, request.output, dtype=dtype, **options)
     # Case 3: a generator.
     options |= {"dtype": request.dtype, "capacity": request.capacity, "verify": request.verify}
+    options["pictures"] = request.pictures
     return export(module, request.output, **options)
+
+
+def _refuse_pictures(request: "ExportRequest") -> None:
+    """Raise if pictures of an eager module are requested, and the source has none to draw."""
+    if request.pictures:
+        message = "only a generator in torch has an eager module to draw"
+        hint = "Leave it out; `gsgen references --from` takes pictures of the training code."
+        raise ConfigInvalid(message, where="--pictures", hint=hint)
 
 
 def _built(build: Callable[[], Any]) -> Any:

@@ -1,4 +1,4 @@
-"""The options of every `gsgen export`, for torch modules, post-process models and constant scenes."""
+"""Options that every `gsgen export` command has, for torch modules and static scenes."""
 
 __all__ = ["OPSETS", "Build", "ExportRequest", "with_common_options"]
 
@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gsgen.contract.process.atomic_files import refuse_itself, refuse_model
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.atomic_files import MODEL_SUFFIX, refuse_itself, refuse_model
 from gsgen.sdk.exporting.pipeline import OPSET
 
 if TYPE_CHECKING:
@@ -38,13 +39,24 @@ class ExportRequest:
     target: str = "core"  # the consumer to rewrite and validate for
     level: str = "behaviour"  # the last level of the validation
     verify: Literal["quick", "full"] = "full"  # how many probes are compared with eager torch
+    pictures: int = 0  # reference pictures of the eager module
     rewrite: bool = True  # whether to rewrite the graph for runtimes
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
 
     def __post_init__(self) -> None:
-        """Raise if the report of an export would overwrite a model file."""
+        """Raise if the JSON report of an export would overwrite a model file."""
         if self.report is not None:
             refuse_model(self.report, [self.output])
+
+    def refuse_splat_file(self) -> None:
+        """Raise if the model would be named like a splat file, which `gsgen convert` writes."""
+        from gsgen.formats.codecs import CODECS
+
+        suffix = self.output.suffix.lower()
+        if any(suffix in codec.suffixes for codec in CODECS):
+            hint = f"Name {self.output.with_suffix('.onnx')}; `gsgen convert` writes splat files."
+            message = f"has the suffix {suffix} of splat files, expected {MODEL_SUFFIX}"
+            raise ConfigInvalid(message, where=f"-o {self.output}", hint=hint)
 
 
 def _request(
@@ -85,6 +97,14 @@ def _request(
         Literal["quick", "full"],
         typer.Option(help="Compare with eager torch at a third of the probes, or at all of them."),
     ] = "full",
+    pictures: Annotated[
+        int,
+        typer.Option(
+            help="Declare so many pictures of the eager module, which level render compares with.",
+            min=0,
+            max=16,
+        ),
+    ] = 0,
     no_rewrite: Annotated[
         bool, typer.Option("--no-rewrite", help="Leave the graph as torch exports it.")
     ] = False,
@@ -101,6 +121,7 @@ def _request(
         target=target,
         level=level,
         verify=verify,
+        pictures=pictures,
         rewrite=not no_rewrite,
         report=report,
     )
@@ -112,7 +133,7 @@ _COMMON = inspect.signature(_request).parameters
 def with_common_options(
     build: Callable[..., Any], run: Callable[[Callable[[], Any], ExportRequest], None]
 ) -> Callable[..., None]:
-    """Return a typer function with a plugin's own parameters and the options of every export.
+    """Return a typer function with a plugin's own parameters and those of every export command.
 
     ``run`` is called with ``build``, its arguments bound, and the request. A parameter of ``build``
     with the name of a common option is a TypeError.
@@ -120,7 +141,9 @@ def with_common_options(
     parameters = inspect.signature(build).parameters
     conflicts = sorted(set(parameters) & set(_COMMON))
     if conflicts:
-        raise TypeError(f"every export has the option {conflicts[0]!r}; give it another name")
+        raise TypeError(
+            f"the plugin's parameter {conflicts[0]!r} has the name of an option of every export; rename it"
+        )
 
     def command(**values: Any) -> None:
         request = _request(**{key: values.pop(key) for key in _COMMON})

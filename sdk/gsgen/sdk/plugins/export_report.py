@@ -35,7 +35,7 @@ class Outcome:
 
 
 def write_report(path: Path, request: ExportRequest, source: str, outcome: Outcome) -> None:
-    """Write the options of an export and its outcome to a JSON file."""
+    """Write the options and the outcome of an export to a JSON file."""
     document = {
         "schema": _SCHEMA,
         "tool": f"gsgen {version('gsgen')}",

@@ -1,4 +1,4 @@
-"""Import the factory of `gsgen export module:factory`, and call it with the values of `--arg`."""
+"""Imports the user's factory of `gsgen export module:factory`, and calls it with `--arg`."""
 
 __all__ = ["Factory", "is_target", "load_factory", "require_torch"]
 
@@ -22,14 +22,14 @@ _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 @dataclass(frozen=True, slots=True)
 class Factory:
-    """A user's callable that returns a generator, or a finished generator."""
+    """A user's callable that returns a generator, or a generator itself."""
 
     target: str  # ``module:name``, as the user typed it
     make: Any  # the class, function or finished generator
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """The parameters of a user's factory; empty for a finished generator."""
+        """The parameters of a user's factory function; empty for a finished generator."""
         if not _is_factory(self.make):
             return {}
         try:
@@ -39,13 +39,15 @@ class Factory:
         return dict(parameters)
 
     def arguments(self, entries: Sequence[str]) -> dict[str, Any]:
-        """Convert ``KEY=VALUE`` entries to keyword arguments of the declared types."""
+        """Convert ``KEY=VALUE`` options to keyword arguments of the factory's declared types."""
         values: dict[str, Any] = {}
         for entry in entries:
             key, sign, text = entry.partition("=")
             if not sign:
                 hint = "Write it as --arg side=24."
-                raise ConfigInvalid(f"{entry!r} has no '='", where="--arg", hint=hint)
+                raise ConfigInvalid(
+                    f"{entry!r} has no '=', expected KEY=VALUE", where="--arg", hint=hint
+                )
             values[key] = convert(text, self._type_of(key), f"--arg {key}")
         missing = [name for name in self._needed() if name not in values]
         if missing:
@@ -104,7 +106,7 @@ def _hints(make: Any) -> dict[str, Any]:
 
 
 def is_target(word: str) -> bool:
-    """Return whether a word of the command line has the form ``module:factory``."""
+    """Return whether a command-line argument has the form ``module:factory``."""
     return ":" in word and not word.startswith("-")
 
 
@@ -116,7 +118,7 @@ def require_torch() -> None:
 
 
 def load_factory(target: str, folder: Path | None = None) -> Factory:
-    """Import a user's factory ``module:name``; modules of the given folder take precedence.
+    """Import a user's factory ``module:name``; the given folder is searched first.
 
     ``target`` is ``package.module:factory`` or ``file.py:factory``.
     """
@@ -159,7 +161,7 @@ def _import(name: str, search_folder: Path) -> Any:
 
 
 def _no_module(name: str, absent: str, search_folder: Path) -> UnknownName:
-    """Return the error for an unknown module, with a suggestion from the files of a folder."""
+    """Return the error for a module that cannot be found, with a similar file name as a hint."""
     parent = search_folder.joinpath(*absent.split(".")[:-1])
     prefix = absent.rpartition(".")[0]
     stems = [path.stem for path in parent.glob("*.py") if path.stem != "__init__"]
@@ -175,7 +177,7 @@ def _no_module(name: str, absent: str, search_folder: Path) -> UnknownName:
 
 
 def _candidates(holder: Any) -> list[str]:
-    """Return the names in a module that are generators, or callables that may return one."""
+    """Return the names in a module that are generators, or functions that may return one."""
     import torch
 
     module_name = getattr(holder, "__name__", None)
@@ -189,7 +191,7 @@ def _candidates(holder: Any) -> list[str]:
 
 
 def _checked(module: Any, target: str) -> Any:
-    """Return a module that is a generator or a post-process model; raise for other modules."""
+    """Return a torch module that is a generator or post-process model; raise for others."""
     import torch
 
     from gsgen.sdk.authoring.generator import GaussianGenerator
@@ -208,7 +210,7 @@ def _checked(module: Any, target: str) -> Any:
 
 
 def _raised(error: Exception, where: str) -> GsgenError:
-    """Return an error that carries an exception of the user's code, and the line that raised it."""
+    """Return an error for an exception in the user's code, with the line that raised it."""
     reason = error.msg if isinstance(error, SyntaxError) else str(error)
     line = user_line_of(error)
     location = f"{where}, {line}" if line else where

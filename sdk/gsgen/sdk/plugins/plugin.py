@@ -1,4 +1,4 @@
-"""Plugins: each describes one method, and turns the method's files into a generator.
+"""Plugins: each declares one published method, and converts the method's files to a generator.
 
 A package registers an object of :class:`Plugin` under the entry point group ``gsgen.generators``.
 If it needs an extra, the entry point names the extra in square brackets.
@@ -46,7 +46,7 @@ class Publication:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demo:
-    """An example of a plugin's method, exported and drawn by the demo from synthetic files.
+    """A plugin's demo: synthetic files of the method, exported and rendered.
 
     Attributes:
         write: Writes the files into a folder, and returns the method's arguments for
@@ -66,7 +66,7 @@ class Demo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plugin:
-    """The plugin of one method: give ``build``, or ``command`` if the plugin exports by itself.
+    """The declaration of a method's plugin, with a function that builds or exports the model.
 
     Attributes:
         name: The word after ``gsgen export``.
@@ -100,11 +100,13 @@ class Plugin:
 
     def __post_init__(self) -> None:
         if (self.command is None) == (self.build is None):
-            raise TypeError(f"plugin {self.name!r}: give exactly one of command and build")
+            raise TypeError(
+                f"plugin {self.name!r} has both or neither of command and build, expected exactly one"
+            )
 
     @property
     def headline(self) -> str:
-        """The summary of a plugin, with the method's name in parentheses."""
+        """The summary of a plugin, followed by the method's name in parentheses."""
         return f"{self.summary.removesuffix('.')} ({self.title})." if self.title else self.summary
 
     @property
@@ -122,12 +124,12 @@ class Plugin:
 
 
 def find_plugins() -> dict[str, Command]:
-    """Return every registered plugin by name, even if a distribution that it needs is missing."""
+    """Return every registered plugin by name, even if its dependencies are missing."""
     return find_commands(_GROUP)
 
 
 def installed_plugins() -> Iterator[Plugin]:
-    """Yield every plugin whose distributions are installed."""
+    """Yield every registered plugin whose dependencies are installed."""
     for command in find_plugins().values():
         plugin = command.load()
         if isinstance(plugin, Plugin):

@@ -1,4 +1,4 @@
-"""Writes the package of a new plugin, with an example method and its tests."""
+"""Writes the package of a new plugin from a template, with an example method and tests."""
 
 __all__ = ["PluginPackage", "write_plugin_package"]
 
@@ -38,7 +38,7 @@ _FILES = {
 
 @dataclass(frozen=True, slots=True)
 class PluginPackage:
-    """Paths and names of a new plugin's package, which was written from the template."""
+    """Paths and names of a plugin package that was written from the template."""
 
     folder: Path  # the folder of the package
     package: str  # its import name
@@ -46,12 +46,12 @@ class PluginPackage:
 
 
 def write_plugin_package(name: str, into: Path) -> PluginPackage:
-    """Write the package of a new plugin into a new folder that has the package's name."""
+    """Write the package of a new plugin into a new folder named like the package."""
     _check_name(name)
     folder, package = into / name, name.replace("-", "_")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         hint = "Choose another name, or another folder with --into."
-        raise ConfigInvalid("exists already", where=str(folder), hint=hint)
+        raise ConfigInvalid("the folder exists already", where=str(folder), hint=hint)
     replacements = {
         "name": name,
         "package": package,
@@ -90,7 +90,7 @@ def _check_name(name: str) -> None:
         conflict = "a plugin that is installed"
     if conflict:
         hint = f"For example 'my-{name}'."
-        raise ConfigInvalid(f"{name!r} is {conflict}", where="NAME", hint=hint)
+        raise ConfigInvalid(f"the plugin name {name!r} is {conflict}", where="NAME", hint=hint)
 
 
 def _template(source: str, replacements: dict[str, str]) -> str:
@@ -99,7 +99,7 @@ def _template(source: str, replacements: dict[str, str]) -> str:
 
 
 def _filled(text: str, replacements: dict[str, str]) -> str:
-    """Replace every @word@ in the text of a template file; an unknown word raises KeyError."""
+    """Replace every @word@ in a template text; an unknown word raises KeyError."""
     return re.sub("@([a-z]+)@", lambda match: replacements[match[1]], text)
 
 
@@ -120,7 +120,7 @@ def _write(folder: Path, texts: dict[str, str]) -> None:
 
 
 def _umask() -> int:
-    """Return the process's file mode mask, by setting and restoring it."""
+    """Return the process's file mode creation mask (umask)."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

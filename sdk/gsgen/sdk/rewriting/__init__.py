@@ -1,1 +1,1 @@
-"""How is a model rewritten for a target, and proven to compute the same?"""
+"""How is a model's graph rewritten for a target, and proven to compute the same outputs?"""

@@ -1,4 +1,4 @@
-"""The constant subgraph: nodes that depend on weights alone, which runtimes compute once."""
+"""The constant subgraph: graph nodes that depend on weights only, which runtimes compute once."""
 
 __all__ = ["PartitionedModel", "constant_nodes", "partition_constants"]
 
@@ -11,7 +11,7 @@ _BODIES = (ir.AttributeType.GRAPH, ir.AttributeType.GRAPHS)
 
 
 def constant_nodes(graph: ir.Graph) -> list[ir.Node]:
-    """Return the nodes that depend on weights alone, in the order of the graph.
+    """Return the graph nodes that depend on weights only, in graph order.
 
     Nodes with bodies are excluded, since a body may read values of the outer graph, and so are
     random operators, whose every run differs.
@@ -35,7 +35,7 @@ def _is_weight(value: ir.Value) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class PartitionedModel:
-    """A model in two parts: its constant subgraph, and the nodes of every frame."""
+    """A model in two parts: the constant subgraph, and the nodes that run every frame."""
 
     constant: ir.Model | None  # the constant subgraph, without inputs; None if it is empty
     per_frame: ir.Model  # the other nodes; the outputs of ``constant`` are further inputs
@@ -43,7 +43,7 @@ class PartitionedModel:
 
 
 def partition_constants(model: ir.Model) -> PartitionedModel:
-    """Split a copy of a model into the constant subgraph and the nodes of every frame."""
+    """Split a copy of a model into its constant subgraph and the nodes that run every frame."""
     per_frame = model.clone()
     nodes = constant_nodes(per_frame.graph)
     if not nodes:
@@ -78,7 +78,7 @@ def _keep_nodes(graph: ir.Graph, nodes: list[ir.Node], outputs: tuple[str, ...])
 
 
 def _feed(graph: ir.Graph, value: ir.Value) -> None:
-    """Replace a graph value by a graph input of the same name."""
+    """Turn a value inside a graph into a graph input of the same name."""
     graph_input = ir.Value(name=value.name, type=value.type, shape=value.shape)
     value.name = f"{value.name}_computed"
     graph.inputs.append(graph_input)

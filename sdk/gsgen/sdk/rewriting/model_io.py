@@ -1,4 +1,4 @@
-"""Saves a graph in one file, or with a second file for weights beyond protobuf's limit."""
+"""Saves an ONNX graph in one file, or with external weights beyond protobuf's limit."""
 
 __all__ = ["has_external_weights", "refuse_overwriting", "save_model", "weight_bytes"]
 
@@ -17,12 +17,12 @@ _SMALL_BYTES = 256
 
 
 def weight_bytes(model: ir.Model) -> int:
-    """Return the size in bytes of all weights, including those of subgraphs."""
+    """Return the size in bytes of all weights of a model, including those of subgraphs."""
     return sum(_sizes(model))
 
 
 def has_external_weights(model: ir.Model) -> bool:
-    """Return whether a weight is stored in another file than the model."""
+    """Return whether a model stores a weight in another file."""
     return any(isinstance(value.const_value, ir.ExternalTensor) for value in _weights(model))
 
 
@@ -52,7 +52,7 @@ def refuse_overwriting(source: ModelFile, path: Path) -> None:
 
 
 def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -> None:
-    """Write a model file, with an external weight file where protobuf's limit requires one.
+    """Write a model file, with external weights where protobuf's size limit requires them.
 
     ``model`` stays unchanged. ``external_weights`` stores large weights in a second file, ``path``
     with the suffix ``.data``, even if they fit the model file.
@@ -68,7 +68,7 @@ def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -
 
 @contextmanager
 def _weights_in_memory(model: ir.Model) -> Iterator[None]:
-    """Load the weights of external files into memory, and release them at the end."""
+    """Load external weights into memory during the ``with`` block."""
     external = [v for v in _weights(model) if isinstance(v.const_value, ir.ExternalTensor)]
     tensors = [value.const_value for value in external]
     ir.external_data.load_to_model(model)

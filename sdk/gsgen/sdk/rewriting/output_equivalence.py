@@ -28,7 +28,7 @@ _EPSILON = {"float16": 2.0**-10, "float32": 2.0**-22, "float64": 2.0**-50}
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The largest difference of one output after a rewrite."""
+    """The largest difference in one model output that a rewrite causes."""
 
     output: str  # its name
     largest: float  # the largest absolute difference
@@ -38,7 +38,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The differences of all outputs of two models for the same inputs."""
+    """The differences of all outputs of two models for the same test inputs."""
 
     differences: tuple[Difference, ...]  # the largest difference of each output that differs
     # outputs without a finite number at any probe, so that no change can be seen
@@ -46,7 +46,7 @@ class Comparison:
 
 
 def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe, ...]:
-    """Return the inputs to test a model with: the contract's probes if it has a manifest."""
+    """Return the test inputs of a model: those of the contract if the model has a manifest."""
     shapes = {tensor.name: _shape(tensor, sizes) for tensor in subject.graph.inputs}
     dtypes = {tensor.name: _dtype(tensor) for tensor in subject.graph.inputs}
     manifest = subject.manifest
@@ -97,7 +97,7 @@ def _dtype(tensor: Tensor) -> str:
 def _sample_probe(
     shapes: Mapping[str, tuple[int, ...]], dtypes: Mapping[str, str], index: int
 ) -> Probe:
-    """Return test inputs of zeros for index 0, else of random numbers; integers are small."""
+    """Return test inputs of zeros for index 0, otherwise of random numbers."""
     rng = np.random.default_rng([7, index])
     arrays: dict[str, np.ndarray] = {}
     for name, shape in shapes.items():
@@ -162,7 +162,7 @@ def compare_files(
 
 
 def _has_finite_values(value: np.ndarray) -> bool:
-    """Return whether an output has a finite value, so that a change can be measured."""
+    """Return whether an output array has a finite value, so that differences can be measured."""
     if value.dtype.kind == "f":
         return bool(np.isfinite(value).any())
     return value.size > 0
@@ -196,7 +196,7 @@ def _must_repeat(
 
 
 def _excess(difference: Difference) -> float:
-    """Return a difference as a multiple of the allowed one; NaN counts as infinite."""
+    """Return an output difference as a multiple of the allowed one; NaN becomes infinite."""
     within = difference.largest <= difference.allowed
     return difference.largest / difference.allowed if within and difference.allowed > 0 else np.inf
 
@@ -221,7 +221,7 @@ def _differences(
 
 
 def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Remove the rows of zeros by which a rewrite padded an output."""
+    """Remove the zero rows by which a rewrite padded an output array."""
     if old.ndim != new.ndim or not old.ndim or len(new) <= len(old):
         return new
     return new[: len(old)] if not new[len(old) :].any() else new
@@ -230,7 +230,7 @@ def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
 def _error(
     old: np.ndarray, new: np.ndarray, allowed: ErrorBudget
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return the absolute error of every number of an output, and the allowed error.
+    """Return the absolute error and the allowed error of every number of an output array.
 
     The last axis holds the fields of a Gaussian, so the relative tolerance of each column refers to
     the largest number of that column.

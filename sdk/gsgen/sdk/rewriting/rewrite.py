@@ -1,4 +1,4 @@
-"""Rewrites a graph for a runtime: runs passes until nothing changes, and compares the outputs.
+"""Rewrites a graph for a runtime: applies rewrites until nothing changes, compares outputs.
 
 Step 1 runs the passes that keep every bit, step 2 all passes. After each step, the model is run at
 the contract's probes and compared with the model before it. If it differs by more than the passes
@@ -61,7 +61,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """The nodes that one pass changed in a rewrite."""
+    """The nodes that one graph rewrite changed."""
 
     rewrite: str  # name of the pass
     exactness: ErrorBudget  # the allowed change of outputs
@@ -70,7 +70,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class GraphStats:
-    """Counts of a graph's nodes, and the nodes that a target does not capture."""
+    """Counts of a graph's nodes, and the nodes that a target's graph capture does not support."""
 
     nodes: int  # number of nodes of the main graph
     opset: int  # the operator set
@@ -81,7 +81,7 @@ class GraphStats:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rewritten:
-    """The result of a rewrite: changes, graph counts, and the compared outputs."""
+    """The result of rewriting a graph: changes, node counts, and output differences."""
 
     path: Path | None  # the file; None if it was not written
     changes: tuple[Change, ...]  # the changes of each pass; empty if no pass applied
@@ -98,7 +98,7 @@ class Rewritten:
 def rewrite_graph(
     model: ir.Model, goal: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
 ) -> list[Change]:
-    """Run the rewrites of a target runtime on a model, in place, until nothing changes."""
+    """Apply the rewrites of a target runtime to a model, in place, until nothing changes."""
     rewrites = find_rewrites(goal, only, skip)
     prepare(model)
     changes = _merged([*_settle(model, _exact(rewrites)), *_settle(model, rewrites)])
@@ -176,7 +176,7 @@ def rewrite_file(
 
 @dataclass(slots=True, kw_only=True)
 class _ComparedRun:
-    """Runs passes in steps, and compares the model's outputs after each step with those before."""
+    """Applies graph rewrites in steps, and compares the model's outputs before and after each."""
 
     model: ir.Model  # the graph; passes change it
     folder: Path  # folder of the drafts
@@ -191,7 +191,7 @@ class _ComparedRun:
     uncompared: tuple[str, ...] = ()  # outputs without a finite number in the latest step
 
     def step(self, name: str, rewrites: Sequence[Rewrite]) -> None:
-        """Run passes until nothing changes, and compare the outputs if the graph changed."""
+        """Apply rewrites until nothing changes, and compare the outputs if the graph changed."""
         self.progress(f"rewriting: {len(rewrites)} passes")
         changes = _settle(self.model, rewrites)
         if not changes:
@@ -216,7 +216,7 @@ class _ComparedRun:
 
 
 def _refuse_broken(report: Report) -> None:
-    """Raise if a model's weights are unsafe to read, or its graph is ill-formed."""
+    """Raise if a model's external weights are unsafe to read, or its graph is ill-formed."""
     for finding in report.findings:
         unsafe = finding.rule.startswith("GS") or finding.rule in _GRAPH_RULES
         if unsafe and finding.severity >= Severity.ERROR:
@@ -233,7 +233,7 @@ def _refuse_higher(model: ir.Model, opset: int | None) -> None:
 
 
 def prepare(model: ir.Model) -> None:
-    """Normalise a model for graph rewrites, without changing the outputs.
+    """Normalise a model before graph rewrites, without changing the outputs.
 
     Functions are inlined, constants become weights, every node and value has a unique name, and
     shapes are inferred.
@@ -249,7 +249,7 @@ def prepare(model: ir.Model) -> None:
 
 
 def tidy(model: ir.Model) -> None:
-    """Remove nodes and weights of a graph that nothing reads."""
+    """Remove nodes and weights of a graph that no node or output reads."""
     RemoveUnusedNodesPass()(model)
     NameFixPass()(model)
 
@@ -261,7 +261,7 @@ def _infer(model: ir.Model) -> None:
 
 
 def _refusals(rewrites: Sequence[Rewrite]) -> list[Refusal]:
-    """Return the nodes that passes left unchanged in their last run, with reasons."""
+    """Return the nodes that rewrites left unchanged in their last run, with reasons."""
     return [
         r for rewrite in rewrites if isinstance(rewrite, CautiousRewrite) for r in rewrite.refusals
     ]
@@ -272,7 +272,7 @@ def _exact(rewrites: Sequence[Rewrite]) -> list[Rewrite]:
 
 
 def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
-    """Run passes in rounds until no round changes the graph, and return all changes in order."""
+    """Apply graph rewrites in rounds until a round changes nothing; return all changes."""
     changes: list[Change] = []
     for _ in range(_MOST_ROUNDS):
         changed = False
@@ -292,7 +292,7 @@ def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
 
 
 def _merged(changes: Sequence[Change]) -> list[Change]:
-    """Join the changes that the same pass made in several rounds."""
+    """Merge the changes that the same rewrite made in several rounds."""
     merged: dict[str, Change] = {}
     for change in changes:
         known = merged.get(change.rewrite)
@@ -309,7 +309,9 @@ def _load(source: Path, opset: int | None) -> ir.Model:
     try:
         model = ir.load(source)
     except Exception as error:  # onnx-ir's errors share no base class
-        raise ModelUnreadable(f"is not a readable graph: {error}", where=str(source)) from error
+        raise ModelUnreadable(
+            f"the file is not a readable ONNX graph: {error}", where=str(source)
+        ) from error
     _refuse_higher(model, opset)
     return model
 
@@ -325,7 +327,7 @@ def _check_form(file: Path, changes: Sequence[Change]) -> None:
 
 
 def graph_stats(file: Path, goal: RewriteTarget) -> GraphStats:
-    """Count the nodes of a file, and predict from tables which of them are not captured."""
+    """Count the nodes of a model file, and predict from tables which are not captured."""
     opened = open_model(file)
     graph = read_graph(opened)
     placed = placements(graph, opened.proto, goal.tables)
@@ -343,7 +345,7 @@ def graph_stats(file: Path, goal: RewriteTarget) -> GraphStats:
 
 
 def _capture_text(placement: Placement) -> str:
-    """Return a node's name and operator, and the reason why it is not captured."""
+    """Return a node's name and operator, and why graph capture does not support it."""
     name = placement.node.name or placement.node.output[0]
     reasons = sorted(
         {FAILURES.get(outcome, outcome) for outcome in placement.outcomes.values()} - {""}

@@ -1,4 +1,4 @@
-"""Raises if a changed model breaks a rule that the source model keeps."""
+"""Raises if a changed model breaks a rule that the original model keeps."""
 
 __all__ = ["refuse_new_violations"]
 
@@ -8,7 +8,7 @@ from gsgen.contract.validation.report import Report
 
 
 def refuse_new_violations(before: Report, after: Report, operation: str) -> None:
-    """Raise if a changed model breaks a rule of the contract that its source keeps.
+    """Raise if a changed model breaks a contract rule that the original model keeps.
 
     ``operation`` is the participle for an error, such as ``repaired``.
     """

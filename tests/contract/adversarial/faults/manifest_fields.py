@@ -26,7 +26,8 @@ BY_NAME = Sentence("index.md", "Names are compared byte by byte.")
 EVERY_INPUT = Sentence("index.md", "Every input of the graph must have a role.")
 CORNERS = Sentence("manifest.md", "Every corner of `min` is at most that of `max`.")
 HOLDS = Sentence(
-    "manifest.md", "An axis-aligned box that holds the Gaussians' centres at every probe."
+    "manifest.md",
+    "An axis-aligned box that holds the Gaussians' centres for all inputs (at every probe).",
 )
 VERSION = Sentence("manifest.md", '`contract` is `"major.minor"`, a string.')
 

@@ -7,6 +7,7 @@ import numpy as np
 from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.probes import as_tensor
 from gsgen.contract.probing.run_comparison import Behaviour, difference
+from gsgen.contract.probing.survey_probes import SIDE_LABEL
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, VARIANCES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -165,7 +166,7 @@ def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
     """No camera that sees the declared bounds gets a row count of 0 if other cameras do not.
 
     Why:
-        All probes look at the middle of the bounds. A count of zero for some of them is culling
+        These probes look at the middle of the bounds. A count of zero for some of them is culling
         with a wrong matrix or sign.
 
     Hint:
@@ -179,6 +180,11 @@ def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
     counts = {
         probe.label: int(outputs[declared.name].reshape(-1)[0])
         for probe, outputs in behaviour.emitted
+    }
+    counts |= {
+        run.probe.label: run.extremes.count
+        for run in behaviour.visits("survey")
+        if run.extremes is not None and run.probe.label.startswith(SIDE_LABEL)
     }
     empty = [label for label, count in counts.items() if count == 0]
     if empty and len(empty) < len(counts):

@@ -57,7 +57,7 @@ def prediction_finite(probe_runs: ProbeRuns) -> Iterator[Violation]:
     kinds=(TRAJECTORY,),
 )
 def uncertainty_positive(probe_runs: ProbeRuns) -> Iterator[Violation]:
-    """Every standard deviation, or every variance on the diagonal, is above 0.
+    """Every predicted standard deviation, or every variance on the diagonal, is above 0.
 
     Why:
         A prefetcher spreads sigma points by it. Zero claims certainty, which no camera path

@@ -8,7 +8,14 @@ from math import prod
 from gsgen.contract.model.graph import static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.manifest import Input, TrajectoryManifest
-from gsgen.contract.spec.roles import CONVENTION_SHAPES, JOINTS, KINDS, ROLES, matches_shape
+from gsgen.contract.spec.roles import (
+    CONVENTION_SHAPES,
+    JOINTS,
+    KINDS,
+    ROLES,
+    ROTATION_ROLES,
+    matches_shape,
+)
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
@@ -17,7 +24,6 @@ _TIMED = ("time", "frame_index")
 _SQUARE = ((4, 4), (3, 3))
 _QUATERNION = 4
 _AXIS_ANGLE = 3
-_ROTATIONS = ("pose", "root_rotation")
 # Two decimals more than 2π: a range may be rounded up.
 _FULL_TURN = 6.3
 # The rounding error of a decimal number that is read as binary.
@@ -177,7 +183,8 @@ def _holds(entry: Input, shape: tuple[int, ...]) -> bool:
         return shape == (3, 3)
     if convention == "quaternion-wxyz":
         return shape[-1:] == (_QUATERNION,)
-    return shape[-1:] == (_AXIS_ANGLE,) and shape != (3, 3)
+    # [3, 3] is three joints of a pose, but a matrix of a root.
+    return shape[-1:] == (_AXIS_ANGLE,) and (entry.role != "root_rotation" or len(shape) == 1)
 
 
 @rule(
@@ -260,7 +267,7 @@ def angles_are_radians(subject: InspectedModel) -> Iterator[Violation]:
     """
     for entry in declared_inputs(subject):
         shape = shape_of(subject, entry)
-        if entry.role not in _ROTATIONS or entry.range is None or shape is None:
+        if entry.role not in ROTATION_ROLES or entry.range is None or shape is None:
             continue
         is_vector = shape[-1:] == (_AXIS_ANGLE,) and entry.convention != "matrix"
         if is_vector and shape != (3, 3) and max(map(abs, entry.range)) > _FULL_TURN:

@@ -35,6 +35,7 @@ _ALIGNED = 0.99
     over="sample",
     fixture="quaternions_in_another_order",
     needs=(*VALID_ROWS, "GV042"),
+    explained_by=("GB035",),
 )
 def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
     """Flat Gaussians lie in the surface of their neighbours, and thin ones along their strand.

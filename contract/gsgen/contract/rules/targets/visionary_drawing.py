@@ -19,7 +19,7 @@ _WORKGROUP = 256
 # The viewer's filter, in squared pixels; a lens of 45 degrees on 1080 rows; a camera that sees all.
 _KERNEL = 0.1
 _FOCAL = 1304.0
-_ORBIT = 2.2
+_WHOLE_VIEW = 2.2
 _FADED = 0.5
 
 
@@ -128,7 +128,7 @@ def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
     if generator is None or generator.bounds is None or generator.antialias == "mip":
         return
     low, high = np.asarray([generator.bounds.min, generator.bounds.max])
-    distance = _ORBIT * float(np.linalg.norm(high - low)) / 2
+    distance = _WHOLE_VIEW * float(np.linalg.norm(high - low)) / 2
     pixels = rows.widest * np.float32((_FOCAL / max(distance, 1e-9)) ** 2)
     opacity_share = pixels / (pixels + np.float32(_KERNEL))
     yield Violation.rows(

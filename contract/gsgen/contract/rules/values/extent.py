@@ -170,7 +170,7 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     needs=(*ORDERED_ROWS, "GM009", "GM019", "GV059"),
 )
 def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
-    """At every probe, the declared bounds contain the centres of 99.9 % of the drawn rows.
+    """The declared bounds contain the centres of 99.9 % of the drawn rows, for all test inputs.
 
     Why:
         Viewers frame the camera, cull the whole model and choose near and far planes by the bounds:

@@ -12,7 +12,7 @@ from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.model.graph import static_dims
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.rules.values.range_diagnosis import diagnose_opacity
-from gsgen.contract.spec.layout import CULL_OPACITY, MOSTLY_INVISIBLE, OPACITY
+from gsgen.contract.spec.layout import CULL_OPACITY, MOSTLY_INVISIBLE, OPACITY, OPACITY_SLACK
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import FLOAT16_MAX
 from gsgen.contract.validation.finding import Location, Violation
@@ -23,7 +23,6 @@ _MAX_EXAMPLES = 8
 _INF_BITS = {2: 0x7C00, 4: 0x7F800000}
 
 # One unit in the last place of float16 below 1 is 2⁻¹¹; a sigmoid may round up by that much.
-_OPACITY_SLACK = 1e-3
 
 
 def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], checked: int) -> Iterator[Violation]:
@@ -100,7 +99,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
         clamp what a network gives beyond 1.
     """
     opacity = rows.opacity
-    in_range = (opacity >= -_OPACITY_SLACK) & (opacity <= 1 + _OPACITY_SLACK)
+    in_range = (opacity >= -OPACITY_SLACK) & (opacity <= 1 + OPACITY_SLACK)
     invalid = ~in_range & rows.counted & rows.finite
     expected = "0 <= opacity <= 1"
     if invalid.any():
@@ -185,7 +184,7 @@ def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Viola
     needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
 )
 def count_range(emission: ModelOutputs) -> Iterator[Violation]:
-    """The row count lies between 0 and the capacity, at every probe.
+    """The row count lies between 0 and the capacity, for all test inputs (at every probe).
 
     Why:
         A renderer that believes a count above the capacity reads beyond the buffer.

@@ -183,7 +183,7 @@ def _degree(splat_set: SplatSet) -> int:
 
 @final
 class ProjectKernel:
-    """The kernel ``project.wgsl``, ``project_pooled.wgsl`` or ``project_weighted.wgsl``.
+    """The projection kernel: ``project.wgsl``, ``project_pooled.wgsl``, ``project_weighted.wgsl``.
 
     Args:
         device: Device of the kernel.

@@ -88,7 +88,7 @@ class QuadsStep:
 
 @final
 class DrawQuads:
-    """The render pipeline of ``draw_quads.wgsl``.
+    """The render pipeline of ``draw_quads.wgsl``, which draws splats as quads.
 
     Args:
         device: A device that can blend 32-bit floats.

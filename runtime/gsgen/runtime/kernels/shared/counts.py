@@ -49,7 +49,7 @@ COUNT_CONSTANTS: Final = {member.name: int(member) for member in Counts}
 def initial(
     gaussians: int, pair_capacity: int, *, panorama: bool = False
 ) -> UInt32[np.ndarray, " 28"]:
-    """Return the counters of a frame plan before its first frame."""
+    """Return the initial values of a frame's counters, as stored in the GPU buffer of counters."""
     counts = np.zeros(BYTES // 4, np.uint32)
     counts[Counts.GAUSSIANS] = gaussians
     counts[Counts.PAIR_CAPACITY] = pair_capacity

@@ -15,7 +15,7 @@ from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
 @final
 class GatherKeys:
-    """The kernel ``gather_keys.wgsl``; ``block`` is the number of keys of a sort workgroup."""
+    """The kernel ``gather_keys.wgsl``, which gathers second sort keys in sorted order."""
 
     def __init__(self, device: Device, block: int) -> None:
         self.kernel = Kernel(

@@ -73,7 +73,7 @@ def workgroup_shape(
 
 @final
 class BlendTiles:
-    """The kernel ``blend_tiles.wgsl``, or ``blend_subgroups.wgsl`` where that is faster.
+    """Blends splats per tile: ``blend_tiles.wgsl``, or ``blend_subgroups.wgsl`` where faster.
 
     Args:
         device: Device of the kernel.

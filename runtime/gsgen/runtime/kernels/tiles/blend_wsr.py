@@ -19,7 +19,7 @@ from gsgen.runtime.kernels.tiles.blend_tiles import workgroup_shape
 
 @final
 class BlendWsr:
-    """The kernel ``blend_wsr.wgsl``, or ``blend_wsr_subgroups.wgsl`` where that is faster.
+    """Blends cells by weighted sums: ``blend_wsr.wgsl``, or ``blend_wsr_subgroups.wgsl``.
 
     Args:
         device: Device of the kernel.

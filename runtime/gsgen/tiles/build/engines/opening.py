@@ -2,9 +2,8 @@
 
 __all__ = ["open_engine"]
 
-import os
-
 from gsgen.contract.errors import UnknownName
+from gsgen.contract.process.limits import available_cores
 from gsgen.tiles.build.engines.engine import Engine
 from gsgen.tiles.build.engines.processes import Processes
 from gsgen.tiles.build.engines.serial import Serial
@@ -20,7 +19,7 @@ def open_engine(name: str, workers: int | None = None) -> Engine:
     Raises:
         ConfigInvalid: The name is unknown, or the engine is not installed.
     """
-    count = workers or len(os.sched_getaffinity(0))
+    count = workers or available_cores()
     kind, _, address = name.partition("=")
     if kind == "serial":
         return Serial()

@@ -17,6 +17,7 @@ from gsgen.tiles.validation.rules.files import (
     leaves_match_source,
 )
 from gsgen.tiles.validation.rules.neural import neural_content
+from gsgen.tiles.validation.rules.pictures import levels_agree, tile_visible
 from gsgen.tiles.validation.rules.structure import (
     child_in_parent,
     error_does_not_grow,
@@ -49,5 +50,7 @@ RULES = (
     empty_tiles,
     draft_names,
     neural_content,
+    tile_visible,
+    levels_agree,
 )
 """All rules, in order of their ids; the entry point names this."""

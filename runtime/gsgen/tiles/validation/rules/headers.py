@@ -9,7 +9,7 @@ from gsgen.tiles.validation.inspected import InspectedContent, InspectedTileset
 
 
 def headers(inspected: InspectedTileset) -> Iterator[tuple[InspectedContent, ContentHeader]]:
-    """Yield for every content file the first tile content that names it, with its header."""
+    """Yield each content file with its header, once: at the first tile content that names it."""
     known_uris: set[str] = set()
     for content in inspected.contents:
         if content.header is not None and content.content.uri not in known_uris:

@@ -1,4 +1,4 @@
-"""Cancels the runs of a session from another thread."""
+"""Cancels running inferences of a session from another thread."""
 
 __all__ = ["Stop"]
 
@@ -9,7 +9,7 @@ FATAL: Final = 4  # the log level; lesser messages are in the raised error and n
 
 @final
 class Stop:
-    """Cancels the runs of a session from another thread.
+    """Cancels running inferences of a session from another thread.
 
     ONNX Runtime checks for cancellation between two operators, including those in a loop's body;
     a running operator is finished.
@@ -20,7 +20,7 @@ class Stop:
         self._terminate = False
 
     def options(self) -> Any:
-        """Return new ONNX Runtime run options whose run can be cancelled from another thread."""
+        """Return ONNX Runtime run options whose inference another thread can cancel."""
         import onnxruntime
 
         options = onnxruntime.RunOptions()
@@ -30,11 +30,11 @@ class Stop:
         return options
 
     def now(self) -> None:
-        """Cancel current runs of the session; later runs fail at once until :meth:`reset`."""
+        """Cancel the session's running inferences; new ones fail until :meth:`reset`."""
         self._set(terminate=True)
 
     def reset(self) -> None:
-        """Allow runs of the session again after a cancellation."""
+        """Allow the session to run inferences again after a cancellation."""
         self._set(terminate=False)
 
     def _set(self, *, terminate: bool) -> None:

@@ -9,36 +9,36 @@ from gsgen.contract.errors import GsgenError
 
 
 class SessionClosed(GsgenError):
-    """A session, or a frame of it, was used after ``close``."""
+    """Raised if a session, or one of its frames, is used after ``close``."""
 
 
 class FrameGone(GsgenError):
-    """A frame was read after the session had computed a newer one into the same buffers."""
+    """Raised if a frame is read after a newer frame has overwritten its buffers."""
 
 
 class InputInvalid(GsgenError):
-    """A value does not fit its input in shape, dtype or range."""
+    """Raised if a value does not fit a model input in shape, dtype or range."""
 
 
 class SizeUnknown(GsgenError):
-    """A symbolic dimension has no size, so its tensor's buffer cannot be allocated."""
+    """Raised if a symbolic dimension has no size, so that no buffer can be allocated."""
 
 
 class ProviderUnavailable(GsgenError):
-    """The requested execution provider is not available on this machine."""
+    """Raised if the requested execution provider is not available on this machine."""
 
 
 class FellBack(ProviderUnavailable):
-    """ONNX Runtime opened a session on another provider than the requested one."""
+    """Raised if ONNX Runtime opened a session on another execution provider than requested."""
 
 
 class RunFailed(GsgenError):
-    """ONNX Runtime could not load or run the model."""
+    """Raised if ONNX Runtime could not load or run the model."""
 
 
 class CaptureOff(UserWarning):
-    """Frames are not captured and replayed: the model or the provider does not allow it."""
+    """Warning that graph capture is off, because the model or the provider does not allow it."""
 
 
 class NodesOnCpu(UserWarning):
-    """Some of the model's nodes run on the CPU although the session is on a GPU."""
+    """Warning that some of the model's nodes run on the CPU, although the session is on a GPU."""

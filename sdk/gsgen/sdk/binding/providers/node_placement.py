@@ -1,4 +1,4 @@
-"""Reads node placement and error messages from ONNX Runtime."""
+"""Reads from ONNX Runtime which provider runs each node, and cleans its error messages."""
 
 __all__ = ["CPU", "Node", "error_text", "node_placement"]
 
@@ -37,5 +37,5 @@ def node_placement(session: Any) -> tuple[Node, ...]:
 
 
 def error_text(error: Exception) -> str:
-    """Return ONNX Runtime's message without codes, source files and conditions."""
+    """Return an ONNX Runtime error message without codes, source files and conditions."""
     return _CODES.sub("", " ".join(str(error).split()))[:_LONGEST] or type(error).__name__

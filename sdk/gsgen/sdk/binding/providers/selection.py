@@ -46,7 +46,7 @@ class Choice:
 
     @property
     def device(self) -> str:
-        """The name of the device that computes, as text."""
+        """The name of the device on which the session computes, as text."""
         if self.adapter is None:
             return {"cpu": "CPU", "cuda": "CUDA device 0"}[self.provider]
         if not self.adapter.hardware:

@@ -1,1 +1,1 @@
-"""What do all passes share: base classes, graph building, facts about values?"""
+"""What do all graph rewrites share: base classes, graph building, facts about values?"""

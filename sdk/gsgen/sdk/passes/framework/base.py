@@ -29,7 +29,7 @@ SAFE_WIDTH = 7
 
 @dataclass(frozen=True, slots=True)
 class ErrorBudget:
-    """The largest allowed difference of outputs after a rewrite; by default no bit may differ."""
+    """The largest output difference that a rewrite may cause; by default none, bit for bit."""
 
     relative: float = 0.0  # allowed error, relative to the largest number in the output's tensor
     absolute: float = 0.0  # allowed error in addition
@@ -38,7 +38,7 @@ class ErrorBudget:
 
     @property
     def bits(self) -> bool:
-        """Whether every bit of the outputs must stay the same."""
+        """Whether the outputs must stay the same bit for bit."""
         return self == BITS
 
     def describe(self) -> str:
@@ -84,7 +84,7 @@ class RewriteTarget:
         opset: int | None = None,
         sizes: Mapping[str, int] | None = None,
     ) -> "RewriteTarget":
-        """Return the rewrite target of a runtime; without kernel tables, of all known runtimes."""
+        """Return the limits and kernel tables of a runtime that a model is rewritten for."""
         consumers = [target] if target.operators else [*known_targets().values(), target]
         names = sorted({name for consumer in consumers for name in consumer.operators})
         limits: dict[str, int] = {}
@@ -147,12 +147,12 @@ class Rewrite(passes.InPlacePass):
         """Rewrite a model, subgraphs included, and record every changed node."""
 
     def note(self, item: ir.Node | ir.Value) -> None:
-        """Record that a node, an output or a weight was rewritten."""
+        """Record that a node, an output or a weight of the graph was rewritten."""
         self.changed.append(describe_item(item))
 
 
 class NodeRewrite(Rewrite):
-    """A rewrite that replaces single nodes.
+    """A graph rewrite that replaces single nodes.
 
     All matches are collected first, so replacing a node must not remove another match.
     """
@@ -173,7 +173,7 @@ class NodeRewrite(Rewrite):
 
 
 class ByTables(Rewrite):
-    """A rewrite that depends on the operator tables of the target runtime.
+    """A graph rewrite that depends on which operators the target runtime supports.
 
     Without a target, it rewrites every node that it can.
     """
@@ -189,7 +189,7 @@ class ByTables(Rewrite):
 
 
 class WithinLimit(Rewrite):
-    """A rewrite of operators with more tensors than the target GPU can bind.
+    """A graph rewrite of operators with more tensors than the target GPU can bind.
 
     Attributes:
         limited_by: Name of the target's limit.
@@ -201,7 +201,7 @@ class WithinLimit(Rewrite):
     def __init__(self, limit: int = SAFE_WIDTH) -> None:
         super().__init__()
         if limit < 2:
-            raise ValueError(f"limit is {limit}, expected 2 or more")
+            raise ValueError(f"the limit of tensors is {limit}, expected 2 or more")
         self.limit = limit
 
     @classmethod
@@ -212,7 +212,7 @@ class WithinLimit(Rewrite):
 
 
 class Substitute(ByTables, NodeRewrite):
-    """A rewrite of operators that the graph capture of a target's release does not support.
+    """A graph rewrite of operators that the target runtime's graph capture does not support.
 
     Without a target, it replaces every operator of ``kinds``.
     """
@@ -221,7 +221,7 @@ class Substitute(ByTables, NodeRewrite):
     wanted_by: ClassVar[str] = "targets whose tables lack the operator"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether the rewrite can replace a node that a release does not capture."""
+        """Return whether a node can be rewritten and a runtime release does not capture it."""
         if not is_op(node, *self.kinds):
             return False
         if self.target is not None and not self.target.lacks_kernel(
@@ -240,7 +240,7 @@ class Substitute(ByTables, NodeRewrite):
 
 
 def describe_item(item: ir.Node | ir.Value) -> str:
-    """Return the name of a value, or the name and operator of a node, for reports."""
+    """Return the name of a graph value, or the name and operator of a node, for reports."""
     if isinstance(item, ir.Value):
         return item.name or ""
     result_name = item.outputs[0].name if item.outputs else ""
@@ -248,7 +248,7 @@ def describe_item(item: ir.Node | ir.Value) -> str:
 
 
 def every_node(model: ir.Model) -> Iterator[ir.Node]:
-    """Yield every node of the main graph and of the bodies of If, Loop and Scan.
+    """Yield every node of an ONNX graph, including the bodies of If, Loop and Scan.
 
     Nodes of the model's functions are not included: the pipeline inlines functions first.
     """
@@ -256,7 +256,7 @@ def every_node(model: ir.Model) -> Iterator[ir.Node]:
 
 
 def is_op(node: ir.Node | None, *kinds: str) -> bool:
-    """Return whether a node is one of the named operators of the ONNX domain."""
+    """Return whether a graph node is one of the named standard ONNX operators."""
     return node is not None and node.domain in MAIN_DOMAIN and node.op_type in kinds
 
 
@@ -267,7 +267,7 @@ def opset_of(model: ir.Model) -> int:
 
 
 def kernel_dtype(node: ir.Node) -> str:
-    """Return the dtype that selects the kernel of a node; empty if the dtype is unknown."""
+    """Return the dtype that selects a node's kernel in a runtime; empty if unknown."""
     position = KERNEL_TYPE_INPUT.get(node.op_type, 0)
     values = [*node.inputs[position : position + 1], *node.outputs[:1]]
     kinds = (value.dtype for value in values if value is not None)

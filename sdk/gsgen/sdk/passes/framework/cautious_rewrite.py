@@ -1,4 +1,4 @@
-"""Rewrites with preconditions, which record every node that they did not rewrite and the reason."""
+"""Graph rewrites with preconditions, which record each node left unchanged, and why."""
 
 __all__ = ["CautiousRewrite", "Refusal"]
 
@@ -12,7 +12,7 @@ from gsgen.sdk.passes.framework.base import Rewrite, describe_item
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A node, weight or output that a rewrite left unchanged, and the missing precondition."""
+    """A node, weight or output that a graph rewrite left unchanged, and the reason."""
 
     rewrite: str  # name of the rewrite
     where: str  # name of the node, weight or output; a node with its operator
@@ -20,7 +20,7 @@ class Refusal:
 
 
 class CautiousRewrite(Rewrite):
-    """A rewrite with preconditions that have to be proven for each node.
+    """A graph rewrite that leaves nodes unchanged unless its preconditions are proven.
 
     Attributes:
         refusals: What the last call left unchanged, in the order of the graph.
@@ -31,10 +31,10 @@ class CautiousRewrite(Rewrite):
         self.refusals: list[Refusal] = []
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rewrite a model in place, and record the unchanged nodes in :attr:`refusals`."""
+        """Rewrite a model in place, and record the nodes left unchanged in :attr:`refusals`."""
         self.refusals = []
         return super().call(model)
 
     def refuse(self, item: ir.Node | ir.Value, reason: str) -> None:
-        """Record that a node, an output or a weight stays unchanged, with the reason."""
+        """Record that a node, output or weight of the graph stays unchanged, with the reason."""
         self.refusals.append(Refusal(self.name, describe_item(item), reason))

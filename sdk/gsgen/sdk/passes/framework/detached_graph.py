@@ -1,4 +1,4 @@
-"""Detached graph nodes, which are added to a graph all together, or discarded."""
+"""Creates ONNX nodes outside of a graph, to be added all together or discarded."""
 
 __all__ = ["DetachedGraph"]
 
@@ -11,7 +11,7 @@ from gsgen.sdk.passes.framework.graph_builder import Dims, new_node, weight
 
 
 class DetachedGraph:
-    """Creates detached nodes and weights, and adds all of them to the graph by :meth:`join`.
+    """Creates ONNX nodes and weights outside of a graph; :meth:`join` adds all of them to it.
 
     Each node is inserted before the node that was :attr:`anchor` when it was drafted, or at the
     end of the graph if that was None.
@@ -31,7 +31,7 @@ class DetachedGraph:
         shape: Dims | None = None,
         **attributes: int | float | str | Sequence[int],
     ) -> ir.Value:
-        """Create a detached node of the ONNX domain with one output, and return the output."""
+        """Create a standard ONNX node with one output outside of a graph; return the output."""
         known = next((v.dtype for v in inputs if v is not None and v.dtype is not None), None)
         name = f"{self._stem}_{len(self._nodes)}_{kind}"
         node = new_node(
@@ -41,7 +41,7 @@ class DetachedGraph:
         return node.outputs[0]
 
     def like(self, node: ir.Node, inputs: Sequence[ir.Value | None]) -> list[ir.Value]:
-        """Create a detached copy of a node with other inputs; outputs keep dtypes, not shapes."""
+        """Create a copy of a node with other inputs, outside of the graph."""
         name = f"{self._stem}_{len(self._nodes)}_{node.op_type}"
         copy = ir.Node(
             node.domain,
@@ -57,7 +57,7 @@ class DetachedGraph:
         return list(copy.outputs)
 
     def constant(self, array: object, dtype: type[np.generic] | np.dtype[np.generic]) -> ir.Value:
-        """Create a detached weight from an array."""
+        """Create a weight from an array, outside of the graph."""
         values = np.asarray(array, dtype)
         tensor = ir.tensor(values)
         value = ir.Value(
@@ -70,7 +70,7 @@ class DetachedGraph:
         return value
 
     def join(self, graph: ir.Graph) -> None:
-        """Add all detached nodes to a graph, and the detached weights that a node reads."""
+        """Add all created nodes to a graph, and the created weights that they read."""
         for value in self._weights:
             array = value.const_value
             assert array is not None
@@ -84,7 +84,7 @@ class DetachedGraph:
                 graph.insert_before(anchor, node)
 
     def discard(self) -> None:
-        """Discard all detached nodes, and remove them from the consumers of the graph's values."""
+        """Discard all created nodes that were not added to a graph."""
         for _, node in self._nodes:
             for index in range(len(node.inputs)):
                 node.replace_input_with(index, None)

@@ -1,4 +1,4 @@
-"""Value ranges inside a graph: the contract's range analysis, for passes."""
+"""Ranges of values inside an ONNX graph, from the contract's range analysis."""
 
 __all__ = ["fits_int32", "spans_of"]
 
@@ -20,7 +20,7 @@ _INT32 = (-(2**31), 2**31 - 1)
 
 
 def spans_of(model: ir.Model, manifest: Manifest | None) -> dict[str, Interval]:
-    """Return the smallest and largest possible number of each graph value, if known."""
+    """Return the smallest and the largest possible number of each graph value, where known."""
     graph = model.graph
     values = [*graph.inputs, *graph.initializers.values()]
     values += [value for node in graph for value in node.outputs]
@@ -34,7 +34,7 @@ def spans_of(model: ir.Model, manifest: Manifest | None) -> dict[str, Interval]:
 
 
 def fits_int32(span: Interval | None, most: int = _INT32[1]) -> bool:
-    """Return whether every number of a value range fits int32 and a limit of the absolute value."""
+    """Return whether a value range fits int32 and a limit on the absolute value."""
     if span is None or not all(math.isfinite(end) for end in span):
         return False
     return max(_INT32[0], -most) <= span[0] <= span[1] <= most

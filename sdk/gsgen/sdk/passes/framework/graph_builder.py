@@ -1,4 +1,4 @@
-"""Functions that add weights and typed nodes to a graph, and replace values."""
+"""Functions that add weights and typed nodes to an ONNX graph, and replace values."""
 
 __all__ = [
     "InsertionPoint", "append_output", "constant_array", "free_name", "new_node", "replace_value",
@@ -46,7 +46,7 @@ def new_node(
     shape: Dims | None = None,
     **attributes: int | float | str | Sequence[int],
 ) -> ir.Node:
-    """Return a node of the ONNX domain with one output, which is named after the node."""
+    """Create a standard ONNX node whose output has the name of the node."""
     node = ir.node(op, inputs, attributes=attributes, name=name)
     (result,) = node.outputs
     result.name = f"{name}_result"
@@ -58,7 +58,7 @@ def new_node(
 
 
 def append_output(graph: ir.Graph, old: ir.Value, nodes: Sequence[ir.Node]) -> None:
-    """Append nodes to a graph; the last one computes an existing graph output."""
+    """Append nodes to a graph, the last of which computes an existing graph output."""
     name = old.name
     old.name = free_name(graph, f"{name}_before_{nodes[-1].name}")
     graph.extend(nodes)
@@ -91,7 +91,7 @@ class InsertionPoint:
         shape: Dims | None = None,
         **attributes: int | float | str | Sequence[int],
     ) -> ir.Value:
-        """Insert a node of the ONNX domain with one output, and return the output."""
+        """Insert a standard ONNX node with one output into the graph, and return the output."""
         known = (value.dtype for value in inputs if value is not None)
         result_dtype = dtype if dtype is not None else next(known, None)
         name = self._next(kind)
@@ -124,7 +124,7 @@ class InsertionPoint:
         return self.constant(np.array(numbers, np.int64), "numbers")
 
     def replace(self, *values: ir.Value) -> None:
-        """Remove a node; other values replace the node's outputs under the same names.
+        """Remove a node from the graph; other values replace its outputs under the same names.
 
         A graph output needs a value of its own. If the value existed before the node (an input
         of the graph, for example), an Identity is inserted.

@@ -1,4 +1,4 @@
-"""Lower bounds of the values inside a graph, derived from its operators."""
+"""Lower bounds of the values inside an ONNX graph, derived from its operators."""
 
 __all__ = ["is_never_zero", "lower_bound", "smallest_normal"]
 
@@ -91,7 +91,7 @@ def _squares(node: ir.Node) -> bool:
 
 
 def _replaces_zero(value: ir.Value) -> bool:
-    """Return whether a graph value is Where(v = 0, c, v) or Where(v > 0, v, c) with a nonzero c."""
+    """Return whether a graph value is Where(v = 0, c, v) or Where(v > 0, v, c) with c ≠ 0."""
     node = value.producer()
     test = node.inputs[0].producer() if is_op(node, "Where") and node.inputs[0] else None  # type: ignore[union-attr]
     if node is None or test is None or not is_op(test, "Equal", "Greater"):

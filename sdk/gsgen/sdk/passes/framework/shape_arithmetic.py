@@ -1,4 +1,4 @@
-"""NumPy evaluation of the ONNX operators that compute shapes; inexact results are refused."""
+"""Evaluates ONNX operators that compute shapes in NumPy; inexact results are refused."""
 
 __all__ = ["evaluate"]
 
@@ -13,7 +13,7 @@ Arrays = Sequence[np.ndarray | None]
 
 
 def evaluate(node: ir.Node, inputs: Arrays) -> np.ndarray | None:
-    """Evaluate a node in NumPy; return None if the result is not exact, or an error.
+    """Evaluate an ONNX node on integers in NumPy; None if the result is not exact, or an error.
 
     Arithmetic is limited to integers and booleans. Floats are only moved, compared and cast,
     because sums and products round differently on other machines.
@@ -77,7 +77,7 @@ def _modulo(node: ir.Node, inputs: Arrays) -> np.ndarray:
 
 
 def _axes(node: ir.Node, inputs: Arrays, position: int = 1) -> tuple[int, ...] | None:
-    """Return a node's axes: from an input, or from the attribute of older operator sets."""
+    """Return a node's axes, from an input or from an attribute of older operator sets."""
     if "axes" in node.attributes:
         return tuple(int(axis) for axis in node.attributes["axes"].as_ints())
     array = inputs[position] if position < len(inputs) else None

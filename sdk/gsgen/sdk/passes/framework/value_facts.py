@@ -1,4 +1,4 @@
-"""Facts about values that are known before the first frame: shapes, constants, attributes."""
+"""Facts about graph values that are known before the first frame: shapes, constants."""
 
 __all__ = [
     "UNBOUNDED_END", "attribute_values", "constant_of", "fixed_shape", "int_attribute",
@@ -20,7 +20,7 @@ UNBOUNDED_END = (1 << 31) - 1
 
 
 def required(fact: _Fact | None) -> _Fact:
-    """Return an optional fact about a graph, which an earlier check has proven not to be None."""
+    """Return a graph fact that an earlier check has proven to be known (not None)."""
     assert fact is not None
     return fact
 
@@ -44,7 +44,7 @@ def rank_of(value: ir.Value | None) -> int | None:
 
 
 def constant_of(value: ir.Value | None, largest: int = _LARGEST) -> np.ndarray | None:
-    """Return the array of a constant graph value; None if the value varies or is too large.
+    """Return the array of a constant graph value; None if it is not constant or too large.
 
     A weight that is also an input of the graph is not constant: callers can feed it.
     """
@@ -59,7 +59,7 @@ def constant_of(value: ir.Value | None, largest: int = _LARGEST) -> np.ndarray |
 
 
 def int_attribute(node: ir.Node, name: str, default: int) -> int:
-    """Return an integer attribute of a node, or a default if the node lacks the attribute."""
+    """Return an integer attribute of a node, or ``default`` if the node lacks it."""
     attribute = node.attributes.get(name)
     return default if attribute is None else int(attribute.as_int())
 
@@ -70,7 +70,7 @@ def attribute_values(node: ir.Node) -> dict[str, Any]:
 
 
 def split_sizes(node: ir.Node) -> list[int] | None:
-    """Return the sizes of the outputs of a Split; None if they are unknown."""
+    """Return the sizes of the outputs of a Split node; None if unknown."""
     attribute = node.attributes.get("split")
     if attribute is not None:
         return list(attribute.as_ints())

@@ -1,1 +1,1 @@
-"""Which operators are replaced by others that every GPU runtime has kernels for?"""
+"""Which operators are replaced because some GPU runtimes have no kernels for them?"""

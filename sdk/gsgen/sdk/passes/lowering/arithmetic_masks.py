@@ -1,4 +1,4 @@
-"""Rewrites boolean operators as arithmetic on zeros and ones, for releases without boolean kernels."""
+"""Rewrites boolean operators as arithmetic on 0 and 1, for runtimes without boolean kernels."""
 
 __all__ = ["ArithmeticMasks"]
 
@@ -18,7 +18,7 @@ _MARK = "gsgen.mask"
 
 
 class ArithmeticMasks(Substitute):
-    """Compute with masks as numbers where a release has no kernel for booleans.
+    """Compute boolean masks as numbers, for runtime releases without boolean kernels.
 
     No release joins, transposes, pads or compares booleans, and onnxruntime-web 1.22 does not
     reshape them either; between a comparison and a Where, a mask falls back to the CPU::
@@ -39,7 +39,7 @@ class ArithmeticMasks(Substitute):
     })  # fmt: skip
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether a node lacks a boolean kernel, or undoes a cast of this pass."""
+        """Return whether a node lacks a boolean kernel, or undoes a cast of this rewrite."""
         return super().matches(node) or _undoes_mask_cast(node)
 
     def can_replace(self, node: ir.Node) -> bool:
@@ -74,14 +74,14 @@ class ArithmeticMasks(Substitute):
 
 
 def _computed_inputs(node: ir.Node) -> range:
-    """Return the indices of a node's operands; shapes, indices and conditions do not count."""
+    """Return the indices of a node's numeric operands, without shapes, indices and conditions."""
     if is_op(node, *_LOGIC, *_JOINING):
         return range(len(node.inputs))
     return range(1, 3) if is_op(node, "Where") else range(1)
 
 
 def _as_number(write: InsertionPoint, value: ir.Value | None) -> ir.Value:
-    """Return a boolean tensor as float zeros and ones."""
+    """Return a boolean tensor of the graph as float zeros and ones."""
     assert value is not None
     maker = value.producer()
     if is_op(maker, "Cast") and maker is not None:
@@ -110,7 +110,7 @@ def _logic(write: InsertionPoint, kind: str, *numbers: ir.Value) -> ir.Value:
 
 
 def _undoes_mask_cast(node: ir.Node) -> bool:
-    """Return whether a node casts a mask to numbers after ArithmeticMasks cast it to booleans."""
+    """Return whether a node casts a mask to numbers right after a cast of numbers to booleans."""
     value = node.inputs[0] if is_op(node, "Cast") else None
     maker = value.producer() if value is not None else None
     if value is None or maker is None or not is_op(maker, "Cast") or value.dtype != _BOOL:

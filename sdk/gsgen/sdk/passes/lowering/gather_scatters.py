@@ -81,7 +81,7 @@ def _replace(node: ir.Node) -> None:
 
 
 def _flat_indices(indices: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
-    """Return the flat index for each multi-index; negative indices count from an axis' end."""
+    """Return flat element indices for multi-indices; negative ones count from an axis' end."""
     flat = np.zeros(indices.shape[:-1], np.int64)
     for axis, size in enumerate(sizes):
         index = indices[..., axis]

@@ -1,4 +1,4 @@
-"""Rewrites Split, Slice and GatherND as Slice and Gather, for releases without their kernels."""
+"""Rewrites Split, Slice and GatherND by Slice and Gather, for runtimes without their kernels."""
 
 __all__ = ["GatherSlices"]
 
@@ -21,7 +21,7 @@ from gsgen.sdk.passes.framework.value_facts import (
 
 
 class GatherSlices(Substitute):
-    """Replace Split by Slice, and Slice and GatherND by Gather, if a release has no kernel for them.
+    """Replace Split by Slice, and Slice and GatherND by Gather, where a runtime has no kernel.
 
     onnxruntime-web 1.22 splits neither float16 nor int32, 1.30 does not slice int32, and 1.22 fails
     at the first frame of a GatherND with constant indices, which torch exports for ``x[:, (0, 2)]``.
@@ -36,14 +36,14 @@ class GatherSlices(Substitute):
     kinds = frozenset({"GatherND", "Slice", "Split"})
 
     def variant(self, node: ir.Node) -> str:
-        """Return ``constant`` for a GatherND with constant indices, ``backwards`` for negative steps."""
+        """Return the operator table's variant of a node: ``constant``, ``backwards`` or empty."""
         if is_op(node, "GatherND"):
             return "constant" if constant_of(node.inputs[1]) is not None else ""
         steps = constant_of(node.inputs[4]) if len(node.inputs) > 4 else None
         return "backwards" if steps is not None and (steps < 0).any() else ""
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether a node's sizes, bounds or indices are known before the frame."""
+        """Return whether a node's sizes, bounds or indices are known before the first frame."""
         if is_op(node, "Split"):
             return split_sizes(node) is not None and self.opset >= 10
         if is_op(node, "Slice"):
@@ -84,7 +84,7 @@ def _split_slices(write: InsertionPoint, node: ir.Node, x: ir.Value) -> list[ir.
 
 
 def _axis_indices(node: ir.Node) -> list[tuple[int, np.ndarray]] | None:
-    """Return each sliced axis of a Slice with its indices; None if they are unknown."""
+    """Return the indices that a Slice selects on each axis; None if they are unknown."""
     shape = fixed_shape(node.inputs[0])
     arguments = [constant_of(value) for value in node.inputs[1:]]
     present = [value for value in node.inputs[1:] if value is not None]
@@ -107,7 +107,7 @@ def _axis_indices(node: ir.Node) -> list[tuple[int, np.ndarray]] | None:
 
 
 def _clipped(begin: int, end: int, step: int, size: int) -> tuple[int, int | None, int]:
-    """Return the Python slice of an ONNX slice; a ``None`` end means before the first element."""
+    """Convert the bounds of an ONNX Slice to those of a Python slice."""
     first = int(begin) + size if begin < 0 else int(begin)
     last = int(end) + size if end < 0 else int(end)
     if step > 0:
@@ -117,7 +117,7 @@ def _clipped(begin: int, end: int, step: int, size: int) -> tuple[int, int | Non
 
 
 def _gather_nd(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
-    """Write a GatherND as a Gather: merge the indexed axes, and flatten each multi-index."""
+    """Rewrite a GatherND as a Gather: merge the indexed axes, and flatten the multi-indices."""
     indices = required(constant_of(node.inputs[1], largest=1 << 24))
     shape = required(fixed_shape(x))
     depth = indices.shape[-1]

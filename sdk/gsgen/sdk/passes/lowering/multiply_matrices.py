@@ -11,7 +11,7 @@ from gsgen.sdk.passes.framework.value_facts import required
 
 
 class MultiplyMatrices(NodeRewrite):
-    """Give both operands of every MatMul two axes.
+    """Turn vector operands of every MatMul into matrices.
 
     ONNX Runtime (observed in 1.31) fuses Transpose into MatMul, and computes A v instead of Aᵀ v
     if v has one axis: the camera centre −Rᵀ t is wrong, without any error. Also,
@@ -25,7 +25,7 @@ class MultiplyMatrices(NodeRewrite):
     exactness = ErrorBudget(relative=1e-6)
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether a node is a MatMul with an operand of one axis."""
+        """Return whether a node is a MatMul with a vector operand (rank 1)."""
         return bool(_vector_operands(node))
 
     def replace(self, node: ir.Node) -> None:
@@ -56,7 +56,7 @@ class MultiplyMatrices(NodeRewrite):
 
 
 def _vector_operands(node: ir.Node) -> list[int]:
-    """Return the indices of the inputs of a MatMul that have one axis."""
+    """Return the indices of the inputs of a MatMul that are vectors (rank 1)."""
     if not is_op(node, "MatMul"):
         return []
     shapes = [value.shape if value is not None else None for value in node.inputs]
@@ -66,6 +66,6 @@ def _vector_operands(node: ir.Node) -> list[int]:
 def _change_axes(
     graph: ir.Graph, op: str, value: ir.Value | None, axes: list[int], name: str
 ) -> ir.Node:
-    """Return a Squeeze or Unsqueeze node, whose axes become a weight of the graph."""
+    """Return a Squeeze or Unsqueeze node, with its axes as a weight of the graph."""
     axes_weight = weight(graph, f"{name}_axes", np.array(axes))
     return new_node(op, [value, axes_weight], name, dtype=required(value).dtype)

@@ -1,4 +1,4 @@
-"""Moves Gather before Concat and Transpose, so that unneeded parts are never computed."""
+"""Moves Gather before Concat and Transpose, so that unused parts are never computed."""
 
 __all__ = ["PickParts"]
 
@@ -73,7 +73,7 @@ def _gather(write: InsertionPoint, value: ir.Value, indices: list[int], axis: in
 
 
 def _indices_per_piece(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, list[int]]] | None:
-    """Return a Concat's inputs with the indices to gather from each; None for too many inputs."""
+    """Return the inputs of a Concat with the indices to gather from each; None if too many."""
     indices = constant_of(node.inputs[1], _MAX_INDICES)
     shapes = [fixed_shape(piece) for piece in join.inputs]
     axis = _axis(node)

@@ -1,4 +1,4 @@
-"""Rewrites Round with Floor, because WebGPU has no kernel for Round."""
+"""Rewrites the operator Round by Floor, because WebGPU has no kernel for Round."""
 
 __all__ = ["RoundByFloor"]
 

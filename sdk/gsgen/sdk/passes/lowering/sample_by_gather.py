@@ -109,7 +109,7 @@ def _replace(node: ir.Node) -> None:
 
 
 class _Sampler:
-    """Computes the two neighbouring pixels of every point along one axis, and their weights."""
+    """Computes the two neighbouring pixels of every sample point along one axis, with weights."""
 
     def __init__(self, before: InsertionPoint, dtype: ir.DataType, node: ir.Node) -> None:
         self.before, self.dtype = before, dtype
@@ -120,7 +120,7 @@ class _Sampler:
         return self.before.constant(np.asarray(value, self.dtype.numpy()), "number")
 
     def neighbours(self, grid: ir.Value, axis: int, size: int) -> list[tuple[ir.Value, ir.Value]]:
-        """Return index int32 [P, 1] and weight [P, 1] of the lower and the upper pixel."""
+        """Return index [P, 1] and weight [P, 1] of both neighbouring pixels along an axis."""
         op, unit = self.before.op, self.number(1)
         column = op("Gather", grid, self.before.int64(axis), dtype=self.dtype, axis=1)
         coordinate = self._pixel_coordinate(op("Add", column, unit), size)
@@ -163,7 +163,7 @@ class _Sampler:
 
 
 def _pixel_table(before: InsertionPoint, image: ir.Value) -> ir.Value:
-    """Return the image as [frames · pixels, channels]; a weight is transposed at once."""
+    """Return the image to sample as a table [frames · pixels, channels]."""
     frames, channels, height, width = fixed_shape(image) or ()
     known = constant_of(image, largest=1 << 62)
     if known is not None:

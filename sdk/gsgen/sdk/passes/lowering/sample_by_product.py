@@ -1,4 +1,4 @@
-"""Rewrites samples of a plane along a line with one common coordinate as matrix products."""
+"""Rewrites GridSample along a line of fixed points as matrix products."""
 
 __all__ = ["SampleByProduct"]
 
@@ -18,7 +18,7 @@ _FLOAT = ir.DataType.FLOAT
 
 
 class SampleByProduct(CautiousRewrite):
-    """Replace a bilinear GridSample by two products, if one coordinate is common to all points.
+    """Replace a bilinear GridSample by two products, if all points share one coordinate.
 
     A HexPlane (arXiv 2310.08528, sec. 4.2) samples planes of space and time: a point's position is
     fixed, and time is one number for all points. Bilinear weights factor, so the rows of the plane
@@ -56,7 +56,7 @@ class _Line:
 
 
 def _varying(graph: ir.Graph) -> set[ir.Value]:
-    """Return the values of a graph that depend on an input."""
+    """Return the values of a graph that depend on a graph input."""
     varying = {value for value in graph.inputs if value.name not in graph.initializers}
     for node in graph:
         if varying.intersection(value for value in node.inputs if value is not None):
@@ -65,7 +65,7 @@ def _varying(graph: ir.Graph) -> set[ir.Value]:
 
 
 def _line(node: ir.Node, varying: set[ir.Value]) -> _Line | str:
-    """Return the line that a GridSample node samples, or the reason against a rewrite.
+    """Return the line of points that a GridSample node samples, or why a rewrite is impossible.
 
     The reason is empty if the points do not lie on such a line at all.
     """
@@ -112,7 +112,7 @@ def _producer_before_reshapes(value: ir.Value | None) -> ir.Node | None:
 
 
 def _common_number(value: ir.Value) -> ir.Value | None:
-    """Return the single number that an Expand repeats to a tensor; None for other tensors."""
+    """Return the number that an Expand repeats in all elements; None for other tensors."""
     maker = _producer_before_reshapes(value)
     if maker is None or not is_op(maker, "Expand"):
         return None
@@ -139,7 +139,7 @@ def _replace(node: ir.Node, line: _Line) -> None:
 
 
 def _hat_weights(write: InsertionPoint, node: ir.Node, coordinate: ir.Value, size: int) -> ir.Value:
-    """Return the linear weights [n, size] of an axis' pixels at coordinates [n, 1] from −1 to 1."""
+    """Return linear interpolation weights [n, size] of pixels at coordinates from −1 to 1."""
 
     def number(value: float) -> ir.Value:
         return write.constant(np.asarray(value, np.float32), "number")

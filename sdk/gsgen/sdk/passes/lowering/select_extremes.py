@@ -1,4 +1,4 @@
-"""Rewrites Max, Min and Clip with comparisons, for releases without their kernels."""
+"""Rewrites Max, Min and Clip with comparisons, for runtimes without their kernels."""
 
 __all__ = ["SelectExtremes"]
 
@@ -14,7 +14,7 @@ _CLIP_TYPES = (ir.DataType.FLOAT, ir.DataType.FLOAT16)
 
 
 class SelectExtremes(Substitute):
-    """Replace Max, Min and Clip by comparisons if a release has no kernel for them.
+    """Replace Max, Min and Clip by comparisons if a runtime release has no kernel for them.
 
     onnxruntime-web 1.22 has no kernel for Max and Min in any dtype, nor for Clip in int32. A single
     constant bound becomes a Clip of floats; all other operands are compared and selected::
@@ -31,7 +31,7 @@ class SelectExtremes(Substitute):
     kinds = frozenset({"Clip", "Max", "Min"})
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether a node's dtype is known and, for Clip, a bound exists."""
+        """Return whether a node's dtype is known and, for Clip, whether a bound is set."""
         value = node.inputs[0] if node.inputs else None
         if value is None or value.dtype is None:
             return False
@@ -72,7 +72,7 @@ def _larger_or_smaller(write: InsertionPoint, kind: str, a: ir.Value, b: ir.Valu
 
 
 def _replace_beyond(write: InsertionPoint, test: str, x: ir.Value, bound: ir.Value) -> ir.Value:
-    """Limit a graph value by a bound: replace elements that a comparison finds beyond the bound."""
+    """Clamp a graph value at a bound, by replacing the elements beyond the bound."""
     beyond = write.op(test, x, bound, dtype=ir.DataType.BOOL)
     return write.op("Where", beyond, bound, x, dtype=x.dtype)
 

@@ -1,4 +1,4 @@
-"""Unrolls If, Loop and Scan whose course is the same at every frame."""
+"""Unrolls If, Loop and Scan nodes that run the same way in every frame."""
 
 __all__ = ["UnrollControlFlow"]
 
@@ -20,7 +20,7 @@ _AXES_AS_INPUT = 13
 
 
 class UnrollControlFlow(CautiousRewrite):
-    """Unroll If, Loop and Scan whose iterations are known before the first frame.
+    """Unroll If, Loop and Scan nodes whose branches and iterations are known beforehand.
 
     One control-flow node makes a WebGPU provider refuse graph capture for the whole model, and
     most of them only count joints, bands or steps::
@@ -43,7 +43,7 @@ class UnrollControlFlow(CautiousRewrite):
         self.used_names: set[str | None] = set()
 
     def rewrite(self, model: ir.Model) -> None:
-        """Unroll control flow from outer to inner nodes, whose iterations may then be known."""
+        """Unroll control flow, outer nodes first, which may make inner iterations known."""
         refused: set[ir.Node] = set()
         self.used_names = _used_names(model)
         while True:
@@ -62,7 +62,7 @@ class UnrollControlFlow(CautiousRewrite):
             plan()
 
     def size_obstacle(self, turns: int, body: ir.Graph) -> str:
-        """Return why the unrolled copies of a loop body are too large; empty if they are not."""
+        """Return why the copies of a loop body would be too large; empty if they are not."""
         written = turns * sum(1 for _ in body.all_nodes())
         if turns > self.turns:
             return f"{turns} iterations, expected {self.turns} at most"
@@ -75,7 +75,7 @@ Plan = str | Callable[[], None]
 
 
 def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
-    """Return a function that inserts a branch of an If, or why that is impossible (case 1)."""
+    """Return a function that inserts the taken branch of an If node, or why that is impossible."""
     known = _known_array(node.inputs[0])
     if known is None:
         return "its condition differs between frames"
@@ -90,7 +90,7 @@ def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
 
 
 def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
-    """Return a function that unrolls a Loop, or the reason why that is impossible (case 2)."""
+    """Return a function that unrolls a Loop node, or the reason why that is impossible."""
     body = node.attributes["body"].as_graph()
     turns = _trip_count(node, body)
     if isinstance(turns, str):
@@ -120,7 +120,7 @@ def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
 
 
 def _trip_count(node: ir.Node, body: ir.Graph) -> int | str:
-    """Return the number of iterations of a Loop, or the reason why it is unknown."""
+    """Return the number of iterations of a Loop node, or the reason why it is unknown."""
     trips, first = (_known_array(value) for value in node.inputs[:2])
     if node.inputs[1] is not None and first is None:
         return "its start condition differs between frames"
@@ -151,7 +151,7 @@ def _before_identities(value: ir.Value) -> ir.Value:
 
 
 def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
-    """Return a function that unrolls a Scan, or the reason why that is impossible (case 3)."""
+    """Return a function that unrolls a Scan node, or the reason why that is impossible."""
     body = node.attributes["body"].as_graph()
     scanned = node.attributes["num_scan_inputs"].as_int()
     carried = len(node.inputs) - scanned
@@ -248,7 +248,7 @@ class _BodyCopier:
         del self.body.initializers[value.name or ""]
 
     def __call__(self, inputs: Sequence[ir.Value]) -> list[ir.Value]:
-        """Insert one copy of a loop body that reads given values, and return the copy's outputs."""
+        """Insert one copy of a loop body that reads given values; return the copy's outputs."""
         copy = self.body.clone(allow_outer_scope_values=True)
         replacements = dict(zip(copy.inputs, inputs, strict=True))
         results = [replacements.get(value, value) for value in copy.outputs]

@@ -1,4 +1,4 @@
-"""Rewrites activations with exponentials and comparisons, for releases without their kernels."""
+"""Rewrites activations with Exp and comparisons, for runtimes without their kernels."""
 
 __all__ = ["WriteOutActivations"]
 
@@ -15,7 +15,7 @@ from gsgen.sdk.passes.framework.value_facts import int_attribute, required
 
 
 class WriteOutActivations(Substitute):
-    """Write out activations that a release has no kernel for.
+    """Replace activations by their formulas if a runtime release has no kernel for them.
 
     No release has kernels for Softsign, Selu and Celu; onnxruntime-web 1.22 has none for Softplus,
     Mish and PRelu; from operator set 22 on, Elu, HardSigmoid, HardSwish and ThresholdedRelu have
@@ -47,7 +47,7 @@ class WriteOutActivations(Substitute):
 
 
 class _Formula:
-    """Writes the operators of an activation's formula into the graph."""
+    """Inserts the operators of an activation's formula into the graph."""
 
     def __init__(self, write: InsertionPoint, node: ir.Node, opset: int) -> None:
         self.write, self.node, self.opset = write, node, opset
@@ -75,11 +75,11 @@ class _Formula:
         return self.write.op("Where", beyond, then, otherwise, dtype=self.x.dtype)
 
     def negative_part(self) -> ir.Value:
-        """Write min(x, 0) into the graph, and return the result."""
+        """Insert min(x, 0) of an activation's argument x into the graph; return the result."""
         return self.op("Neg", self.op("Relu", self.op("Neg", self.x)))
 
     def negative_exponential(self, scale: float = 1.0) -> ir.Value:
-        """Write e^(x / scale) − 1 where x is negative, else zero, into the graph."""
+        """Insert e^(x / scale) − 1 where x is negative, else zero, into the graph."""
         below = self.negative_part() if scale == 1 else self.op("Div", self.negative_part(), scale)
         return self.op("Sub", self.op("Exp", below), 1.0)
 

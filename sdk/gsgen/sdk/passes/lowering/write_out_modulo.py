@@ -1,4 +1,4 @@
-"""Rewrites Mod as a division and a multiplication, because no release has a kernel for it."""
+"""Rewrites Mod by division and multiplication, because no runtime has a kernel for Mod."""
 
 __all__ = ["WriteOutModulo"]
 
@@ -15,7 +15,7 @@ _INTEGERS = (ir.DataType.INT32, ir.DataType.INT64)
 
 
 class WriteOutModulo(Substitute):
-    """Write Mod with a division: no release has a kernel for Mod.
+    """Replace Mod by a division: no runtime release has a kernel for Mod.
 
     Integers are exact. The float remainder has the sign of x; if rounding makes the quotient one
     too large or too small, the remainder is corrected by one y::
@@ -38,7 +38,7 @@ class WriteOutModulo(Substitute):
         return kind in _INTEGERS or (kind in FLOAT_TYPES and bool(int_attribute(node, "fmod", 0)))
 
     def replace(self, node: ir.Node) -> None:
-        """Replace Mod by a division and a subtraction of the divisor's multiple."""
+        """Replace Mod: subtract the divisor's largest multiple from the dividend."""
         write = InsertionPoint(node)
         x, y = node.inputs
         assert x is not None

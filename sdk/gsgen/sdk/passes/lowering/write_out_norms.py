@@ -1,4 +1,4 @@
-"""Rewrites normalisations with means, products and roots, for releases without their kernels."""
+"""Rewrites normalisations with means, products and roots, for runtimes without their kernels."""
 
 __all__ = ["WriteOutNorms"]
 
@@ -20,7 +20,7 @@ _SCALES_CHANNELS = 21
 
 
 class WriteOutNorms(Substitute):
-    """Write out normalisations with means, products and roots.
+    """Replace normalisation operators by means, products and roots.
 
     Most releases lack a kernel for some of them: GroupNormalization in onnxruntime-web 1.30,
     LpNormalization in 1.22, InstanceNormalization from operator set 22 on, RMSNormalization
@@ -45,7 +45,7 @@ class WriteOutNorms(Substitute):
     )
 
     def can_replace(self, node: ir.Node) -> bool:
-        """Return whether dtype and rank of a normalisation are known."""
+        """Return whether dtype and rank of a normalisation's input are known."""
         value = node.inputs[0]
         return value is not None and value.dtype in FLOAT_TYPES and rank_of(value) is not None
 
@@ -57,7 +57,7 @@ class WriteOutNorms(Substitute):
 
 
 class _Norm:
-    """Writes the operators of a normalisation's formula into the graph."""
+    """Inserts the operators of a normalisation's formula into the graph."""
 
     def __init__(self, write: InsertionPoint, node: ir.Node, x: ir.Value, opset: int) -> None:
         self.write, self.node, self.opset = write, node, opset
@@ -67,7 +67,7 @@ class _Norm:
         self.x = self.computed(x)
 
     def computed(self, value: ir.Value) -> ir.Value:
-        """Cast a float16 value to float32, in which a normalisation is computed."""
+        """Cast a float16 value to float32, in which the normalisation is computed."""
         if not self.is_float16:
             return value
         kind = ir.DataType.FLOAT
@@ -89,7 +89,7 @@ class _Norm:
         return float(np.float32(default)) if attribute_value is None else attribute_value.as_float()
 
     def reduced(self, kind: str, value: ir.Value, axes: list[int]) -> ir.Value:
-        """Insert a reduction of a value along axes that keep size one."""
+        """Insert a reduction of a graph value along axes, which keep size one."""
         if self.opset >= _AXES_ARE_INPUT or (kind == "ReduceSum" and self.opset >= 13):
             return self.write.op(kind, value, self.write.int64(*axes), keepdims=1)
         return self.write.op(kind, value, axes=axes, keepdims=1)
@@ -104,7 +104,7 @@ class _Norm:
         return value if bias is None else self.op("Add", value, bias)
 
     def finish(self, *results: ir.Value) -> None:
-        """Cast the first result of a normalisation to the node's dtype, and replace the node."""
+        """Cast the result of a normalisation to the replaced node's dtype, and replace the node."""
         first, *statistics = results
         if self.is_float16:
             assert self.kind is not None
@@ -112,7 +112,7 @@ class _Norm:
         self.write.replace(first, *statistics[: len(self.node.outputs) - 1])
 
     def per_channel(self, value: ir.Value | None) -> ir.Value | None:
-        """Append axes of size one to a value [C], one for each axis after the channels."""
+        """Append axes of size one to per-channel values [C], for axes after the channels."""
         if value is None or self.rank <= 2:
             return value
         axes = list(range(1, self.rank - 1))
@@ -171,7 +171,7 @@ def _group(norm: _Norm) -> None:
 
 
 def _lp(norm: _Norm) -> None:
-    """Write out LpNormalization; for vectors of length zero, ONNX Runtime returns zero."""
+    """Replace LpNormalization by its formula; a vector of length zero stays zero."""
     axis = int_attribute(norm.node, "axis", -1)
     if int_attribute(norm.node, "p", 2) == 1:
         length = norm.reduced("ReduceSum", norm.op("Abs", norm.x), [axis])

@@ -17,7 +17,7 @@ _SUM_TAKES_AXES, _ALL_TAKE_AXES = 13, 18
 
 
 class WriteOutReductions(Substitute):
-    """Write composite reductions with ReduceSum and ReduceMax.
+    """Replace composite reductions, such as ReduceL2, by ReduceSum and ReduceMax.
 
     Every release with kernels for reductions has ReduceSum, ReduceMean, ReduceMax and ReduceMin;
     the other reductions are composed of these::
@@ -58,7 +58,7 @@ class WriteOutReductions(Substitute):
 
 
 def _log_sum_exp(write: InsertionPoint, x: ir.Value, reduced: Callable[..., ir.Value]) -> ir.Value:
-    """Write out ReduceLogSumExp; the finite maximum is subtracted first, against overflow."""
+    """Replace ReduceLogSumExp; the finite maximum is subtracted first, to avoid overflow."""
     assert x.dtype is not None
     kind = x.dtype.numpy()
     zero = write.constant(np.zeros((), kind))
@@ -82,7 +82,7 @@ def _reduced(
     value: ir.Value,
     keep: int | None = None,
 ) -> ir.Value:
-    """Insert a reduction along the axes of a node, passed as the operator set requires."""
+    """Insert a reduction along the axes of a node, in the form that the operator set requires."""
     keep = int_attribute(node, "keepdims", 1) if keep is None else keep
     attribute = node.attributes.get("axes")
     axes = None if attribute is None else list(attribute.as_ints())

@@ -71,12 +71,12 @@ class WriteOutSigns(Substitute):
 
 
 def _minus_one(write: InsertionPoint, kind: np.dtype, zero: ir.Value) -> ir.Value:
-    """Return −1 in the dtype of a value; zero for unsigned integers, which are never negative."""
+    """Return the constant −1 in a value's dtype, or zero if the dtype is unsigned."""
     return zero if kind.kind == "u" else write.constant(np.asarray(-1, kind), "number")
 
 
 def _is_infinite(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
-    """Write IsInf for both signs, or for the sign that the attributes select."""
+    """Replace IsInf for both signs, or for the sign that its attributes select."""
     assert x.dtype is not None
     kind = x.dtype.numpy()
     end = write.constant(np.asarray(np.inf, kind), "number")

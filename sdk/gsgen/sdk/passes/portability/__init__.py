@@ -1,1 +1,1 @@
-"""Which rewrites adapt a model to the limits and defects of runtimes?"""
+"""Which graph rewrites adapt a model to the limits and defects of runtimes?"""

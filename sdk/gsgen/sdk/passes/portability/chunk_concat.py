@@ -1,4 +1,4 @@
-"""Splits wide Concats, so that a shader stage can bind all their inputs."""
+"""Splits Concats with many inputs, so that a GPU shader can bind all inputs."""
 
 __all__ = ["ChunkConcat"]
 
@@ -12,7 +12,7 @@ from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 
 class ChunkConcat(WithinLimit, NodeRewrite):
-    """Write a Concat of more than seven inputs as a tree of smaller ones.
+    """Replace a Concat of more than seven inputs by a tree of smaller Concats.
 
     WebGPU guarantees eight storage buffers per shader stage. A Concat binds one for each input and
     one for its output; with more, onnxruntime-web 1.22 returns garbage and reports nothing but an
@@ -30,7 +30,7 @@ class ChunkConcat(WithinLimit, NodeRewrite):
         return is_op(node, "Concat") and len(node.inputs) > self.limit
 
     def replace(self, node: ir.Node) -> None:
-        """Join groups of a Concat's inputs until one tensor is left."""
+        """Concatenate groups of a Concat's inputs, level by level, until one tensor is left."""
         axis, write = node.attributes["axis"].as_int(), InsertionPoint(node)
         parts: list[ir.Value | None] = list(node.inputs)
         while len(parts) > 1:
@@ -44,7 +44,7 @@ class ChunkConcat(WithinLimit, NodeRewrite):
 
 
 def _groups(parts: Sequence[ir.Value | None], limit: int) -> list[Sequence[ir.Value | None]]:
-    """Divide neighbouring tensors into as few groups as possible, of about equal size."""
+    """Divide consecutive tensors into as few groups as possible, of about equal size."""
     count = -(-len(parts) // limit)
     ends = [len(parts) * k // count for k in range(count + 1)]
     return [parts[a:b] for a, b in pairwise(ends)]

@@ -1,4 +1,4 @@
-"""Divides wide Splits, so that a shader stage can bind all their outputs."""
+"""Divides Splits with many outputs, so that a GPU shader can bind all outputs."""
 
 __all__ = ["ChunkSplit"]
 
@@ -16,7 +16,7 @@ _SIZES_ARE_INPUT = 13
 
 
 class ChunkSplit(WithinLimit, CautiousRewrite):
-    """Write a Split with more than seven outputs as a tree of smaller ones.
+    """Replace a Split with more than seven outputs by a tree of smaller Splits.
 
     A Split binds one storage buffer for its input and one for each output, and WebGPU guarantees
     eight. Above the adapter's limit it fails at the first frame, not at loading::
@@ -55,7 +55,7 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
         write.replace(*(value for value, _ in parts if value is not None))
 
     def _groups(self, sizes: list[int]) -> list[list[int]]:
-        """Divide the sizes of a Split into as many groups as one Split may return."""
+        """Divide the output sizes of a Split into as many groups as one Split may return."""
         count = min(self.limit, len(sizes))
         ends = [len(sizes) * k // count for k in range(count + 1)]
         return [sizes[a:b] for a, b in pairwise(ends)]

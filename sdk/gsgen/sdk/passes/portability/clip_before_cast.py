@@ -1,4 +1,4 @@
-"""Moves Clip before a Cast to integers, so that it runs on floats."""
+"""Moves a Clip before a Cast to integers, so that Clip runs on floats."""
 
 __all__ = ["ClipBeforeCast"]
 
@@ -62,7 +62,7 @@ class ClipBeforeCast(NodeRewrite):
 
 
 def _bounds(node: ir.Node) -> tuple[int | None, int | None] | None:
-    """Return the lower and the upper bound of a Clip; None if they are not single constants."""
+    """Return the lower and upper bound of a Clip; None if a bound is not a single constant."""
     arguments = (*node.inputs[1:], None, None)[:2]
     numbers: list[int | None] = []
     for value in arguments:

@@ -1,4 +1,4 @@
-"""Appends an operator that graph capture records to outputs that are buffer copies or weights."""
+"""Appends a computing operator to outputs that graph capture would miss (copies, weights)."""
 
 __all__ = ["EndOutputsOnCompute"]
 
@@ -12,7 +12,7 @@ from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
 
 
 class EndOutputsOnCompute(Rewrite):
-    """End every output on an operator that computes: Mul by one.
+    """Append Mul by one to every output that no computing operator writes.
 
     Graph capture records kernels, not buffer copies. An output of Reshape, of a similar operator
     or of one that computes nothing repeats the first frame forever. An output that is a weight
@@ -27,7 +27,7 @@ class EndOutputsOnCompute(Rewrite):
     name = "end-on-compute"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Append Mul or And to every output that is a buffer copy or a weight."""
+        """Append Mul or And to every graph output that is a buffer copy or a weight."""
         visited: set[ir.Value] = set()
         for index, value in enumerate(model.graph.outputs):
             if value.is_graph_input():
@@ -53,7 +53,7 @@ def _copies(node: ir.Node) -> bool:
 def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:
     name, kind = value.name, value.dtype
     if kind is None:
-        raise ValueError(f"output {name!r} has no dtype, expected one")
+        raise ValueError(f"output {name!r} has no dtype, expected a known dtype")
     value.name = free_name(graph, f"{name}_uncopied")
     unit = weight(graph, f"{name}_one", np.ones((), kind.numpy()))
     operator = "And" if kind == ir.DataType.BOOL else "Mul"

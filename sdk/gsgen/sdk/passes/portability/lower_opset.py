@@ -1,4 +1,4 @@
-"""Lowers the operator set of a model to a version that targets have kernels for."""
+"""Lowers a model's ONNX operator set to a version for which target runtimes have kernels."""
 
 __all__ = ["LowerOpset"]
 
@@ -46,7 +46,7 @@ _REDUCTIONS = (
 
 
 class LowerOpset(CautiousRewrite):
-    """Lower the operator set to one that the target has kernels for: 18.
+    """Lower the ONNX operator set to one that the target runtime has kernels for: 18.
 
     ONNX Runtime uses a kernel only up to the last version of the operator that it was written for.
     Sin, Cos and a dozen others have a newer version from operator set 22 on, GridSample from 20 on;
@@ -71,13 +71,13 @@ class LowerOpset(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the rewrite for the requested operator set, by default 18."""
+        """Return the rewrite to the requested ONNX operator set, by default 18."""
         if target.opset is None and not target.tables:
             return None
         return cls(target.opset or SAFEST_OPSET, target.target.ir)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Lower the operator set if every node has an equivalent in the lower set."""
+        """Lower the ONNX operator set if every node has an equivalent in the lower set."""
         if self.opset > self.target_opset and self._can_be_lowered(model):
             for node in list(model.graph.all_nodes()):
                 if node.domain in MAIN_DOMAIN:
@@ -170,7 +170,7 @@ def _axes_as_attribute(node: ir.Node) -> None:
 
 
 def _argument_obstacle(node: ir.Node, old: onnx.defs.OpSchema) -> str:
-    """Return why an operator's older version does not take a node's inputs; empty if it does."""
+    """Return why an operator's older version does not accept a node's inputs; empty if it does."""
     if is_op(node, *_REDUCTIONS) and len(node.inputs) == 2:
         known = node.inputs[1] is None or constant_of(node.inputs[1]) is not None
         return "" if known else "its axes are not known before the frame"

@@ -32,7 +32,7 @@ _EXACT_FLOAT = 1 << 24
 
 
 class NarrowIntegers(ByTables, CautiousRewrite):
-    """Compute int64 values in int32 if they cannot leave its range.
+    """Compute int64 values in int32 if they provably fit.
 
     WebGPU has no 64-bit integers. Few releases truncate them to 32 bits; in onnxruntime-web 1.22
     the other operators fall back to the CPU, or repeat the first frame. A node is rewritten only if
@@ -103,7 +103,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
         write.replace(*outputs)
 
     def _sums_integers(self, node: ir.Node) -> bool:
-        """Return whether a node reduces int32, for which a runtime's release has no kernel."""
+        """Return whether a node sums int32 numbers, for which the runtime has no kernel."""
         if not is_op(node, "ReduceSum", "ReduceMax", "ReduceMin") or self.target is None:
             return False
         value = node.inputs[0]
@@ -127,7 +127,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
         write.replace(_cast(write, reduced, _INT32))
 
     def _use_narrow_index(self, node: ir.Node) -> None:
-        """Pass int32 indices to a node directly, without the Cast to int64."""
+        """Pass int32 indices to a node directly, without a Cast to int64."""
         if not is_op(node, *_INDEXED) or node.inputs[1] is None:
             return
         maker = node.inputs[1].producer()
@@ -140,7 +140,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
 
 
 def _frame_nodes(graph: ir.Graph) -> list[ir.Node]:
-    """Return the nodes that depend on an input; the others are computed once, at loading."""
+    """Return the graph nodes that depend on an input; others are computed once, at loading."""
     varying = {value for value in graph.inputs if value.name not in graph.initializers}
     nodes = []
     for node in graph:
@@ -156,7 +156,7 @@ def _computed(node: ir.Node) -> list[ir.Value | None]:
 
 
 def _is_integer_cast(node: ir.Node) -> bool:
-    """Return whether a node is a Cast between int32 and int64, as NarrowIntegers inserts them."""
+    """Return whether a node is a Cast between int32 and int64."""
     value = node.inputs[0]
     kinds = {None if value is None else value.dtype, node.outputs[0].dtype}
     return is_op(node, "Cast") and kinds == {_INT64, _INT32}

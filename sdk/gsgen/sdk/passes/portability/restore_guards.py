@@ -1,4 +1,4 @@
-"""Restores guards against divisions by a zero length that an exporter removed."""
+"""Restores guards against division by a vector's zero length, which an exporter removed."""
 
 __all__ = ["RestoreGuards"]
 
@@ -22,7 +22,7 @@ _MIN_LENGTH, _MIN_SQUARE = 1e-12, 1e-24
 
 
 class RestoreGuards(CautiousRewrite):
-    """Guard divisions by the length of a vector that may be zero.
+    """Guard divisions by a vector's length that may be zero.
 
     The exporter drops ``x + c`` for c up to 1e-8, and a guard of 1e-12 is zero in float16: a zero
     vector, as in a rest pose or for a camera at a point's position, becomes NaN. If the divisor is
@@ -40,7 +40,7 @@ class RestoreGuards(CautiousRewrite):
     exactness = ErrorBudget(repairs_nonfinite=True)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Guard every length that is a divisor and may be zero, subgraphs included."""
+        """Guard every vector length that is a divisor and may be zero, subgraphs included."""
         for node in list(every_node(model)):
             divisor_index = _divisor_index(node)
             if divisor_index is None:
@@ -88,7 +88,7 @@ def _is_length(value: ir.Value | None) -> bool:
 
 
 def _is_square(value: ir.Value | None) -> bool:
-    """Return whether a graph value is a sum or mean of squares."""
+    """Return whether a graph value is a sum or mean of squares, i.e. a squared length."""
     maker = _producer_behind_guards(value)
     if maker is None:
         return False
@@ -109,7 +109,7 @@ def _is_one_square(node: ir.Node) -> bool:
 
 
 def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
-    """Return the node that computes a value, ignoring moved elements and negligible zero guards."""
+    """Return the node that computes a value, ignoring reshapes and ineffective zero guards."""
     while value is not None:
         maker = value.producer()
         if maker is None:
@@ -122,7 +122,7 @@ def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
 
 
 def _guarded_input(node: ir.Node) -> int | None:
-    """Return the input of a zero guard with a negligible constant; None for other nodes."""
+    """Return the input index of a zero guard, such as Max(x, ε), with too small an ε; or None."""
     if not is_op(node, "Add", "Clip", "Max") or len(node.inputs) < 2:
         return None
     for input_index in (0, 1):

@@ -1,4 +1,4 @@
-"""Splits weights that are larger than a target can bind."""
+"""Splits weights that are larger than the target's GPU can bind."""
 
 __all__ = ["SplitLargeWeights"]
 
@@ -24,7 +24,7 @@ _BOOL = ir.DataType.BOOL
 
 
 class SplitLargeWeights(CautiousRewrite):
-    """Split every weight that is larger than a target can bind.
+    """Split every weight that is larger than the target's GPU can bind.
 
     WebGPU binds 128 MiB unless a device offers more; onnxruntime-web 1.22 returns zeros for a
     larger tensor, without any error. A table is split along its indexed axis, a factor of a
@@ -49,7 +49,7 @@ class SplitLargeWeights(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "SplitLargeWeights":
-        """Return the rewrite with the target's largest bindable size."""
+        """Return the rewrite for the target's largest bindable weight size."""
         return cls(target.limits.get("binding_bytes", _BINDING))
 
     def rewrite(self, model: ir.Model) -> None:
@@ -120,7 +120,7 @@ Write = Callable[[ir.Node, list[ir.Value], list[int]], None]
 
 
 def _splitting_axis(value: ir.Value, node: ir.Node, input_index: int) -> tuple[int, Write] | str:
-    """Return the axis to split a node's input along and a rewriting function, or an obstacle."""
+    """Return the axis to split a node's weight along and a rewriting function, or the obstacle."""
     rank = rank_of(value) or 0
     # Case 1
     if is_op(node, "Gather") and input_index == 0 and rank_of(node.inputs[1]) is not None:

@@ -1,1 +1,1 @@
-"""How are operators that select rows by a mask, or work on columns, rewritten with static shapes?"""
+"""How is selection of rows by a boolean mask rewritten with static shapes?"""

@@ -1,4 +1,4 @@
-"""Evaluation of operators column by column, for long and narrow tensors.
+"""Evaluates ONNX operators column by column, for long and narrow tensors.
 
 A tensor [rows, a, b, …] is a NumPy array [a, b, …] of columns: an operator on the axes after the
 first becomes the same NumPy operation on that array.
@@ -103,7 +103,7 @@ def columns_of(
 
 
 def _may_be_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
-    """Return whether a value has all rows, is one number, or holds a constant per column."""
+    """Return whether a value has all rows, is one number, or has a constant for each column."""
     shape, result_shape = fixed_shape(value), fixed_shape(node.outputs[0])
     if shape is None or result_shape is None:
         return False
@@ -119,7 +119,7 @@ def _may_be_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
 def _elementwise(
     node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
 ) -> Columns:
-    """Evaluate an elementwise operator once for each column."""
+    """Evaluate an elementwise ONNX operator once for each column of its operands."""
     shape = required(fixed_shape(node.outputs[0]))
     trailing = shape[1:]
     arrays = [
@@ -170,7 +170,7 @@ def _reduce(node: ir.Node, columns: Columns, emit: Emit) -> Columns:
 
 
 def _axes(node: ir.Node, rank: int) -> list[int]:
-    """Return the axes that a reduction reduces; an empty list if they are unknown."""
+    """Return the axes that a reduction node reduces; an empty list if unknown."""
     attribute = node.attributes.get("axes")
     if attribute is not None:
         return [axis % rank for axis in attribute.as_ints()]
@@ -179,7 +179,7 @@ def _axes(node: ir.Node, rank: int) -> list[int]:
 
 
 def _slices(node: ir.Node, rank: int) -> tuple[slice, ...] | None:
-    """Return a Slice's ranges on axes after the first; None if the first axis is sliced."""
+    """Return the ranges of a Slice on axes after the first; None if it slices the first axis."""
     arguments = [constant_of(value) for value in node.inputs[1:] if value is not None]
     if len(arguments) != len(node.inputs) - 1 or any(array is None for array in arguments):
         return None

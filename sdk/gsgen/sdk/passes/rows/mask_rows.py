@@ -1,4 +1,4 @@
-"""Rewrites boolean indexing so that every shape is known before the frame."""
+"""Rewrites boolean indexing (selecting rows by a mask) with static shapes."""
 
 __all__ = ["MaskRows"]
 
@@ -41,7 +41,7 @@ _READS_NUMBERS = (
 
 
 class MaskRows(CautiousRewrite):
-    """Compute all N rows instead of the K rows that a mask keeps, and compact them at the end.
+    """Compute all N rows instead of the K rows that a mask selects, and compact them at the end.
 
     The values decide how many rows NonZero and Compress return, so these run on the CPU, and graph
     capture is refused for the whole model. Operators that work row by row can process all rows::
@@ -72,13 +72,13 @@ class MaskRows(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "MaskRows":
-        """Return the rewrite of boolean masks; the manifest names the count output."""
+        """Return the graph rewrite of boolean row masks for a target runtime."""
         declared = target.manifest
         known = declared.outputs.count if isinstance(declared, GeneratorManifest) else None
         return cls(known.name if known is not None else None)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Rewrite all boolean masks; each attempt that fails excludes one more mask."""
+        """Rewrite all boolean row masks; each failed attempt excludes one more mask."""
         excluded: frozenset[Mask] = frozenset()
         while True:
             attempt = _Attempt(model.graph, excluded, self.count)
@@ -100,7 +100,7 @@ class MaskRows(CautiousRewrite):
 
 
 class _Attempt:
-    """One attempt to rewrite the boolean masks of a graph, except for some excluded masks."""
+    """One attempt to rewrite all boolean row masks of a graph except some excluded ones."""
 
     def __init__(self, graph: ir.Graph, excluded: frozenset[Mask], count: str | None) -> None:
         self.graph, self.excluded, self.count = graph, excluded, count
@@ -121,7 +121,7 @@ class _Attempt:
         return self._new_outputs()
 
     def finish(self, outputs: Sequence[ir.Value | None]) -> None:
-        """Add the created nodes to the graph, and replace values and outputs."""
+        """Add the created nodes to the graph, and replace the values and outputs."""
         for node, input_index, value in self.draft.input_replacements:
             node.replace_input_with(input_index, value)
         self.draft.join(self.graph)
@@ -163,7 +163,7 @@ class _Attempt:
             raise Blocked(node, "it may mix rows, or its shape depends on the count", _masks(facts))
 
     def _fixed_size_value(self, node: ir.Node, facts: Sequence[Fact | None]) -> ir.Value | None:
-        """Create the output of a node whose size no longer depends on a mask (cases 2 to 4)."""
+        """Create the output of a node whose size no longer depends on a row mask (cases 2 to 4)."""
         if len(_masks(facts)) != 1:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
@@ -215,7 +215,7 @@ class _Attempt:
         return linear_numbers(node, facts)
 
     def _nested_fact(self, node: ir.Node, facts: Sequence[Fact | None]) -> Fact | None:
-        """Return the rows that a second mask selects among those that a first mask keeps."""
+        """Return the rows that a mask selects among the rows that an earlier mask selected."""
         rows, selector = facts[0], facts[-1]
         if not isinstance(rows, Rows):
             return None
@@ -236,7 +236,7 @@ class _Attempt:
         return gather_nested_rows(node, rows, selector) if isinstance(selector, Index) else None
 
     def _replace_counts(self, node: ir.Node, facts: Sequence[Fact | None]) -> bool:
-        """Replace row counts that a node reads as numbers; return whether that was possible.
+        """Replace counts of selected rows that a node reads as numbers; return whether possible.
 
         Any node may read numbers from a shape if they do not depend on the count.
         """
@@ -253,7 +253,7 @@ class _Attempt:
         return True
 
     def _new_outputs(self) -> list[ir.Value | None]:
-        """Create outputs of N rows in place of K kept ones, if another output is K (case 1)."""
+        """Create outputs of N rows instead of K selected rows, if another output is K (case 1)."""
         facts = [self.facts.get(value) for value in self.graph.outputs]
         counted = {
             fact.mask.unrepeated
@@ -282,7 +282,7 @@ class _Attempt:
         return replacements
 
     def _count_output(self, fact: Linear, value: ir.Value) -> ir.Value:
-        """Create a count output that ends on Add, an operator that graph capture records."""
+        """Create a row count output that ends on Add, an operator that graph capture records."""
         zero = self.draft.constant(0, numpy_dtype(value))
         return self.draft.op(
             "Add", self.draft.number(fact, value), zero, shape=list(fact.constant.shape)

@@ -1,4 +1,4 @@
-"""Detached nodes for masked rows, which join the graph once every node can be rewritten."""
+"""Creates nodes for row masks outside of the graph, until all nodes can be rewritten."""
 
 __all__ = ["RowDraft"]
 
@@ -14,7 +14,7 @@ from gsgen.sdk.passes.rows.row_order import RowOrder, draft_order
 
 
 class RowDraft(DetachedGraph):
-    """Creates graph nodes that compute masks, row orders and compacted rows.
+    """Creates graph nodes that compute row masks, row orders and compacted rows.
 
     Attributes:
         results: Value of the graph → its drafted replacement of the same shape.
@@ -28,14 +28,14 @@ class RowDraft(DetachedGraph):
         self._orders: dict[Mask, RowOrder] = {}
 
     def order(self, mask: Mask) -> RowOrder:
-        """Return the order of the rows that a mask keeps, computed by shared nodes."""
+        """Return the order that puts the rows a mask selects first, computed by shared nodes."""
         mask = mask.unrepeated
         if mask not in self._orders:
             self._orders[mask] = draft_order(self, self.boolean_mask(mask), mask.size)
         return self._orders[mask]
 
     def boolean_mask(self, mask: Mask) -> ir.Value:
-        """Create the nodes that compute a mask as a boolean vector [N]."""
+        """Create the graph nodes that compute a row mask as a boolean vector [N]."""
         root = mask.root
         if root.dtype != ir.DataType.BOOL:
             kind = ir.DataType.BOOL
@@ -49,7 +49,7 @@ class RowDraft(DetachedGraph):
         return self.op("Reshape", value, self.constant(dims, np.int64), shape=dims)
 
     def compact(self, rows: Rows, fill: np.ndarray | None = None) -> ir.Value:
-        """Create N rows: first the K rows that a mask keeps, then filler rows (default zeros)."""
+        """Create N rows: first the K rows that a mask selects, then filler rows (default zeros)."""
         order, value, shape = self.order(rows.mask), rows.value, required(fixed_shape(rows.value))
         moved = self.op("Gather", value, order.rows, shape=shape, axis=rows.axis)
         dims = [1] * len(shape)
@@ -59,7 +59,7 @@ class RowDraft(DetachedGraph):
         return self.op("Where", live, moved, filler, dtype=value.dtype, shape=shape)
 
     def number(self, fact: Linear, like: ir.Value) -> ir.Value:
-        """Create the nodes that compute integers a + b · K from the number K of kept rows."""
+        """Create the nodes that compute integers a + b · K from the number K of selected rows."""
         if not fact.varies:
             return like
         kind, shape = required(like.dtype), list(fact.constant.shape)

@@ -1,4 +1,4 @@
-"""Facts about tensors whose number of rows depends on a mask."""
+"""Facts about tensors whose number of rows depends on a boolean mask."""
 
 __all__ = ["Blocked", "Fact", "Filler", "Index", "Linear", "Mask", "Rows", "read_mask"]
 
@@ -13,7 +13,7 @@ from gsgen.sdk.passes.framework.value_facts import fixed_shape
 
 
 class Blocked(Exception):
-    """Raised where a node prevents a static shape of masked rows."""
+    """Raised if a node prevents static shapes for rows that a mask selects."""
 
     def __init__(self, node: ir.Node, reason: str, masks: frozenset["Mask"]) -> None:
         super().__init__(reason)
@@ -22,7 +22,7 @@ class Blocked(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Mask:
-    """A boolean mask tensor of a graph; K of its elements are true."""
+    """A boolean row mask of a graph; K of its N elements are true."""
 
     root: ir.Value  # the tensor, of any numeric dtype; nonzero elements are true
     dims: tuple[int, ...]  # its shape
@@ -32,17 +32,17 @@ class Mask:
 
     @property
     def unrepeated(self) -> "Mask":
-        """The mask before it was repeated for each column, which keeps the same rows."""
+        """The row mask before it was repeated for each column; both select the same rows."""
         return Mask(self.root, self.dims, parent=self.parent)
 
     @property
     def chain(self) -> "tuple[Mask, ...]":
-        """The mask and its parent masks, where a mask selects among the rows of its parent."""
+        """The mask and its parent masks; each mask selects among the rows of its parent."""
         return (self.unrepeated, *(self.parent.chain if self.parent is not None else ()))
 
     @property
     def size(self) -> int:
-        """The number of elements of the mask."""
+        """The number of elements of the row mask."""
         return prod(self.dims)
 
 
@@ -56,7 +56,7 @@ class Index:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A tensor with the K rows that a mask keeps, represented by a tensor with all N rows."""
+    """A tensor of the K rows that a mask selects, represented by a tensor of all N rows."""
 
     mask: Mask  # the mask that selects the K rows
     value: ir.Value  # the tensor of all N rows
@@ -66,7 +66,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """Integers of the form a + b · K, where K is the number of rows that a mask keeps."""
+    """Integers of the form a + b · K, where K is the number of rows that a mask selects."""
 
     mask: Mask  # the mask with K true elements
     constant: np.ndarray  # the numbers a, of any shape
@@ -76,7 +76,7 @@ class Linear:
 
 @dataclass(frozen=True, slots=True)
 class Filler:
-    """Equal filler rows along the first axis, ``capacity`` − K of them."""
+    """Equal filler rows that pad K selected rows to a fixed capacity."""
 
     mask: Mask  # the mask with K true elements
     capacity: int  # number of rows, filler included
@@ -87,7 +87,7 @@ Fact = Index | Rows | Linear | Filler
 
 
 def read_mask(value: ir.Value | None) -> Mask | None:
-    """Return the boolean mask behind the casts, flattening and repetition of a graph value."""
+    """Return the boolean row mask from which casts, reshapes and repeats compute a graph value."""
     root = _truth_source(value)
     dims = fixed_shape(root)
     if root is None or dims is None:

@@ -1,4 +1,4 @@
-"""Recognises the forms in which exporters and authors select the rows of a boolean mask."""
+"""Recognises the operators by which exporters and authors select rows with a boolean mask."""
 
 __all__ = [
     "compose_masks", "compress_rows", "gather_nested_rows", "gather_rows", "nonzero_index",
@@ -15,13 +15,13 @@ from gsgen.sdk.passes.rows.row_facts import Index, Mask, Rows, read_mask
 
 
 def nonzero_index(node: ir.Node) -> Index | None:
-    """Return the indices of true elements that NonZero computes; None without a known mask."""
+    """Return the indices that NonZero computes from a row mask; None for an unknown mask."""
     mask = read_mask(node.inputs[0])
     return None if mask is None or not mask.size else Index(mask, "columns")
 
 
 def compose_masks(rows: Rows, draft: RowDraft) -> Mask | None:
-    """Compose two nested masks into one over the original rows."""
+    """Compose two nested row masks into one mask over the original rows."""
     shape = fixed_shape(rows.value)
     if rows.flat or shape != (rows.mask.size,):
         return None
@@ -34,7 +34,7 @@ def compose_masks(rows: Rows, draft: RowDraft) -> Mask | None:
 
 
 def compress_rows(node: ir.Node, mask: Mask, draft: RowDraft) -> Rows | None:
-    """Return the rows that Compress keeps; None if the condition is shorter than its axis."""
+    """Return the rows that Compress selects; None if its condition is shorter than the axis."""
     value, shape = node.inputs[0], fixed_shape(node.inputs[0])
     if value is None or shape is None or len(mask.dims) != 1 or mask.repeats:
         return None
@@ -47,7 +47,7 @@ def compress_rows(node: ir.Node, mask: Mask, draft: RowDraft) -> Rows | None:
 
 
 def transform_index(node: ir.Node, index: Index) -> Index | None:
-    """Return a mask's indices after a node reshaped or cast the indices; None if unknown."""
+    """Return a row mask's indices after a node reshaped or cast them; None if unknown."""
     if is_op(node, "Cast", "Identity") or (is_op(node, "Max") and len(node.inputs) == 1):
         return index
     if is_op(node, "Transpose") and index.form != "flat":
@@ -88,7 +88,7 @@ def _axis_of_size_one(index: Index) -> int:
 
 
 def gather_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
-    """Return the rows that Gather or GatherND selects with the indices of a mask."""
+    """Return the rows that Gather or GatherND selects with the indices of a row mask."""
     value, shape, mask = node.inputs[0], fixed_shape(node.inputs[0]), index.mask
     if value is None or shape is None or mask.repeats or mask.parent is not None:
         return None
@@ -103,7 +103,7 @@ def gather_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
 
 
 def gather_nested_rows(node: ir.Node, rows: Rows, index: Index) -> Rows | None:
-    """Return the rows that Gather or GatherND selects among the kept rows of a parent mask."""
+    """Return the rows that Gather or GatherND selects among rows that a mask selected."""
     if rows.flat or index.mask.parent != rows.mask.unrepeated:
         return None
     rank = rank_of(rows.value) or 1

@@ -1,4 +1,4 @@
-"""Shapes and counts that depend on the number of rows that a mask keeps."""
+"""Shapes and counts that depend on the number of rows that a mask selects."""
 
 __all__ = ["constant_rows", "linear_numbers", "mask_count", "shape_fact"]
 
@@ -18,7 +18,7 @@ _MOVES = ("Cast", "Concat", "Gather", "Identity", "Reshape", "Slice", "Squeeze",
 
 
 def mask_count(node: ir.Node) -> Linear | None:
-    """Return the number K of kept rows if a node sums all elements of a boolean mask."""
+    """Return the number K of rows that a mask selects if a node sums the mask's elements."""
     source = node.inputs[0].producer() if node.inputs[0] is not None else None
     result_shape = fixed_shape(node.outputs[0])
     if not is_op(source, "Cast") or node.outputs[0].dtype not in _WHOLE or result_shape is None:
@@ -36,7 +36,7 @@ def mask_count(node: ir.Node) -> Linear | None:
 
 
 def shape_fact(node: ir.Node, fact: Fact) -> Linear | None:
-    """Return the numbers that Shape returns for rows or indices."""
+    """Return the sizes that Shape returns for rows that a mask selects, by their number K."""
     dims = _dims(fact)
     end = node.attributes.get("end")
     start = int_attribute(node, "start", 0)
@@ -49,7 +49,7 @@ def shape_fact(node: ir.Node, fact: Fact) -> Linear | None:
 
 
 def _dims(fact: Fact) -> list[int | None]:
-    """Return the sizes of a tensor, with None in place of the kept row count K."""
+    """Return the sizes of a tensor, with None for the number K of selected rows."""
     if isinstance(fact, Rows) and not fact.flat:
         shape: list[int | None] = list(fixed_shape(fact.value) or ())
         shape[fact.axis] = None
@@ -63,7 +63,7 @@ def _dims(fact: Fact) -> list[int | None]:
 
 
 def linear_numbers(node: ir.Node, facts: Sequence[Fact | None]) -> Linear | None:
-    """Return the result of arithmetic on shapes, if it is linear in the kept row count K."""
+    """Return the result of arithmetic on shapes if it is linear in the selected row count K."""
     known = [fact for fact in facts if isinstance(fact, Linear)]
     if len({fact.mask.unrepeated for fact in known}) != 1 or node.outputs[0].dtype not in _WHOLE:
         return None
@@ -105,7 +105,7 @@ def _parts(value: ir.Value | None, fact: Fact | None) -> tuple[np.ndarray, np.nd
 
 
 def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | Filler | None:
-    """Return constant rows that ConstantOfShape or Expand makes: K rows, or a capacity minus K."""
+    """Return K (or capacity − K) equal rows that ConstantOfShape or Expand creates."""
     value = _constant_of_fill(node)
     sizes, factor = shape.constant, shape.factor
     if value is None or factor.ndim != 1 or value.ndim > len(sizes):

@@ -1,4 +1,4 @@
-"""Operators that work row by row and so can process all N rows instead of the K kept ones.
+"""Row-wise operators, which can process all N rows instead of the K rows a mask selects.
 
 Each function returns the rows that a node computes, or None if it may mix rows.
 """
@@ -37,7 +37,7 @@ Facts = Sequence[Fact | None]
 
 
 def propagate_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Return the rows that a node computes from all N rows of a mask; None if it may mix rows."""
+    """Return the rows that a node computes from all N rows; None if the node may mix rows."""
     if any(isinstance(fact, Rows) and fact.flat for fact in facts):
         return None
     if node.op_type in _ELEMENTWISE:
@@ -58,7 +58,7 @@ def propagate_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 def _draft_for_all_rows(
     node: ir.Node, inputs: Sequence[ir.Value | None], axis: int, rows: Rows, draft: RowDraft
 ) -> Rows | None:
-    """Create a copy of a node that computes all N rows instead of the K rows that a mask keeps."""
+    """Create a copy of a node that computes all N rows instead of the K rows a mask selects."""
     shape = _full_shape(node.outputs[0], axis, rows)
     if shape is None or len(node.outputs) != 1:
         return None
@@ -85,7 +85,7 @@ def _full_inputs(node: ir.Node, facts: Facts) -> list[ir.Value | None]:
 
 
 def _elementwise(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create an elementwise operator on masked rows; operands that vary by row must align."""
+    """Create an elementwise operator on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     negative_axes = {fact.axis - (rank_of(fact.value) or 0) for fact in row_facts}
     rank = rank_of(node.outputs[0])
@@ -122,7 +122,7 @@ def _concat(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 
 
 def _matrix_product(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a MatMul or Gemm that contracts along axes other than that of the masked rows."""
+    """Create a MatMul or Gemm on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     if len(row_facts) != sum(fact is not None for fact in facts) or not row_facts:
         return None
@@ -142,7 +142,7 @@ def _gemm_row_axis(node: ir.Node, facts: Facts) -> int | None:
 
 
 def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
-    """Return the rows' axis in a matrix product; batched operands must share that axis."""
+    """Return the axis of the rows in a matrix product; batched operands must share the axis."""
     values = _full_inputs(node, facts)
     ranks, result_rank = [rank_of(value) for value in values], rank_of(node.outputs[0])
     if None in ranks or result_rank is None or 1 in ranks:
@@ -171,7 +171,7 @@ def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
 
 
 def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create an Einsum whose masked rows have a letter of their own, which the output keeps."""
+    """Create an Einsum on all N rows instead of the K rows that a mask selects."""
     row_facts = [fact for fact in facts if isinstance(fact, Rows)]
     input_terms, arrow, output_term = (
         node.attributes["equation"].as_string().replace(" ", "").partition("->")
@@ -200,7 +200,7 @@ def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 
 
 def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a Slice along axes other than that of the masked rows, or over all rows."""
+    """Create a Slice on all N rows instead of K selected rows, not along the rows' axis."""
     arrays = [constant_of(value) for value in node.inputs[1:]]
     if any(array is None for array in arrays) or len(arrays) < 2:
         return None
@@ -215,7 +215,7 @@ def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | N
 
 
 def _gather(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a Gather along an axis other than that of the masked rows."""
+    """Create a Gather on all N rows instead of K selected rows, not along the rows' axis."""
     rank = rank_of(rows.value) or 1
     axis, index = int_attribute(node, "axis", 0) % rank, rank_of(node.inputs[1])
     if axis == rows.axis or index is None or facts[1] is not None:
@@ -286,7 +286,7 @@ def _transpose(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows
 
 
 def _reshape(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a Reshape of the axes after the masked rows, or of all axes to one, for ScatterND."""
+    """Create a Reshape of the axes after the rows' axis, or of all axes to one for ScatterND."""
     shape, rank = fixed_shape(rows.value), rank_of(node.outputs[0])
     if shape is None or rank is None or rows.axis != 0:
         return None
@@ -307,7 +307,7 @@ def _reshape(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows |
 
 
 def _target_shape(node: ir.Node, facts: Facts) -> list[int] | None:
-    """Return the target shape of a Reshape, with −1 for the rows' axis; None if unknown."""
+    """Return the target shape of a Reshape, with −1 for the axis of the rows; None if unknown."""
     target = facts[1] if len(facts) > 1 else None
     if isinstance(target, Linear):
         front = target.factor[:1].tolist() == [1] and target.constant[0] == 0
@@ -330,7 +330,7 @@ def _target_shape(node: ir.Node, facts: Facts) -> list[int] | None:
 
 
 def _expand(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create an Expand along axes other than that of the masked rows."""
+    """Create an Expand on all N rows instead of K selected rows, not along the rows' axis."""
     target, shape = facts[1], fixed_shape(rows.value)
     if not isinstance(target, Linear) or shape is None or target.factor.sum() != 1:
         known = constant_of(node.inputs[1])
@@ -377,7 +377,7 @@ _SINGLE_INPUT_RULES: dict[str, _RowRule] = {
 
 
 def split_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> list[Rows] | None:
-    """Return the parts of a Split along an axis other than that of the rows."""
+    """Return the outputs of a Split along another axis than that of the rows."""
     rows = facts[0]
     if not isinstance(rows, Rows) or rows.flat or any(facts[1:]):
         return None

@@ -1,4 +1,4 @@
-"""The order of the rows that a boolean mask keeps, computed with static shapes."""
+"""The order that puts the rows a mask selects first, computed with static shapes."""
 
 __all__ = ["RowOrder", "draft_order"]
 
@@ -14,7 +14,7 @@ _INT, _BOOL = ir.DataType.INT32, ir.DataType.BOOL
 
 @dataclass(frozen=True, slots=True)
 class RowOrder:
-    """The graph values that order the rows of a boolean mask: kept rows first."""
+    """The graph values that sort rows by a boolean mask: selected rows first."""
 
     count: ir.Value  # number of kept rows, int32 [1]
     rows: ir.Value  # indices of the kept rows in ascending order, then zeros; int32 [N]
@@ -22,7 +22,7 @@ class RowOrder:
 
 
 def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
-    """Create the nodes that compute the row order of a boolean mask.
+    """Create the graph nodes that compute the order of a row mask: selected rows first.
 
     Let c be the mask's prefix sum. The j-th kept row is the first i with c[i] > j, so i is the
     number of elements of c that are at most j. A binary search finds it for all j at once, with

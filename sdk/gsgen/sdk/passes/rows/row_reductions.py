@@ -1,4 +1,4 @@
-"""Operators after which the number of rows is fixed again: write-backs, padding and reductions.
+"""Operators after which the number of selected rows is fixed: write-back, padding, reduction.
 
 Each function returns the drafted value, or None if it does not support the node.
 """
@@ -25,7 +25,7 @@ Facts = Sequence[Fact | None]
 
 
 def scatter_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
-    """Create the output of a ScatterND that writes the rows of a mask back to their positions."""
+    """Create the output of a ScatterND that writes selected rows back to their positions."""
     data, shape = node.inputs[0], fixed_shape(node.inputs[0])
     _, index, rows = facts
     reduction = node.attributes.get("reduction")
@@ -52,7 +52,7 @@ def scatter_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | Non
 
 
 def reduce_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
-    """Create a reduction over the kept rows; masked rows contribute the neutral element.
+    """Create a reduction over selected rows; other rows contribute the neutral element.
 
     Without any row the sum and (in ONNX Runtime) the mean are zero, and the maximum is −∞.
     """
@@ -85,7 +85,7 @@ def reduce_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None
 
 
 def pad_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
-    """Create the output of a Concat or Pad that pads rows to a fixed capacity."""
+    """Create the output of a Concat or Pad that pads selected rows to a fixed capacity."""
     rows = facts[0]
     if not isinstance(rows, Rows) or rows.axis != 0 or rows.flat:
         return None

@@ -28,7 +28,7 @@ _MAX_COST_RATIO = 0.85
 
 
 class WorkInColumns(Rewrite):
-    """Compute with the columns of long, narrow tensors, each column as a tensor of its own.
+    """Compute the columns of long, narrow tensors as separate tensors.
 
     A covariance is computed from a rotation and a scale in rows of three, four and nine numbers:
     they are joined, multiplied by a broadcast factor, summed and split. With a million rows, each
@@ -45,7 +45,7 @@ class WorkInColumns(Rewrite):
     exactness = ErrorBudget(relative=2e-6)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Rewrite groups of nodes column by column wherever the predicted cost drops enough."""
+        """Compute groups of nodes column by column wherever the predicted cost drops enough."""
         for group in _groups(model.graph):
             planned = _Plan(group)
             if planned.cost_after() <= _MAX_COST_RATIO * planned.cost_before():
@@ -56,14 +56,14 @@ class WorkInColumns(Rewrite):
 
 @dataclass
 class _Group:
-    """Connected nodes that work on tensors with the same number of rows."""
+    """Connected graph nodes that work on tensors with the same number of rows."""
 
     rows: int
     nodes: list[ir.Node] = field(default_factory=list)
 
 
 def _groups(graph: ir.Graph) -> Iterator[_Group]:
-    """Yield groups of nodes on narrow tensors that depend on an input, each in graph order."""
+    """Yield groups of connected nodes on narrow tensors that depend on an input, in graph order."""
     varying = {value for value in graph.inputs if value.name not in graph.initializers}
     owner: dict[ir.Value, _Group] = {}
     groups: list[_Group] = []
@@ -91,7 +91,7 @@ def _groups(graph: ir.Graph) -> Iterator[_Group]:
 
 
 def _rows(node: ir.Node) -> int | None:
-    """Return the number of rows of a node; None if it cannot be computed column by column."""
+    """Return the number of rows that a node works on; None if columns cannot be separated."""
     shapes = [fixed_shape(value) for value in node.outputs]
     rows = {shape[0] if shape else 0 for shape in shapes}
     if None in shapes or len(rows) != 1:
@@ -102,7 +102,7 @@ def _rows(node: ir.Node) -> int | None:
 
 
 class _Plan:
-    """The predicted cost of computing a group of nodes column by column, and the rewrite."""
+    """The predicted costs of computing a group of nodes as it is and column by column."""
 
     def __init__(self, group: _Group) -> None:
         self.rows, self.nodes = group.rows, group.nodes
@@ -117,11 +117,11 @@ class _Plan:
         }
 
     def cost_before(self) -> float:
-        """Return the predicted time of a group's original nodes, in nanoseconds per row."""
+        """Return the predicted time of the original nodes of a group, in nanoseconds per row."""
         return sum(_cost(node, self.rows) for node in self.nodes)
 
     def cost_after(self) -> float:
-        """Return the predicted time of a group's column operators, in nanoseconds per row."""
+        """Return the predicted time of the column-wise nodes of a group, in nanoseconds per row."""
         numbers: dict[Hashable, int] = {}
         split_values: set[ir.Value] = set()
 
@@ -149,7 +149,7 @@ class _Plan:
         )
 
     def build(self) -> None:
-        """Insert the column operators, and join the columns of results that other nodes read."""
+        """Insert column-wise nodes, and join the columns of results that other nodes read."""
         written: dict[Hashable, ir.Value] = {}
 
         def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
@@ -195,7 +195,7 @@ def _width(value: ir.Value) -> int:
 
 
 def _cost(node: ir.Node, rows: int) -> float:
-    """Return the predicted time of a node, in nanoseconds per row."""
+    """Return the predicted execution time of a node, in nanoseconds per row."""
     result_width = sum(_width(value) for value in node.outputs)
     first = node.inputs[0]
     input_width = (
@@ -245,7 +245,7 @@ def _write_operator(
 
 
 def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns:
-    """Return the columns [rows] of a tensor that a node outside the group computes.
+    """Return the columns [rows] of a tensor that another part of the graph computes.
 
     Columns have one axis, because ONNX Runtime broadcasts a number over two axes row by row.
     """
@@ -262,7 +262,7 @@ def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns
 
 
 def _join_columns(write: InsertionPoint, columns: Columns, value: ir.Value, rows: int) -> ir.Value:
-    """Join columns to a tensor with the shape of a graph value."""
+    """Join separate columns to a tensor with the shape of a graph value."""
     shape = required(fixed_shape(value))
     parts = _restored_parts(write, list(columns.reshape(-1)), rows)
     whole = parts[0] if len(parts) == 1 else write.op("Concat", *parts, axis=1)
@@ -272,7 +272,7 @@ def _join_columns(write: InsertionPoint, columns: Columns, value: ir.Value, rows
 
 
 def _restored_parts(write: InsertionPoint, columns: list[ir.Value], rows: int) -> list[ir.Value]:
-    """Return tensors [rows, …] that hold the given columns in order.
+    """Return tensors [rows, …] that contain given columns in order.
 
     Columns that are all outputs of one Split, in order, are replaced by the input of the Split.
     """
@@ -285,7 +285,7 @@ def _restored_parts(write: InsertionPoint, columns: list[ir.Value], rows: int) -
 
 
 def _split_run(columns: list[ir.Value]) -> tuple[int, ir.Value | None]:
-    """Return the number of leading columns that one Split computes, and the Split's input."""
+    """Return how many leading columns are outputs of the same Split, and the Split's input."""
     sources = [_reshape_source(column) for column in columns]
     maker = sources[0].producer() if sources[0] is not None else None
     if maker is None or not is_op(maker, "Split"):

@@ -1,1 +1,1 @@
-"""Which nodes can be removed or merged without changing the outputs?"""
+"""Which graph nodes can be removed or merged without changing the outputs?"""

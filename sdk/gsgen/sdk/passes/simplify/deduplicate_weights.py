@@ -15,7 +15,7 @@ _CHUNK = 1 << 24
 
 
 class DeduplicateWeights(CautiousRewrite):
-    """Merge weights that occur several times in the graph.
+    """Merge weights of the graph that are equal in dtype, shape and bytes.
 
     A tied table, or a constant that an exporter writes again at each use, is stored, downloaded
     and uploaded as often as it occurs::
@@ -30,7 +30,7 @@ class DeduplicateWeights(CautiousRewrite):
     name = "share-weights"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Let all readers of equal weights read the first copy that their graph can access."""
+        """Let all nodes that read equal weights read the first copy that is in scope."""
         graphs = (model.graph, *model.graph.subgraphs())
         weights = [value for graph in graphs for value in graph.initializers.values()]
         self._occurrences = Counter(_outline(value) for value in weights)
@@ -38,7 +38,7 @@ class DeduplicateWeights(CautiousRewrite):
         self._share(model.graph, ChainMap())
 
     def _share(self, graph: ir.Graph, known: "ChainMap[Hashable, ir.Value]") -> None:
-        """Merge equal weights of a graph, its subgraphs and its outer graphs."""
+        """Merge equal weights of a graph, its subgraphs and the graphs around it."""
         for name, value in list(graph.initializers.items()):
             if self._occurrences[_outline(value)] < 2 or not self._can_merge(value):
                 continue
@@ -93,7 +93,7 @@ def _bodies(node: ir.Node) -> Iterator[ir.Graph]:
 
 
 def _parts(tensor: ir.TensorProtocol | None) -> Iterator[memoryview]:
-    """Yield the bytes of a tensor in parts of 16 MiB; an external tensor is memory-mapped."""
+    """Yield the bytes of a weight in parts of 16 MiB; external weights are memory-mapped."""
     assert tensor is not None
     flat = np.ascontiguousarray(tensor.numpy()).reshape(-1).view(np.uint8)
     for start in range(0, flat.size, _CHUNK):

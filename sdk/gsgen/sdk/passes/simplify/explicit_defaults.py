@@ -1,4 +1,4 @@
-"""Writes out default attributes and inputs that a release of a runtime handles wrongly."""
+"""Writes out default attributes and inputs of nodes that some runtimes handle wrongly."""
 
 __all__ = ["MakeDefaultsExplicit"]
 
@@ -14,7 +14,7 @@ _AXES = 3
 
 
 class MakeDefaultsExplicit(NodeRewrite):
-    """Write out defaults of Conv and Slice that a release handles wrongly.
+    """Write out default attributes of Conv and Slice that a runtime release handles wrongly.
 
     onnxruntime-web 1.22 fails at the first frame of a Conv without ``dilations``, and of a Slice
     without axes::
@@ -32,7 +32,7 @@ class MakeDefaultsExplicit(NodeRewrite):
         return cls() if target.tables else None
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether a node omits dilations or axes whose defaults are known."""
+        """Return whether a Conv or Slice omits dilations or axes whose defaults are known."""
         if is_op(node, "Conv"):
             rank = rank_of(node.inputs[0])
             return "dilations" not in node.attributes and rank is not None and rank > 2

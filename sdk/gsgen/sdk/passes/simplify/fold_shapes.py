@@ -1,4 +1,4 @@
-"""Folds arithmetic on shapes to constants."""
+"""Replaces arithmetic on tensor shapes by constants."""
 
 __all__ = ["FoldShapes"]
 
@@ -21,7 +21,7 @@ _TABLES = ("ConstantOfShape", "Range")
 
 
 class FoldShapes(CautiousRewrite):
-    """Replace arithmetic on shapes by its result if that is the same at every frame.
+    """Replace arithmetic on shapes by its result if the result is the same in every frame.
 
     Range and ConstantOfShape have no WebGPU kernel, and a Reshape to a shape that the frame
     computes cannot be captured. Once sizes are fixed, such chains are constants::
@@ -37,7 +37,7 @@ class FoldShapes(CautiousRewrite):
     name = "fold-shapes"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Fold shape arithmetic and infer shapes alternately until nothing changes."""
+        """Fold arithmetic on shapes and infer shapes, alternately, until nothing changes."""
         while self._sweep(model):
             ShapeInferencePass(check_type=False, strict_mode=False, data_prop=False)(model)
 
@@ -89,7 +89,7 @@ def _shape_of(node: ir.Node) -> np.ndarray | None:
 
 
 def _shape_axes(node: ir.Node) -> list[int | ir.SymbolicDim] | None:
-    """Return the sizes (or names) of the axes that a Shape node returns."""
+    """Return the sizes (or symbolic names) of the axes that a Shape node returns."""
     value = node.inputs[0]
     if value is None or value.shape is None:
         return None
@@ -99,7 +99,7 @@ def _shape_axes(node: ir.Node) -> list[int | ir.SymbolicDim] | None:
 
 
 def _part_of_shape(node: ir.Node) -> np.ndarray | None:
-    """Return the part of a shape that Gather or Slice takes, if all taken axes are known."""
+    """Return the part of a shape that Gather or Slice selects, if all its sizes are known."""
     source = node.inputs[0] if node.inputs else None
     maker = source.producer() if source is not None else None
     if maker is None or not (is_op(maker, "Shape") and is_op(node, "Gather", "Slice")):

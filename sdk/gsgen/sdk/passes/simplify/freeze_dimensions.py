@@ -1,4 +1,4 @@
-"""Replaces symbolic dimensions by sizes that the user gives."""
+"""Replaces symbolic dimensions by sizes that the user specifies."""
 
 __all__ = ["FreezeDimensions"]
 
@@ -30,7 +30,9 @@ class FreezeDimensions(CautiousRewrite):
         super().__init__()
         for name, size in sizes.items():
             if size < 1:
-                raise ConfigInvalid(f"{name}={size}, expected 1 or more", where="--size")
+                raise ConfigInvalid(
+                    f"the size of {name} is {size}, expected 1 or more", where="--size"
+                )
         self.sizes = dict(sizes)
         self._frozen: set[str] = set()
 

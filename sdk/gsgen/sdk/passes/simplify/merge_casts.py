@@ -1,4 +1,4 @@
-"""Merges consecutive Casts."""
+"""Merges consecutive Cast operators."""
 
 __all__ = ["MergeCasts", "holds_all"]
 
@@ -39,7 +39,7 @@ class MergeCasts(NodeRewrite):
         return holds_all(last, first) or first == ir.DataType.BOOL or truncates
 
     def replace(self, node: ir.Node) -> None:
-        """Cast the input of the first of two Casts directly to the last dtype."""
+        """Cast the input of two consecutive Casts directly to the last dtype."""
         inner = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
         write = InsertionPoint(node)
         x = required(inner.inputs[0])

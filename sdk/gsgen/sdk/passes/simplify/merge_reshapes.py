@@ -23,14 +23,14 @@ class MergeReshapes(NodeRewrite):
     name = "merge-reshapes"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether a node reshapes the output of another reshape to a known shape."""
+        """Return whether a node reshapes the output of another reshaping node to a known shape."""
         if not is_op(node, *_SHAPERS) or node.inputs[0] is None:
             return False
         shape = fixed_shape(node.outputs[0])
         return shape is not None and 0 not in shape and is_op(node.inputs[0].producer(), *_SHAPERS)
 
     def replace(self, node: ir.Node) -> None:
-        """Reshape the input of the first reshaping operator to the last shape."""
+        """Reshape the input of two reshaping nodes directly to the last shape."""
         write, shape = InsertionPoint(node), required(fixed_shape(node.outputs[0]))
         x = node.inputs[0]
         while x is not None and is_op(x.producer(), *_SHAPERS):

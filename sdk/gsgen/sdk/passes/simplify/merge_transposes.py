@@ -1,4 +1,4 @@
-"""Merges consecutive Transposes."""
+"""Merges consecutive Transpose operators."""
 
 __all__ = ["MergeTransposes"]
 
@@ -11,7 +11,7 @@ from gsgen.sdk.passes.framework.value_facts import required
 
 
 class MergeTransposes(NodeRewrite):
-    """Merge consecutive Transposes; remove them if they cancel each other.
+    """Merge consecutive Transpose operators; remove them if they cancel each other.
 
     Each Transpose reads and writes the whole tensor::
 
@@ -27,7 +27,7 @@ class MergeTransposes(NodeRewrite):
         return is_op(node.inputs[0].producer(), "Transpose") and _permutation(node) is not None
 
     def replace(self, node: ir.Node) -> None:
-        """Transpose the input of the first Transpose by the composed permutation."""
+        """Transpose the input of two Transposes by their composed permutation."""
         inner = required(node.inputs[0].producer() if node.inputs[0] is not None else None)
         outer = required(_permutation(node))
         first = required(_permutation(inner))

@@ -31,7 +31,7 @@ class RemoveNoOps(NodeRewrite):
     name = "drop-idle"
 
     def matches(self, node: ir.Node) -> bool:
-        """Return whether a node changes nothing and does not separate an input from an output."""
+        """Return whether a node returns an input unchanged and can be removed."""
         x = next(iter(node.inputs), None)
         if x is None or not node.outputs or any(output.uses() for output in node.outputs[1:]):
             return False
@@ -89,7 +89,7 @@ def _reduces_nothing(node: ir.Node) -> bool:
 
 
 def _neutral_operand_partner(node: ir.Node) -> ir.Value | None:
-    """Return the operand that the other operand, all ones or zeros, does not change."""
+    """Return the operand of x + 0 or x · 1 that the other operand does not change."""
     if node.outputs[0].is_graph_output():
         return None  # intended: outputs end on such an operator
     pairs = [(node.inputs[0], node.inputs[1])]
@@ -110,7 +110,7 @@ def _neutral_operand_partner(node: ir.Node) -> ir.Value | None:
 
 
 def _keeps_positions(node: ir.Node, rank: int) -> bool:
-    """Return whether an operator that can move elements leaves all at their positions."""
+    """Return whether an operator such as Transpose leaves all elements at their positions."""
     if is_op(node, "Transpose"):
         perm = node.attributes.get("perm")
         order = list(range(rank))

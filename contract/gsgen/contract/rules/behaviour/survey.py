@@ -1,0 +1,104 @@
+"""Rules of views and frames (GB): outputs are valid from all sides, and in every frame."""
+
+from collections.abc import Iterator
+
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
+from gsgen.contract.probing.sandbox import Extremes
+from gsgen.contract.spec.layout import OPACITY, OPACITY_SLACK, VARIANCES
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import FINITE_OUTPUTS, ORDERED_ROWS, REPRODUCIBLE
+from gsgen.contract.validation.rule import rule
+
+# Rounding of a variance that is zero, relative to the largest one.
+_VARIANCE_SLACK = 1e-5
+
+
+def _surveyed(behaviour: Behaviour) -> list[ProbeRun]:
+    return [*behaviour.visits("survey"), *behaviour.visits("frames")]
+
+
+@rule(
+    "GB043",
+    "views-and-frames-finite",
+    Severity.ERROR,
+    over="runs",
+    fixture="nan_in_one_frame",
+    needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"),
+)
+def views_and_frames_finite(behaviour: Behaviour) -> Iterator[Violation]:
+    """Every output is finite for cameras inside, far away and on all sides, and in every frame.
+
+    Why:
+        People fly through scenes: a camera in a Gaussian's centre makes a direction of length zero.
+        One broken frame of a motion flashes once in every loop.
+
+    Hint:
+        Guard the division by the distance to the camera, such as max(distance, 1e-8). If a frame is
+        named, look at its part of the table, or at the floor and the clamp of its index.
+    """
+    runs = _surveyed(behaviour)
+    broken = [run for run in runs if run.error or run.not_finite]
+    if broken:
+        first = broken[0]
+        where = f"output {first.not_finite[0]}" if first.not_finite else "ONNX Runtime"
+        problem = "not finite" if first.not_finite else first.error
+        share = f"{len(broken)} of {len(runs)} views and frames"
+        actual = f"{problem} at {first.probe.label!r}, {share}"
+        yield Violation.at(where, actual, "finite values everywhere")
+
+
+@rule(
+    "GB044",
+    "views-and-frames-in-range",
+    Severity.ERROR,
+    over="runs",
+    fixture="opaque_beyond_one_in_a_frame",
+    needs=(*REPRODUCIBLE, *ORDERED_ROWS, "GV003", "GV005", "GV016", "GB043"),
+)
+def views_and_frames_in_range(behaviour: Behaviour) -> Iterator[Violation]:
+    """Row count, opacity and variances are in range from all sides and in every frame.
+
+    Why:
+        Probes of the level values lie on one line through the inputs. People stand inside the
+        scene, put several sliders to their ends, and play every frame.
+
+    Hint:
+        Apply the activations after all other terms are added, and clamp the count to the capacity.
+    """
+    declared, counted = behaviour.subject.declared_gaussians, behaviour.subject.declared_count
+    if declared is None:
+        return
+    runs = [(run, run.extremes) for run in _surveyed(behaviour) if run.extremes is not None]
+    places = {
+        "count": Location(f"output {counted.name if counted else '?'}"),
+        "opacity": Location(f"output {declared.name}", "opacity"),
+        "covariance": Location(f"output {declared.name}", "covariance"),
+    }
+    expected = {
+        "count": "0 <= count <= capacity",
+        "opacity": "0 <= opacity <= 1",
+        "covariance": "xx, yy, zz >= 0",
+    }
+    for field, where in places.items():
+        wrong = [(run, text) for run, extremes in runs if (text := _outside(field, extremes))]
+        if wrong:
+            run, text = wrong[0]
+            actual = f"{text} at {run.probe.label!r}, {len(wrong)} of {len(runs)} views and frames"
+            yield Violation(where=where, expected=expected[field], actual=actual)
+
+
+def _outside(field: str, extremes: Extremes) -> str:
+    """Return a field's value that is out of range as text; empty if all are in range."""
+    if field == "count":
+        return "" if 0 <= extremes.count <= extremes.capacity else f"{extremes.count}"
+    if not extremes.low:
+        return ""
+    if field == "opacity":
+        low, high = extremes.low[OPACITY], extremes.high[OPACITY]
+        if high > 1 + OPACITY_SLACK:
+            return f"{high:.4g}"
+        return f"{low:.4g}" if low < -OPACITY_SLACK else ""
+    lowest = min(extremes.low[k] for k in VARIANCES)
+    largest = max(extremes.high[k] for k in VARIANCES)
+    return f"{lowest:.4g}" if lowest < -_VARIANCE_SLACK * largest else ""

@@ -1,0 +1,87 @@
+"""Writes a model card: the README.md of a model in a repository such as the Hugging Face Hub.
+
+The front matter is that of the Hub's model cards, https://huggingface.co/docs/hub/model-cards.
+"""
+
+__all__ = ["model_card"]
+
+from gsgen.contract.reporters.markdown import code
+from gsgen.contract.reporters.summary import verdict_line
+from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
+from gsgen.contract.spec.units import format_bytes
+from gsgen.contract.validation.report import Report
+
+_KINDS = {
+    "gaussian-generator": "a Gaussian Generator: an ONNX model that turns its inputs into 3D "
+    "Gaussians, every frame",
+    "post-process": "a post-process model: an ONNX model that redraws a rendered image",
+    "trajectory-predictor": "a trajectory predictor: an ONNX model that predicts camera paths",
+}
+
+
+def model_card(report: Report, manifest: Manifest, file: str, picture: str = "") -> str:
+    """Return a model card in Markdown, for the README.md of a model's repository.
+
+    Args:
+        report: The validation of the model.
+        manifest: The model's manifest.
+        file: Name of the model's file in the repository.
+        picture: Name of a picture beside the card; empty for none.
+    """
+    producer = manifest.producer
+    licence = producer.license if producer and producer.license else ""
+    tags = ["gaussian-splatting", "3dgs", "onnx", manifest.kind]
+    matter = ["---", *([f"license: {licence.lower()}"] if licence else [])]
+    matter += ["library_name: gsgen", "tags:", *(f"- {tag}" for tag in tags), "---"]
+    title = f"# {manifest.name or file}"
+    summary = f"{code(file)} ({format_bytes(report.size)}) is {_KINDS[manifest.kind]}."
+    sections = ["\n".join(matter), title]
+    if picture:
+        probe = report.picture.probe if report.picture else ""
+        sections.append(f"![The model drawn at the probe {probe}]({picture})")
+    sections.append(summary)
+    if producer:
+        source = f" from {code(producer.source)}" if producer.source else ""
+        sections.append(f"It was written by {code(producer.tool)}{source}.")
+    sections += ["## Inputs", _inputs(manifest.inputs)]
+    if isinstance(manifest, GeneratorManifest):
+        sections += ["## Outputs", _outputs(manifest)]
+    checked = (
+        f"Validated for target {code(report.target.name)} at level {report.level.word}, "
+        f"contract {report.contract}:"
+    )
+    sections += ["## Verdict", checked, f"> {verdict_line(report)}"]
+    findings = [f"- {f.rule} {f.severity.word}: {code(f.message)}" for f in report.findings]
+    sections += ["\n".join(findings)] if findings else []
+    commands = [f"gsgen validate {file}", f"gsgen inspect {file}"]
+    if isinstance(manifest, GeneratorManifest):
+        commands.append(f"gsgen render {file} -o picture.png")
+    sections += ["## Use", "\n".join(["```bash", *commands, "```"])]
+    return "\n\n".join(sections) + "\n"
+
+
+def _inputs(inputs: tuple[Input, ...]) -> str:
+    if not inputs:
+        return "None: the model is static."
+    lines = ["| name | role | shape | range | default | convention |", "|---|---|---|---|---|---|"]
+    for entry in inputs:
+        default = "" if entry.default is None else str(entry.default)
+        shape = "" if entry.shape is None else str(list(entry.shape))
+        span = "" if entry.range is None else f"{entry.range[0]:g} to {entry.range[1]:g}"
+        cells = (code(entry.name), entry.role, shape, span, default, entry.convention or "")
+        lines.append(f"| {' | '.join(cell.replace('|', ' ') for cell in cells)} |")
+    return "\n".join(lines)
+
+
+def _outputs(manifest: GeneratorManifest) -> str:
+    outputs, lines = manifest.outputs, []
+    if outputs.gaussians:
+        gaussians = outputs.gaussians
+        lines.append(f"- {gaussians.capacity:,} rows of Gaussians, {gaussians.dtype}")
+    if outputs.appearance:
+        appearance = outputs.appearance
+        degree = f" of degree {appearance.degree}" if appearance.space == "sh" else ""
+        lines.append(f"- colours as {appearance.space}{degree}, {appearance.color_space}")
+    if manifest.bounds:
+        lines.append(f"- within {list(manifest.bounds.min)} to {list(manifest.bounds.max)}")
+    return "\n".join(lines)

@@ -1,0 +1,82 @@
+"""Writes the files of `gsgen samples`: a scene, cameras, a generator and a motion."""
+
+__all__ = ["SAMPLES", "write_samples"]
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.formats import write_ply
+from gsgen.reference_plugins.samples.garden import garden
+from gsgen.reference_plugins.samples.sunflower import sunflower_model, write_nods
+from gsgen.runtime.scene.camera import Camera
+
+_SIZE = {"width": 960, "height": 540}  # pixels of each camera
+_SCENE = {
+    "gsgen_scene": "1.0",
+    "models": ["garden.ply", {"path": "sunflower.onnx", "translate": [1.2, 0, 0.9], "scale": 0.9}],
+    "background": "#b9d3ea",
+    "camera": "look-at:-1.0,-1.75,3.7,0.1,-0.75,0",
+    **_SIZE,
+}
+
+
+def _write_garden(path: Path) -> None:
+    write_ply(path, garden())
+
+
+def _write_cameras(path: Path) -> None:
+    """Write six cameras on an arc before the hedge, as JSON of view matrices and focal lengths."""
+    cameras = []
+    for azimuth in np.radians(np.linspace(-60, 60, 6)):
+        eye = [3.9 * np.sin(azimuth), -1.75, 3.9 * np.cos(azimuth)]
+        camera = Camera.look_at(eye, [0.0, -0.75, 0.0], fov_y=42.0, width=960, height=540)
+        lens = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
+        cameras.append({"view": camera.view.tolist(), **lens, **_SIZE})
+    path.write_text(json.dumps(cameras, indent=1), "utf-8")
+
+
+def _write_sunflower(path: Path) -> None:
+    path.write_bytes(sunflower_model().SerializeToString())
+
+
+def _write_scene(path: Path) -> None:
+    path.write_text(json.dumps(_SCENE, indent=2), "utf-8")
+
+
+def _write_mesh(path: Path) -> None:
+    """Write a low wall of blue stone as an OBJ box, with y down as in the garden."""
+    low, high = (-1.75, -0.42, 1.1), (-0.75, 0.0, 1.4)
+    corners = [[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)]
+    faces = ((1, 3, 4, 2), (5, 6, 8, 7), (1, 2, 6, 5), (3, 7, 8, 4), (1, 5, 7, 3), (2, 4, 8, 6))
+    lines = [f"v {x} {y} {z} 0.35 0.45 0.6" for x, y, z in corners]
+    lines += [f"f {a} {b} {c} {d}" for a, b, c, d in faces]
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+
+
+SAMPLES: Final[dict[str, tuple[str, Callable[[Path], object]]]] = {
+    "garden.ply": ("a garden of 70,000 splats, SH degree 0", _write_garden),
+    "cameras.json": ("six cameras around its table", _write_cameras),
+    "sunflower.onnx": ("a generator with inputs time and pose", _write_sunflower),
+    "nods.npy": ("a motion of the sunflower: 48 poses", write_nods),
+    "wall.obj": ("a mesh with vertex colours", _write_mesh),
+    "scene.json": ("a scene of the garden and the sunflower", _write_scene),
+}
+"""Name → description and writer of each sample file."""
+
+
+def write_samples(folder: Path) -> list[Path]:
+    """Write every sample file into ``folder``, and return the paths of the files.
+
+    Raises:
+        ConfigInvalid: A file cannot be written there.
+    """
+    paths = [folder / name for name in SAMPLES]
+    for path, (_, write) in zip(paths, SAMPLES.values(), strict=True):
+        with atomic_write(path) as draft:
+            write(draft)
+    return paths

@@ -1,0 +1,292 @@
+"""Draws two tiles of a tileset, and their children, for the rules of level ``render``.
+
+The root and the leaf with the most splats are drawn from three cameras around each. The root and
+the parent of that leaf are compared with the tiles that replace them, from the distance at which
+a viewer changes from one to the other.
+"""
+
+__all__ = ["ComparedLevels", "DrawnTile", "DrawnTileset", "draw_tileset"]
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from gsgen.formats.shared.splats import Splats
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
+from gsgen.tiles.leaves import read_tile_content
+from gsgen.tiles.scoring.score import FIELD_OF_VIEW, NEAR_SHARE, cameras_around, level_cut
+from gsgen.tiles.scoring.ssim import ssim
+from gsgen.tiles.stores.store import Store
+from gsgen.tiles.tileset import Content, Tile, Tileset
+
+TILE_VISIBLE: Final = "GT021"
+LEVELS_AGREE: Final = "GT022"
+MAX_DRAWN: Final = 1_000_000
+"""Tiles with more splats are not drawn: the time and the memory of a validation are bounded."""
+REFINED_AT: Final = 16.0
+"""Pixels of geometric error at which viewers change from a tile to its children."""
+
+_DISTANCE: Final = 2.5  # radii of the tile, with which it fills the picture
+_SIZES: Final = (64, 512)  # the smallest and largest picture, in pixels
+_WINDOW: Final = 16  # pixels: the smallest part of a picture that is compared
+_RGBA = Float32[np.ndarray, "h w 4"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnTile:
+    """The result of drawing the splats of one tile.
+
+    Attributes:
+        uri: Of the content.
+        splats: How many it has.
+        covered: The highest alpha of any pixel of any picture, in [0, 1].
+    """
+
+    uri: str
+    splats: int
+    covered: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparedLevels:
+    """The similarity of a tile's picture to the picture of its child tiles.
+
+    Attributes:
+        location: Of the parent tile.
+        children: How many contents replace it.
+        pixels: Geometric error of the parent in the pictures.
+        ssim: Mean over the pictures, of the parts that either covers.
+    """
+
+    location: str
+    children: int
+    pixels: float
+    ssim: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnTileset:
+    """The results of drawing a tileset, which the rules of level ``render`` check.
+
+    Attributes:
+        tiles: The root and a leaf, or the only content.
+        levels: Parents that were compared with their children.
+        skipped: Id of a rule that cannot be checked, as a tile has too many splats → the reason.
+    """
+
+    tiles: tuple[DrawnTile, ...]
+    levels: tuple[ComparedLevels, ...]
+    skipped: Mapping[str, str]
+
+
+def draw_tileset(tileset: Tileset, store: Store, counts: dict[str, int]) -> DrawnTileset:
+    """Draw the root and a leaf of a tileset, and compare parents with their children.
+
+    Args:
+        tileset: With valid contents.
+        store: Where its files lie.
+        counts: Uri of a content → its number of splats.
+
+    Raises:
+        DeviceUnavailable: There is nothing to draw with.
+        TilesetInvalid: A file cannot be read again.
+    """
+    artist = _TileRenderer(tileset, store, counts)
+    filled = [tile for tile in tileset.tiles() if artist.count(_contents_of(tile))]
+    if not filled:
+        return DrawnTileset(tiles=(), levels=(), skipped={})
+    leaves = [tile for tile in filled if not tile.children]
+    leaf = max(leaves, key=lambda tile: artist.count(_contents_of(tile)), default=filled[-1])
+    parents = {id(child): parent for parent, child in tileset.pairs()}
+    coarse = [tile for tile in (filled[0], parents.get(id(leaf))) if _is_replaced(tile)]
+    tiles = [artist.draw(tile) for tile in _distinct([filled[0], leaf])]
+    levels = [artist.compare(tile) for tile in _distinct(coarse)]
+    return DrawnTileset(
+        tiles=tuple(entry for entry in tiles if entry is not None),
+        levels=tuple(entry for entry in levels if entry is not None),
+        skipped=artist.skipped,
+    )
+
+
+def _contents_of(tile: Tile) -> list[tuple[Tile, Content]]:
+    return [(tile, content) for content in tile.contents]
+
+
+def _is_replaced(tile: Tile | None) -> bool:
+    return bool(tile and tile.children and tile.contents and tile.refine == "REPLACE")
+
+
+def _distinct(tiles: Iterable[Tile | None]) -> Iterator[Tile]:
+    """Yield each distinct tile of a list once, in order; None is left out."""
+    seen: set[int] = set()
+    for tile in tiles:
+        if tile is not None and id(tile) not in seen:
+            seen.add(id(tile))
+            yield tile
+
+
+@final
+class _TileRenderer:
+    """Draws tiles of a tileset, and records tiles that have too many splats."""
+
+    def __init__(self, tileset: Tileset, store: Store, counts: dict[str, int]) -> None:
+        self._tileset, self._store, self._counts = tileset, store, counts
+        self._renderer = Renderer()
+        self.skipped: dict[str, str] = {}
+
+    def count(self, cut: list[tuple[Tile, Content]]) -> int:
+        """Return the number of splats in some tile contents."""
+        return sum(self._counts.get(content.uri, 0) for _, content in cut)
+
+    def draw(self, tile: Tile) -> DrawnTile | None:
+        """Draw the contents of a tile; return None if they have too many splats."""
+        cut = _contents_of(tile)
+        if self._is_too_large(TILE_VISIBLE, cut):
+            return None
+        parts = self._read(cut)
+        view = _View.around(parts, self._up)
+        pictures = self._pictures(join_placed(parts, view.center), view.cameras(_DISTANCE))
+        return DrawnTile(
+            uri=tile.contents[0].uri,
+            splats=self.count(cut),
+            covered=max(float(picture[..., 3].max()) for picture in pictures),
+        )
+
+    def compare(self, parent: Tile) -> ComparedLevels | None:
+        """Compare pictures of a tile and its children; return None for too many splats."""
+        cut = list(level_cut(parent, 1))
+        if self._is_too_large(LEVELS_AGREE, _contents_of(parent), cut):
+            return None
+        above, below = self._read(_contents_of(parent)), self._read(cut)
+        if not below:
+            return None
+        scale = float(np.cbrt(np.linalg.det(parent.transform[:3, :3])))
+        view = _View.around(above + below, self._up, error=parent.geometric_error * scale)
+        pairs = zip(
+            self._pictures(join_placed(above, view.center), view.cameras(view.distance)),
+            self._pictures(join_placed(below, view.center), view.cameras(view.distance)),
+            strict=True,
+        )
+        return ComparedLevels(
+            location=parent.location,
+            children=len(cut),
+            pixels=view.pixels,
+            ssim=float(np.mean([_similarity(a, b) for a, b in pairs])),
+        )
+
+    @property
+    def _up(self) -> Float64[np.ndarray, " 3"]:
+        return self._tileset.up
+
+    def _is_too_large(self, rule: str, *cuts: list[tuple[Tile, Content]]) -> bool:
+        """Return whether any list of contents has too many splats to draw; record the reason."""
+        count = max(map(self.count, cuts))
+        if count > MAX_DRAWN:
+            tile = cuts[0][0][0]
+            self.skipped[rule] = (
+                f"{tile.location}: {count:,} splats, and {MAX_DRAWN:,} are drawn at most"
+            )
+        return count > MAX_DRAWN
+
+    def _read(self, cut: list[tuple[Tile, Content]]) -> list[PlacedSplats]:
+        return [
+            part
+            for owner, content in cut
+            for part in read_tile_content(self._store, self._tileset, owner, content)
+        ]
+
+    def _pictures(self, splats: Splats, cameras: list[Camera]) -> list[_RGBA]:
+        scene = Scene([SplatData.from_splats(splats)])
+        pictures = []
+        for camera in cameras:
+            frame = self._renderer.render(scene, camera)
+            assert frame.rgba is not None
+            pictures.append(np.clip(frame.rgba, 0, 1))
+        return pictures
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _View:
+    """The centre, distance and image size of cameras around some splats.
+
+    Attributes:
+        center: Middle of the splats, in the root frame.
+        radius: Distance of the farthest centre from the middle.
+        up: Upward direction of the root frame.
+        size: Width and height of the pictures.
+        distance: Of the camera from the middle, in radii.
+        pixels: Of the geometric error at that distance.
+    """
+
+    center: Float64[np.ndarray, " 3"]
+    radius: float
+    up: Float64[np.ndarray, " 3"]
+    size: int
+    distance: float
+    pixels: float
+
+    @classmethod
+    def around(
+        cls, parts: list[PlacedSplats], up: Float64[np.ndarray, " 3"], error: float = 0.0
+    ) -> "_View":
+        """Return the view in which a geometric error spans the pixels at which viewers refine.
+
+        The splats fill the picture if its size is within limits. Beyond the upper one they are
+        seen from as near; below the lower one, from farther away.
+        """
+        positions = np.concatenate([part.positions() for part in parts])
+        reach = max(float(np.exp(np.median(part.splats.log_scale.max(axis=1)))) for part in parts)
+        low, high = positions.min(axis=0), positions.max(axis=0)
+        radius = max(float(np.linalg.norm(high - low)) / 2 + 2 * reach, 1e-6)
+        half = math.tan(math.radians(FIELD_OF_VIEW) / 2)
+        share = error / radius
+        size = _SIZES[1] if not share else 2 * half * _DISTANCE * REFINED_AT / share
+        size = int(min(max(size, _SIZES[0]), _SIZES[1]))
+        focal = size / 2 / half
+        distance = max(_DISTANCE, share * focal / REFINED_AT)
+        return cls(
+            center=(low + high) / 2,
+            radius=radius,
+            up=up,
+            size=size,
+            distance=distance,
+            pixels=share * focal / distance,
+        )
+
+    def cameras(self, distance: float) -> list[Camera]:
+        """Return cameras around the origin, at a distance in multiples of the splats' radius."""
+        return cameras_around(
+            np.zeros(3),
+            distance * self.radius,
+            self.up,
+            size=(self.size, self.size),
+            near=self.radius / NEAR_SHARE,
+        )
+
+
+def _similarity(a: _RGBA, b: _RGBA) -> float:
+    """Return the SSIM of two pictures, in the rectangle that the splats of either cover."""
+    covered = (a[..., 3] > 0) | (b[..., 3] > 0)
+    rows, columns = (_span(np.asarray(covered.any(axis=axis))) for axis in (1, 0))
+    return ssim(a[rows, columns, :3], b[rows, columns, :3])
+
+
+def _span(covered: np.ndarray) -> slice:
+    """Return the range of covered pixels along an axis, at least as long as the SSIM window."""
+    indices = np.flatnonzero(covered)
+    first, last = (int(indices[0]), int(indices[-1])) if len(indices) else (0, 0)
+    missing = max(_WINDOW - (last + 1 - first), 0)
+    first = max(first - missing, 0)
+    return slice(first, max(last + 1, first + _WINDOW))

@@ -1,0 +1,171 @@
+"""Mutate lines of the code, one at a time over all rooms, and run the tests that name the module.
+
+cosmic-ray writes the mutants; a copy of the working tree holds them. A mutant is killed if a test
+fails or exceeds the time limit. Prints each survivor as a diff, and exits 1 if fewer mutants than
+the bar are killed.
+
+    .venv/bin/python scripts/mutants.py --count 300 --seed 0 --minutes 90
+"""
+
+import argparse
+import difflib
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator, operator_names
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("contract", "sdk", "runtime", "reference_plugins")
+BAR = 0.9
+MOST_TEST_FILES = 6
+SECONDS = 180
+SKIPPED_OPERATORS = ("BitOr",)
+"""Parts of names: most `|` join types in annotations, where every mutant fails at import."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """A changed module.
+
+    Attributes:
+        path: The module, from the repository's root.
+        operator: Name of cosmic-ray's operator.
+        code: Its mutated code.
+        diff: The changed lines.
+    """
+
+    path: Path
+    operator: str
+    code: str
+    diff: str
+
+
+def main() -> int:
+    """Run a sample of mutants, and return the exit code."""
+    options = _parser().parse_args()
+    generator = random.Random(options.seed)
+    deadline = time.monotonic() + 60 * options.minutes
+    outcomes = ("killed", "survived", "without tests", "tests fail")
+    results: dict[str, int] = dict.fromkeys(outcomes, 0)
+    with tempfile.TemporaryDirectory(prefix="gsgen-mutants-") as name:
+        copy = copy_of_tree(Path(name))
+        for _ in range(options.count):
+            if time.monotonic() > deadline:
+                break
+            mutant = draw(generator)
+            tests = tests_of(mutant.path)
+            outcome = evaluate(mutant, tests, copy) if tests else "without tests"
+            results[outcome] += 1
+            print(f"{outcome:<14}{mutant.path} {mutant.operator}", flush=True)
+            if outcome != "killed":
+                print(mutant.diff, flush=True)
+    total = sum(results.values()) - results["tests fail"]
+    share = results["killed"] / total if total else 0.0
+    print(f"{total} of {options.count} mutants count: {results}; {share:.0%} killed, bar {BAR:.0%}")
+    return 0 if total and share >= BAR else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--count", type=int, default=300, help="number of mutants")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sample")
+    parser.add_argument("--minutes", type=float, default=90, help="no mutant starts later")
+    return parser
+
+
+def copy_of_tree(folder: Path) -> Path:
+    """Copy the tracked files into ``folder``, and return the copy's root."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, encoding="utf-8", check=True
+    ).stdout
+    for name in filter(None, listed.split("\0")):
+        target = folder / "tree" / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if (ROOT / name).is_file():
+            shutil.copy(ROOT / name, target)
+    return folder / "tree"
+
+
+def draw(generator: random.Random) -> Mutant:
+    """Choose a room, a module in it, and a mutation of it; rooms are equally likely."""
+    modules = [file for package in PACKAGES for file in (ROOT / package / "gsgen").rglob("*.py")]
+    rooms = sorted({file.parent for file in modules})
+    names = [n for n in operator_names() if not any(word in n for word in SKIPPED_OPERATORS)]
+    while True:
+        room = generator.choice(rooms)
+        file = generator.choice(sorted(room.glob("*.py")))
+        code = file.read_text("utf-8")
+        nodes = list(ast_nodes(get_ast(code)))
+        generator.shuffle(names)
+        for name in names:
+            operator_class = get_operator(name)
+            if operator_class.arguments():
+                continue
+            operator = operator_class()
+            positions = sum(len(list(operator.mutation_positions(node))) for node in nodes)
+            if positions:
+                mutated = mutate_code(code, operator, generator.randrange(positions))
+                if mutated and mutated != code:
+                    return Mutant(file.relative_to(ROOT), name, mutated, _diff(code, mutated))
+
+
+def _diff(before: str, after: str) -> str:
+    lines = difflib.unified_diff(before.splitlines(), after.splitlines(), n=0, lineterm="")
+    return "\n".join(f"    {line}" for line in list(lines)[2:])
+
+
+def tests_of(path: Path) -> list[str]:
+    """Return the test files of a module: those with its name first, then those that import it."""
+    dotted = ".".join(path.with_suffix("").parts[1:])
+    files = sorted((ROOT / "tests").rglob("test_*.py"))
+    named = [file for file in files if file.stem.removeprefix("test_") == path.stem]
+    importing = [file for file in files if dotted in file.read_text("utf-8")]
+    # The folders of tests are those of the code, without the import root.
+    mirrored = [
+        file for file in files if file.parent.parts[-1] == path.parent.name and file not in named
+    ]
+    selected = list(dict.fromkeys([*named, *importing, *mirrored]))[:MOST_TEST_FILES]
+    return [file.relative_to(ROOT).as_posix() for file in selected]
+
+
+def evaluate(mutant: Mutant, tests: list[str], copy: Path) -> str:
+    """Run ``tests`` on a mutant in the copy of the tree, and return the outcome.
+
+    A mutant counts as killed only if the same tests pass on the original.
+    """
+    target = copy / mutant.path
+    original = target.read_text("utf-8")
+    target.write_text(mutant.code, "utf-8")
+    try:
+        if passes(tests, copy):
+            return "survived"
+    finally:
+        target.write_text(original, "utf-8")
+    return "killed" if passes(tests, copy) else "tests fail"
+
+
+def passes(tests: list[str], copy: Path) -> bool:
+    """Return whether the tests pass in the copy of the tree, within the time limit."""
+    roots = os.pathsep.join(str(copy / package) for package in PACKAGES)
+    environment = os.environ | {"PYTHONPATH": roots, "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+    try:
+        result = subprocess.run(
+            command, cwd=copy, env=environment, capture_output=True, timeout=SECONDS
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    return result.returncode == 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,79 @@
+"""Takes pictures of the eager module at an export, and declares them in the exported model.
+
+They are drawn from torch's own outputs, so that level ``render`` sees whatever later changes the
+picture: a tool that rewrites the file, swapped channels, a mirrored axis, other signs of SH.
+"""
+
+__all__ = ["add_source_pictures"]
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gsgen.contract._entry_points import registered_entry_points
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.model.inspected_model import inspect_model
+from gsgen.contract.model.model_file import open_model, write_manifest_text
+from gsgen.contract.probing.probe_plan import make_plan
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.limits import Limits
+from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.manifest import GeneratorManifest, ReferenceImage
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.tools.recording import evenly_spaced
+
+# The group of entry points that draw frames: (manifest, frames) → PNGs with declarations.
+_GROUP = "gsgen.source_pictures"
+_MOST = 16
+
+Outputs = Mapping[str, np.ndarray]
+Draw = Callable[
+    [GeneratorManifest, Sequence[tuple[Probe, Outputs]]], list[tuple[bytes, ReferenceImage]]
+]
+
+
+def add_source_pictures(
+    draft: Path, run: Callable[[Probe], Outputs], count: int
+) -> tuple[ReferenceImage, ...]:
+    """Draw a module's outputs at some of the model's probes, and declare the pictures.
+
+    Args:
+        draft: The exported model, whose manifest is changed; pictures go next to it.
+        run: Computes the module's outputs in eager torch, by the names of the model's outputs.
+        count: The number of pictures, spread over the probes.
+
+    Returns:
+        The declarations of the pictures.
+
+    Raises:
+        ConfigInvalid: No renderer is installed, or the number is out of range.
+        GsgenError: No graphics device can be opened, or the outputs cannot be drawn.
+    """
+    points = registered_entry_points(_GROUP)
+    if not points:
+        hint = "pip install 'gsgen[runtime]'"
+        raise ConfigInvalid("no renderer is installed", where="--pictures", hint=hint)
+    subject = inspect_model(open_model(draft), load_target("core"), Limits())
+    assert subject.generator is not None
+    probes = make_plan(subject, Level.VALUES).probes
+    candidates = [probe for probe in probes if not probe.zeros] or list(probes)
+    most = min(_MOST, len(candidates))
+    if not 1 <= count <= most:
+        message = f"is {count}, expected from 1 to {most}, the model's probes"
+        raise ConfigInvalid(message, where="--pictures", hint=f"The most is --pictures {most}.")
+    draw: Draw = points[0].load()
+    frames = [(probe, run(probe)) for probe in evenly_spaced(candidates, count)]
+    folder = draft.parent / f"{draft.stem}-references"
+    folder.mkdir()
+    images = []
+    for number, (png, declaration) in enumerate(draw(subject.generator, frames)):
+        (folder / f"{number}.png").write_bytes(png)
+        images.append(replace(declaration, path=f"{folder.name}/{number}.png"))
+    document = json.loads(subject.file.manifest_text or "{}")
+    changed = document | {"reference_images": to_json(tuple(images))}
+    write_manifest_text(draft, json.dumps(changed, ensure_ascii=False), draft)
+    return tuple(images)

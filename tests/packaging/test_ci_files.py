@@ -1,0 +1,203 @@
+"""The files that CI systems read: each is valid, names what exists, and its steps run."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from check_jsonschema.builtin_schemas import get_builtin_schema
+from jsonschema import Draft7Validator
+
+from gsgen.conformance.fixtures import find
+from support.commands import ROOT, gsgen_here
+
+WORKFLOWS = sorted((ROOT / ".github/workflows").glob("*.yml"))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+SCHEMAS = {
+    "action.yml": "vendor.github-actions",
+    "CITATION.cff": "vendor.citation-file-format",
+    ".github/ISSUE_TEMPLATE/bug.yml": "vendor.github-issue-forms",
+    ".github/ISSUE_TEMPLATE/feature.yml": "vendor.github-issue-forms",
+    ".github/ISSUE_TEMPLATE/config.yml": "vendor.github-issue-config",
+} | {path.relative_to(ROOT).as_posix(): "vendor.github-workflows" for path in WORKFLOWS}
+
+
+class Loader(yaml.SafeLoader):
+    """Reads `on` as a word, as GitHub does, and dates as text."""
+
+
+Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in entries if not tag.endswith((":bool", ":timestamp"))]
+    for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile("^(?:true|false)$"), list("tf"))
+
+
+def read(name: str) -> Any:
+    return yaml.load((ROOT / name).read_text("utf-8"), Loader)
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_every_file_follows_the_schema_of_its_reader(name: str) -> None:
+    schema = get_builtin_schema(SCHEMAS[name])
+    errors = [error.message for error in Draft7Validator(schema).iter_errors(read(name))]
+    assert not errors
+
+
+def test_a_wrong_workflow_does_not_follow_the_schema() -> None:
+    document = read(".github/workflows/tests.yml")
+    document["jobs"]["portable"]["run-on"] = document["jobs"]["portable"].pop("runs-on")
+    schema = get_builtin_schema("vendor.github-workflows")
+    assert not Draft7Validator(schema).is_valid(document)
+
+
+def steps() -> list[tuple[str, str]]:
+    return [
+        (f"{path.name}/{name}", step["run"])
+        for path in WORKFLOWS
+        for name, job in read(path.relative_to(ROOT).as_posix())["jobs"].items()
+        for step in job["steps"]
+        if "run" in step
+    ]
+
+
+@pytest.mark.parametrize(("where", "line"), steps(), ids=lambda value: value[:40])
+def test_every_step_names_what_exists(where: str, line: str) -> None:
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    for target in re.findall(r"make ([a-z-]+)", line):
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+    for path in re.findall(r"(?:tests|scripts)/[\w/.-]+", line):
+        assert (ROOT / path).exists(), path
+    for group in re.findall(r"--group (\w+)", line):
+        assert group in PROJECT["dependency-groups"], group
+    for extras in re.findall(r"\.\[([\w,]+)\]", line):
+        assert set(extras.split(",")) <= set(PROJECT["project"]["optional-dependencies"])
+
+
+@pytest.mark.parametrize(("name", "job"), [("tests", "portable"), ("wheel", "installs")])
+def test_the_matrix_has_every_system_and_python_that_is_claimed(name: str, job: str) -> None:
+    matrix = read(f".github/workflows/{name}.yml")["jobs"][job]["strategy"]["matrix"]
+    claimed = PROJECT["project"]["classifiers"]
+    minor = re.compile(r"Programming Language :: Python :: (3\.\d+)")
+    assert matrix["python"] == [match[1] for text in claimed if (match := minor.fullmatch(text))]
+    systems = {"ubuntu": "Linux", "windows": "Windows", "macos": "MacOS"}
+    assert {systems[word.partition("-")[0]] for word in matrix["system"]} == {
+        text.rpartition(" ")[2] for text in claimed if text.startswith("Operating System")
+    }
+
+
+# --- The action
+
+
+def run_step(name: str, inputs: dict[str, str], folder: Path) -> "subprocess.CompletedProcess[str]":
+    """Run the shell step of the action as GitHub does, with the action's defaults."""
+    action = read("action.yml")
+    step = next(step for step in action["runs"]["steps"] if step["name"] == name)
+    values = {key: entry.get("default", "") for key, entry in action["inputs"].items()} | inputs
+    environment = {}
+    for variable, text in step["env"].items():
+        text = text.replace("${{ github.action_path }}", "ACTION")
+        environment[variable] = re.sub(
+            r"\$\{\{ inputs\.([a-z-]+) \}\}", lambda match: values[match[1]], text
+        )
+    (folder / "output").touch()
+    files = {"GITHUB_OUTPUT": str(folder / "output"), "GITHUB_STEP_SUMMARY": str(folder / "page")}
+    return subprocess.run(
+        ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", step["run"]],
+        cwd=folder,
+        env=os.environ | environment | files,
+        capture_output=True,
+        encoding="utf-8",
+    )
+
+
+@pytest.fixture
+def models(tmp_path: Path) -> Path:
+    find("drift").write(tmp_path).rename(tmp_path / "a good one.onnx")
+    find("opacity_is_logits").write(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.skipif(os.name == "nt", reason="steps run in bash")
+class TestAction:
+    def test_it_installs_its_own_version(self, tmp_path: Path) -> None:
+        python = tmp_path / "python"
+        python.write_text('#!/bin/sh\nprintf "%s|" "$@"\n', "utf-8")
+        python.chmod(0o755)
+        installed = run_step("Install gsgen", {"python": str(python)}, tmp_path)
+        assert installed.stdout.endswith("|ACTION|")
+        assert installed.stdout.startswith("-m|pip|install|")
+        named = {"python": str(python), "requirement": "gsgen==0.1.0"}
+        assert run_step("Install gsgen", named, tmp_path).stdout.endswith("|gsgen==0.1.0|")
+
+    def test_findings_are_annotated_and_summarised(self, models: Path) -> None:
+        inputs = {"models": "a good one.onnx\nopacity_*.onnx\n", "python": sys.executable}
+        ran = run_step("Validate", inputs, models)
+        assert ran.returncode == 1, ran.stderr
+        assert "::error" in ran.stdout
+        assert "GV003" in ran.stdout
+        assert (models / "output").read_text("utf-8") == "exit-code=1\n"
+        page = (models / "page").read_text("utf-8")
+        assert "a good one.onnx" in page
+        assert "GV003" in page
+
+    def test_options_reach_the_validator(self, models: Path) -> None:
+        inputs = {
+            "models": "opacity_is_logits.onnx",
+            "options": "--ignore=GV003\n--quiet\n",
+            "format": "json",
+            "output": "report.json",
+            "level": "values",
+            "python": sys.executable,
+        }
+        ran = run_step("Validate", inputs, models)
+        assert (ran.returncode, ran.stdout) == (0, ""), ran.stderr
+        assert '"verdict": "conforms"' in (models / "report.json").read_text("utf-8")
+
+    def test_a_missing_model_fails_the_step(self, models: Path) -> None:
+        ran = run_step("Validate", {"models": "none.onnx", "python": sys.executable}, models)
+        assert ran.returncode == 4
+        assert (models / "output").read_text("utf-8") == "exit-code=4\n"
+
+
+# --- The pre-commit hooks
+
+
+@pytest.mark.parametrize("hook", read(".pre-commit-hooks.yaml"), ids=lambda hook: hook["id"])
+def test_a_hook_refuses_broken_models_alone(hook: dict[str, Any], models: Path) -> None:
+    program, *words = hook["entry"].split()
+    assert program in PROJECT["project"]["scripts"]
+    assert hook["language"] == "python"
+    assert re.search(hook["files"], "models/drift.onnx")
+    assert not re.search(hook["files"], "models/drift.onnx.txt")
+    assert gsgen_here(*words, models / "a good one.onnx").code == 0
+    broken = find("no_manifest" if "static" in words else "opacity_is_logits").write(models)
+    assert gsgen_here(*words, models / "a good one.onnx", broken).code == 1
+
+
+# --- The container
+
+
+def test_the_container_copies_what_exists_and_runs_the_program() -> None:
+    text = (ROOT / "Containerfile").read_text("utf-8")
+    instructions = [line.split() for line in text.splitlines() if re.match(r"[A-Z]+ ", line)]
+    sources = [
+        word
+        for name, *words in instructions
+        if name == "COPY" and not words[0].startswith("--from")
+        for word in words[:-1]
+    ]
+    assert {"pyproject.toml", "README.md", "LICENSE"} <= set(sources)
+    packages = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+    assert {package.partition("/")[0] for package in packages} <= set(sources)
+    assert not [source for source in sources if not (ROOT / source).exists()]
+    assert ["ENTRYPOINT", '["gsgen"]'] in instructions
+    assert gsgen_here("--help").code == 0
+    python = next(words[0] for name, *words in instructions if name == "ARG")
+    claimed = " ".join(PROJECT["project"]["classifiers"])
+    assert f":: {python.partition('=')[2]}" in claimed
