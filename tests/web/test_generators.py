@@ -28,7 +28,7 @@ def ort(site: WebSite) -> None:
     """Serve ONNX Runtime Web beside the client, as pages have it."""
     folder = cached_ort()
     if not all((folder / name).is_file() for name in ORT_FILES):
-        message = f"missing: ONNX Runtime Web in {folder}; hint: python scripts/fetch_ort.py"
+        message = f"missing: ONNX Runtime Web in {folder}; hint: make ort"
         if os.environ.get("CI"):
             pytest.fail(message)
         pytest.skip(message)
