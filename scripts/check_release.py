@@ -20,6 +20,7 @@ PLACEHOLDER_FILES = (
     "README.md",
     "RELEASING.md",
     "action.yml",
+    "docs/guides/test-your-plugin-in-ci.md",
     "docs/guides/validate-in-ci.md",
     "docs/index.md",
     "pyproject.toml",

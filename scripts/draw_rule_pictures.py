@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from convention_pictures.mistakes import draw_mistakes
 from convention_pictures.sketch import beside, drawn
 from draw_conventions import COLORS
 from PIL import Image
@@ -30,10 +31,12 @@ PICTURES: dict[str, tuple[str, Kind, int, int | None]] = {
     "GV040": ("unsquared_scales", "surface", 160, 0),
     "GV041": ("quaternions_in_another_order", "surface", 160, 0),
     "GV042": ("rotation_left_out", "surface", 160, 0),
+    "GV043": ("opacity_of_two_sigmoids", "cloud", 160, 0),
     "GV044": ("premultiplied_colors", "surface", 160, None),
     "GV045": ("rgb_as_constant_term", "surface", 160, 0),
     "GV046": ("colors_not_loaded", "surface", 160, 3),
     "GV047": ("colors_sorted_alone", "surface", 400, 1),
+    "GV048": ("sh_as_in_ply", "surface", 160, 3),
 }
 
 
@@ -61,6 +64,7 @@ def main(folder: Path) -> None:
         halves = [_drawn(renderer, spec) for spec in (right, find(fixture).draw())]
         palette = beside(halves).quantize(COLORS, dither=Image.Dither.NONE)
         palette.save(folder / f"{rule}.png", optimize=True)
+    draw_mistakes(renderer, folder.with_name("mistakes"))
 
 
 if __name__ == "__main__":

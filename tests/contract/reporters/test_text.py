@@ -3,11 +3,14 @@ from dataclasses import replace
 
 import pytest
 
+from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.reporters.text import Line, render, render_all
-from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Location
 from gsgen.contract.validation.report import Unreadable
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
 from support.reports.goldens import assert_is_golden
 from support.reports.judged import MODELS
 
@@ -156,3 +159,12 @@ def test_one_model_is_not_summed_up(reports):
     report = reports["good"]
     assert render_all([report]) == render(report)
     assert render_all([report, report])[:-1] == render(report) * 2
+
+
+def test_a_requested_rule_that_does_not_apply_is_named_with_the_reason(tmp_path):
+    path = find("still_sh0").write(tmp_path)
+    texts = [line.text for line in render(validate(path, Settings(only=frozenset({"GB050"}))))]
+    index = next(k for k, text in enumerate(texts) if text.startswith("  GB050 not applicable: "))
+    assert texts[index + 1].strip() == "only for kind trajectory-predictor"
+    everything = [line.text for line in render(validate(path, Settings(level=Level.STATIC)))]
+    assert not any("GB050" in text for text in everything)

@@ -68,6 +68,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
         lines += _consequence(cause, verbose=verbose)
     lines += (
         _unchecked(report)
+        + _inapplicable(report)
         + _not_run(report)
         + _skipped(report)
         + _waived(report)
@@ -180,6 +181,16 @@ def _unchecked(report: Report) -> list[Line]:
         head = f"  {outcome.rule.id} required, but {outcome.status}: {outcome.rule.slug}"
         lines.append(Line(head, _FAILURE_STYLE))
         lines += _wrapped(outcome.reason)
+    return lines
+
+
+def _inapplicable(report: Report) -> list[Line]:
+    """Return text lines that list the requested rules that do not apply to the model."""
+    lines: list[Line] = []
+    for outcome in report.outcomes:
+        if outcome.rule.id in report.selected and outcome.status == "not-applicable":
+            lines.append(Line(f"  {outcome.rule.id} not applicable: {outcome.rule.slug}", "yellow"))
+            lines += _wrapped(outcome.reason)
     return lines
 
 

@@ -124,6 +124,7 @@ class _Validation:
             tolerances=effective_tolerances(subject),
             external_size=subject.file.weight_bytes - subject.file.size,
             required=self.settings.required,
+            selected=self.settings.only,
             timed=self.settings.timings,
             docs_url=self.settings.docs_url,
         )

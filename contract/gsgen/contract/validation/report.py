@@ -161,6 +161,7 @@ class Report:
         resolved: The findings of the baseline that do not occur any more.
         external_size: Bytes of the file's external data.
         required: Rules that must have been checked.
+        selected: The only rules that were requested; empty for all.
         timed: Reporters show times, so that two reports of equal input differ.
         docs_url: Root of the published documentation; empty if unknown.
         picture: The model drawn at one probe; None where nothing was drawn.
@@ -189,6 +190,7 @@ class Report:
     resolved: tuple[ResolvedFinding, ...] = ()
     external_size: int = 0
     required: frozenset[str] = frozenset()
+    selected: frozenset[str] = frozenset()
     timed: bool = False
     docs_url: str = ""
     picture: Picture | None = None

@@ -1,8 +1,7 @@
-"""Draw the pictures of the guide on the five commonest mistakes, into docs/assets/mistakes.
+"""Draws the pictures of the guide on the five commonest mistakes.
 
 The left half of each picture is the right generator, the right half the one with the mistake, as
-the blocks of the page define them. Run it after a change to these blocks:
-.venv/bin/python scripts/draw_mistake_pictures.py
+the blocks of the page define them. ``scripts/draw_rule_pictures.py`` draws them, too.
 """
 
 import importlib
@@ -12,11 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from convention_pictures.sketch import beside, drawn
-from draw_conventions import COLORS
-from draw_rule_pictures import SIZE
 from PIL import Image
 
+from convention_pictures.sketch import beside, drawn
 from gsgen.contract.layout import DecodedGaussians, encode
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -24,20 +21,21 @@ from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.sdk import GaussianGenerator, math
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from support.reports.pages import blocks  # noqa: E402  # the path above leads to it
 
 PAGE = ROOT / "docs" / "guides" / "five-commonest-mistakes.md"
-ASSETS = ROOT / "docs" / "assets" / "mistakes"
 
+# Width and height in pixels, and colours of a palette.
+PIXELS, PALETTE = 240, 96
 TURN = (0.5, 0.9, 0.3)
 
 
 def _picture(renderer: Renderer, generator: GaussianGenerator) -> Image.Image:
     camera = Camera.orbit(
-        [0.0, 0.0, 0.0], 2.6, azimuth=35.0, elevation=25.0, width=SIZE, height=SIZE
+        [0.0, 0.0, 0.0], 2.6, azimuth=35.0, elevation=25.0, width=PIXELS, height=PIXELS
     )
     values = {
         "view": torch.tensor(np.asarray(camera.view).T.copy(), dtype=torch.float32),
@@ -63,7 +61,7 @@ def _picture(renderer: Renderer, generator: GaussianGenerator) -> Image.Image:
     return drawn(renderer, Scene([SplatSet(SplatData(rows, colors, space))]), camera)
 
 
-def main(folder: Path) -> None:
+def draw_mistakes(renderer: Renderer, folder: Path) -> None:
     """Draw all pictures into ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as blocks_folder:
@@ -71,12 +69,7 @@ def main(folder: Path) -> None:
             (Path(blocks_folder) / block.mark).write_text(block.text, "utf-8")
         sys.path.insert(0, blocks_folder)
         mistakes = importlib.import_module("mistakes").MISTAKES
-    renderer = Renderer(rasteriser="tiles")
     for wrong, right in mistakes.items():
         halves = [_picture(renderer, generator()) for generator in (right, wrong)]
-        palette = beside(halves).quantize(COLORS, dither=Image.Dither.NONE)
+        palette = beside(halves).quantize(PALETTE, dither=Image.Dither.NONE)
         palette.save(folder / f"{wrong.__name__}.png", optimize=True)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else ASSETS)
