@@ -35,6 +35,7 @@ VIEWS = {
     "orbit": "--camera orbit:20,30 --turn 300",
     "still": "--camera orbit:20,35",
     "person": "--camera orbit:-50,6,2.6 --up +y",
+    "head": "--camera orbit:-150,5 --up +y --turn 140",
 }
 
 

@@ -22,6 +22,7 @@ from gsgen.reference_plugins.deformation import (
     hexplane_4dgs_plugin,
     sc_gs_plugin,
 )
+from gsgen.reference_plugins.heads import gaussian_avatars_plugin
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.spacetime import rotor_4dgs_plugin, spacetime_gaussians_plugin
 from gsgen.reference_plugins.synthetic import (
@@ -44,6 +45,7 @@ BUILD: dict[str, Callable[..., GaussianGenerator]] = {
     "hexplane_dnerf": hexplane_4dgs_plugin.build,
     "deform_blender": deformable_3dgs_plugin.build,
     "scgs_blender": sc_gs_plugin.build,
+    "gavatars_teeth": gaussian_avatars_plugin.build,
     "rotor4d_dnerf": partial(rotor_4dgs_plugin.build, time_duration=(0.0, 1.0)),
     "stg_lite": spacetime_gaussians_plugin.build,
     "stg_full": partial(spacetime_gaussians_plugin.build, decode="per-splat"),

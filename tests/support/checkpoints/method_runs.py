@@ -10,6 +10,7 @@ from gsgen.reference_plugins.anchors.cell_checkpoint import read_cells
 from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
 from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs
+from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import read_gaussian_avatars
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
@@ -22,6 +23,7 @@ from gsgen.reference_plugins.synthetic import (
     write_deformable,
     write_duplex,
     write_gauhuman,
+    write_gaussian_avatar,
     write_hexplane,
     write_lhm,
     write_octree,
@@ -42,6 +44,7 @@ METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "duplex-gs": (lambda f: write_duplex(f, UNITED), read_cells),
     "hexplane-4dgs": (lambda f: write_hexplane(f, HexPlaneOptions(count=4)), read_hexplanes),
     "deformable-3dgs": (lambda f: write_deformable(f, count=4), read_deformation),
+    "gaussian-avatars": (lambda f: write_gaussian_avatar(f, count=4), read_gaussian_avatars),
     "sc-gs": (lambda f: write_sc_gs(f, count=4), read_sc_gs),
     "rotor-4dgs": (lambda f: write_rotor(f, count=4), read_rotor),
     "spacetime-gaussians": (lambda f: write_spacetime(f, count=4, full=True), read_spacetime),

@@ -2,6 +2,7 @@
 
 __all__ = ["explain"]
 
+import json
 from typing import Annotated
 
 import typer
@@ -16,11 +17,19 @@ def explain(
             show_default=False,
         ),
     ],
+    *,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print as JSON, as `gsgen rules --json` does.")
+    ] = False,
 ) -> None:
     """Explain what the rule RULE requires, why, and how to repair a model that breaks it."""
-    from gsgen.contract.reporters.rule_pages import page
+    from gsgen.contract.reporters.rule_pages import page, to_dict
     from gsgen.contract.rules.catalogue import installed_rules
 
     registry = installed_rules()
     entries = [registry.find(name) for name in rules]
+    if as_json:
+        document = [to_dict(entry) for entry in entries]
+        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        return
     typer.echo("\n".join(page(entry, registry) for entry in entries))

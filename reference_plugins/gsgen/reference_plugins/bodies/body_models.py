@@ -1,6 +1,6 @@
-"""Reads the body models SMPL and SMPL-X from the files that their authors distribute.
+"""Reads the body models SMPL, SMPL-X and FLAME from the files that their authors distribute.
 
-Both require registration and must not be redistributed, so gsgen contains no part of them. A file
+All require registration and must not be redistributed, so gsgen contains no part of them. A file
 is identified by the shapes of its arrays (Loper et al. 2015, "SMPL"; Pavlakos et al. 2019,
 "Expressive Body Capture").
 """
@@ -8,12 +8,12 @@ is identified by the shapes of its arrays (Loper et al. 2015, "SMPL"; Pavlakos e
 __all__ = ["Body", "joints_of_file", "read_body", "required_body"]
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from gsgen.reference_plugins.loading.array_archives import read_npz
 from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
@@ -21,9 +21,14 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.sdk.math.skinning import NO_PARENT
 
 # Number of joints → name and website of the body model.
-KINDS = {24: ("SMPL", "https://smpl.is.tue.mpg.de"), 55: ("SMPL-X", "https://smpl-x.is.tue.mpg.de")}
+KINDS = {
+    5: ("FLAME", "https://flame.is.tue.mpg.de"),
+    24: ("SMPL", "https://smpl.is.tue.mpg.de"),
+    55: ("SMPL-X", "https://smpl-x.is.tue.mpg.de"),
+}
 _NEEDED = ("v_template", "shapedirs", "posedirs", "weights", "J_regressor", "kintree_table")
 _HANDS = ("hands_meanl", "hands_meanr")
+_FACES = "f"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +45,8 @@ class Body:
     parents: tuple[int, ...]  # the parent of each joint; −1 for the root
     # mean pose of both hands in SMPL-X, [90], if the file has one
     hand_mean: Float[np.ndarray, "90"] | None = None
+    # triangles as vertices, counted from 0; empty if the file has none
+    faces: Int[np.ndarray, "f 3"] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
 
     @property
     def joints(self) -> int:
@@ -99,6 +106,10 @@ def read_body(path: Path, joints: int) -> Body:
     if mean is not None and mean.shape != (90,):
         message = f"hands_meanl and hands_meanr hold {mean.size} numbers, expected 90"
         raise CheckpointInvalid(message, where=str(path))
+    faces = _numbers(path, _FACES, read[_FACES]) if _FACES in read else np.zeros((0, 3))
+    if faces.ndim != 2 or faces.shape[1] != 3 or not _within(faces, len(arrays["v_template"])):
+        message = f"{_FACES} is {list(faces.shape)}, expected triangles of the vertices, [faces, 3]"
+        raise CheckpointInvalid(message, where=str(path))
     return Body(
         path=path,
         template=arrays["v_template"],
@@ -108,7 +119,12 @@ def read_body(path: Path, joints: int) -> Body:
         regressor=arrays["J_regressor"],
         parents=_parents(path, arrays["kintree_table"][0]),
         hand_mean=mean,
+        faces=faces.astype(np.int64),
     )
+
+
+def _within(indices: Float[np.ndarray, "f 3"], count: int) -> bool:
+    return bool(((indices >= 0) & (indices < count)).all())
 
 
 def joints_of_file(path: Path) -> int:
@@ -123,7 +139,7 @@ def _arrays(path: Path) -> dict[str, Any]:
     if not zipped:
         return read_array_pickle(path)
     # Read the known arrays only: the published files also hold pickled objects.
-    return read_npz(path, (*_NEEDED, *_HANDS))
+    return read_npz(path, (*_NEEDED, *_HANDS, _FACES))
 
 
 def _numbers(path: Path, name: str, value: Any) -> Float[np.ndarray, "..."]:

@@ -53,14 +53,14 @@ class Demo:
             ``gsgen export``. Import torch inside. Image models take 240 × 240 pixels.
         caption: Says what differs from picture to picture.
         view: Where the camera is: ``orbit`` around a scene, ``recede`` from it, ``still`` before
-            it, or before a ``person``.
+            it, before a ``person``, or around a ``head``.
         degrade: For image models, makes the model's input from a drawn picture, both uint8
             [H, W, 3]. The picture itself is the input if this is absent.
     """
 
     write: Callable[[Path], list[str]]
     caption: str
-    view: Literal["orbit", "recede", "still", "person"] = "orbit"
+    view: Literal["orbit", "recede", "still", "person", "head"] = "orbit"
     degrade: "Callable[[np.ndarray], np.ndarray] | None" = None
 
 

@@ -1,0 +1,1 @@
+"""How are head avatars exported that a face model moves: GaussianAvatars?"""

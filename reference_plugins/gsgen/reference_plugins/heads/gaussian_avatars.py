@@ -1,0 +1,152 @@
+"""GaussianAvatars: Gaussians in the frames of a face model's triangles.
+
+Qian et al. 2024, "GaussianAvatars: Photorealistic Head Avatars with Rigged 3D Gaussians", section
+3.2: expression and pose move FLAME; a Gaussian moves, turns and scales with its triangle.
+"""
+
+__all__ = ["GaussianAvatars"]
+
+from typing import final
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from gsgen.contract.spec.manifest import Joint
+from gsgen.reference_plugins.bodies.rotations import rotation_matrices
+from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import GaussianAvatarsCheckpoint
+from gsgen.reference_plugins.heads.teeth import SHAPES
+from gsgen.sdk import GaussianGenerator, Gaussians, inputs
+from gsgen.sdk.math import (
+    covariance_upper,
+    rotate_covariance,
+    safe_normalize,
+    skin,
+    skinning_transforms,
+)
+
+_JOINT_NAMES = ("root", "neck", "jaw", "left_eye", "right_eye")
+
+
+@final
+class GaussianAvatars(GaussianGenerator):
+    """GaussianAvatars: a head that expression, pose and translation move."""
+
+    family = "avatar"
+
+    joints: Tensor
+    joint_dirs: Tensor
+    rest: Tensor
+    expression_dirs: Tensor
+    pose_dirs: Tensor
+    weights: Tensor
+    unit: Tensor
+    corner_0: Tensor
+    corner_1: Tensor
+    corner_2: Tensor
+    binding: Tensor
+    covariance: Tensor
+    position: Tensor
+    opacity: Tensor
+    sh: Tensor
+
+    def __init__(self, read: GaussianAvatarsCheckpoint) -> None:
+        super().__init__()
+        body, canonical = read.body, read.canonical
+        dirs = body.shape_dirs
+        expression_dirs = dirs[:, :, SHAPES : SHAPES + read.expressions]
+        rest = body.template + dirs[:, :, : len(read.shape)] @ read.shape + read.offset
+        joints = body.regressor @ rest
+        self.parents = body.parents
+        skeleton = [
+            Joint(name, None if parent < 0 else _JOINT_NAMES[parent], (x, y, z))
+            for name, parent, (x, y, z) in zip(
+                _JOINT_NAMES, body.parents, joints.tolist(), strict=True
+            )
+        ]
+        self.inputs = (
+            inputs.pose(body.joints, convention="flame", skeleton=skeleton),
+            inputs.expression(read.expressions, convention="flame"),
+            inputs.root_translation(),
+        )
+        # Only triangles that Gaussians are bound to, and their vertices, are computed.
+        triangles, binding = np.unique(read.binding, return_inverse=True)
+        vertices, corners = np.unique(body.faces[triangles], return_inverse=True)
+        corners = corners.reshape(-1, 3)
+        used = expression_dirs[vertices]
+        constants = {
+            "joints": joints,
+            "joint_dirs": np.einsum("jv,vae->eja", body.regressor, expression_dirs).reshape(
+                read.expressions, -1
+            ),
+            "rest": rest[vertices],
+            "expression_dirs": used.transpose(2, 0, 1).reshape(read.expressions, -1),
+            "pose_dirs": body.pose_dirs[vertices]
+            .transpose(2, 0, 1)
+            .reshape(-1, used[:, :, 0].size),
+            "weights": body.weights[vertices],
+            "unit": np.eye(3)[None],
+        }
+        for name, array in constants.items():
+            self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)).float())
+        for corner in range(3):
+            index = torch.from_numpy(corners[:, corner].astype(np.int32))
+            self.register_buffer(f"corner_{corner}", index)
+        self.register_buffer("binding", torch.from_numpy(binding.reshape(-1).astype(np.int32)))
+        scale = torch.exp(canonical.log_scale.double())
+        local = covariance_upper(scale, canonical.rotation.double())
+        self.register_buffer("covariance", local.float())
+        self.register_buffer("position", canonical.position)
+        self.register_buffer("opacity", torch.sigmoid(canonical.logit_opacity))
+        self.register_buffer("sh", canonical.sh)
+
+    def forward(
+        self,
+        pose: Float[Tensor, "5 3"],
+        expression: Float[Tensor, " e"],
+        root_translation: Float[Tensor, "3"],
+    ) -> Gaussians:
+        """Return the Gaussians of the head with an expression, in a pose, at a place."""
+        frames, centres = self._triangles(self._vertices(pose, expression, root_translation))
+        frame = frames.index_select(0, self.binding)
+        moved = (frame * self.position[:, None, :]).sum(dim=2)
+        return Gaussians(
+            position=moved + centres.index_select(0, self.binding),
+            opacity=self.opacity,
+            covariance=rotate_covariance(self.covariance, frame),
+            sh=self.sh,
+        )
+
+    def _vertices(self, pose: Tensor, expression: Tensor, shift: Tensor) -> Float[Tensor, "u 3"]:
+        """Return the vertices of FLAME (Li et al. 2017), by blendshapes and linear skinning."""
+        row = expression.reshape(1, -1)
+        joints = self.joints + (row @ self.joint_dirs).reshape(-1, 3)
+        turns = rotation_matrices(pose[None])[0]
+        feature = (turns[1:] - self.unit).reshape(1, -1)
+        added = row @ self.expression_dirs + feature @ self.pose_dirs
+        transforms = skinning_transforms(turns, joints, self.parents, shift)
+        return skin(self.rest + added.reshape(-1, 3), self.weights, transforms)[0]
+
+    def _triangles(
+        self, vertices: Float[Tensor, "u 3"]
+    ) -> tuple[Float[Tensor, "f 3 3"], Float[Tensor, "f 3"]]:
+        """Return scale times orientation of each triangle, and its centre."""
+        a, b, c = (
+            vertices.index_select(0, index)
+            for index in (self.corner_0, self.corner_1, self.corner_2)
+        )
+        along, across = b - a, c - a
+        first = safe_normalize(along)
+        second = safe_normalize(_cross(first, across))
+        third = -safe_normalize(_cross(second, first))
+        length = torch.sqrt((along * along).sum(dim=1, keepdim=True))
+        height = (third * across).sum(dim=1, keepdim=True).abs()
+        columns = torch.stack([first, second, third], dim=2)
+        return columns * ((length + height) / 2)[:, :, None], (a + b + c) / 3
+
+
+def _cross(a: Float[Tensor, "n 3"], b: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    ax, ay, az = a[:, 0:1], a[:, 1:2], a[:, 2:3]
+    bx, by, bz = b[:, 0:1], b[:, 1:2], b[:, 2:3]
+    return torch.cat([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], dim=1)
