@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench exactness web adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants clean
+.PHONY: setup demo test check types style drivers bench exactness web ort adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants clean
 
 setup: $(READY)
 
@@ -33,8 +33,12 @@ demo: setup
 	@scripts/drivers.sh || echo "demo: going on, with pictures only where there is a GPU"
 	$(BIN)/python docs/examples/demo.py out/demo
 
-test: setup drivers check
+test: setup drivers check ort
 	scripts/test.sh
+
+# ONNX Runtime Web, which computes generators in a page: fetched once, into the user's cache.
+ort: setup
+	$(BIN)/python -c 'from gsgen.runtime.web.onnxruntime_web import ort_folder; ort_folder(None)'
 
 check: setup
 	@$(MAKE) --no-print-directory -j2 --output-sync types style

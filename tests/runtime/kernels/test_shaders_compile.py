@@ -51,6 +51,10 @@ CONSTANTS: dict[str, int | float | bool] = {
     "AMBIENT": AMBIENT,
     "SLOT_ROWS": 128,
     "PAGE_SLOTS": 64,
+    "PAGE_ROWS": 512,
+    "WORDS": 4,
+    "HALF_SOURCE": True,
+    "HALF_TARGET": True,
     "CULL_MARGIN": 0.15,
     "MODE_DEPTH": 1,
     "MODE_MEDIAN": 2,
@@ -70,6 +74,7 @@ VARIANTS: dict[str, dict[str, int | float | bool]] = {
         "ARRANGED": False,
         "MASKED": False,
         "HALF_APPEARANCE": False,
+        "HALF_TARGET": False,
     },
 }
 

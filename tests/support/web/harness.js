@@ -3,6 +3,8 @@
 import { lookAt } from "/client/camera.js";
 import { openDevice } from "/client/device.js";
 import { KernelCache } from "/client/host.js";
+import { IDENTITY } from "/client/matrices.js";
+import { openModel } from "/client/model.js";
 import { choosePlan, evaluate, loadPlans } from "/client/plan.js";
 import { Renderer } from "/client/renderer.js";
 import { readSplats } from "/client/splat_files.js";
@@ -105,4 +107,34 @@ export async function splatFile(path) {
   } catch (error) {
     return { error: error.message, hint: error.hint };
   }
+}
+
+/** Draw frames of a generator one after the other in one session, as an element does. */
+export async function generatorFrames(path, frames) {
+  const { device, errors, kernels } = await opening();
+  let model = null;
+  const renderer = new Renderer(kernels);
+  const result = { images: [], isCaptured: false, errors: [], rebound: 0 };
+  try {
+    model = await openModel(kernels, await (await fetch(path)).arrayBuffer(), path);
+    result.isCaptured = model.isCaptured;
+    const place = () => renderer.setScene([{ buffers: model.buffers, transform: IDENTITY }]);
+    place();
+    for (const { camera, values } of frames) {
+      if (await model.update(values, camera)) {
+        place();
+        result.rebound += 1;
+      }
+      await renderer.drawWhole(camera);
+      result.images.push(textOf(await renderer.readImage("color")));
+    }
+    result.extent = model.extent;
+    result.isLinear = model.buffers.isLinear;
+  } catch (error) {
+    result.error = `${error.message} | ${error.hint ?? error.stack}`;
+  }
+  renderer.destroy();
+  model?.destroy();
+  result.errors = errors.splice(0);
+  return result;
 }

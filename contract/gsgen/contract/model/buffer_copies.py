@@ -4,10 +4,13 @@ Graph capture records only kernels, so the output of a copy keeps the values of 
 Measured with ONNX Runtime's WebGPU provider: views, and operators that have nothing to do.
 """
 
-__all__ = ["is_copy"]
+__all__ = ["VARIADIC", "VIEWS", "is_copy"]
 
-_VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
-_VARIADIC = frozenset({"Max", "Min"})  # with one input they return it; Sum and Mean have no kernel
+VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
+"""Operators that return their first input in every case."""
+
+VARIADIC = frozenset({"Max", "Min"})
+"""Operators that do with a single input; Sum and Mean have no kernel."""
 
 
 def is_copy(operator: str, inputs: int, *, keeps_all_axes: bool) -> bool:
@@ -18,8 +21,8 @@ def is_copy(operator: str, inputs: int, *, keeps_all_axes: bool) -> bool:
         inputs: The number of its inputs.
         keeps_all_axes: Whether a reduction keeps every axis: ``noop_with_empty_axes`` is 1, and no axes are given.
     """
-    if operator in _VIEWS:
+    if operator in VIEWS:
         return True
     if operator.startswith("Reduce"):
         return keeps_all_axes
-    return operator in _VARIADIC and inputs == 1
+    return operator in VARIADIC and inputs == 1

@@ -10,6 +10,7 @@ __all__ = [
     "ImageSizes",
     "Inputs",
     "ModeOption",
+    "OrtFolder",
     "Orthographic",
     "Panorama",
     "Poses",
@@ -96,6 +97,15 @@ Panorama = Annotated[
     typer.Option(
         "--panorama",
         help="Draw all directions, equirectangular: from the middle, or from the camera.",
+    ),
+]
+OrtFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--ort",
+        help="Folder of ONNX Runtime Web, which computes generators in a page. "
+        "[default: fetched once by npm]",
+        metavar="DIR",
     ),
 ]
 Poses = Annotated[

@@ -10,13 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.commands import options
 from gsgen.runtime.commands.streaming_options import with_streaming_options
 from gsgen.runtime.sources.stream_settings import StreamSettings
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.live_playback import LivePlayback
+    from gsgen.runtime.scene.camera import Camera
     from gsgen.runtime.sources.scene_file import SceneFile
+    from gsgen.runtime.viewer.viewer import Viewer
+    from gsgen.runtime.web.pages import ModelView
 
 WindowWidth = Annotated[
     int | None, typer.Option(help="Width of the window. [default: the camera's, or 1280]", min=1)
@@ -44,6 +48,11 @@ FramesPerSecond = Annotated[
     typer.Option(help="Steps per second. [default: the manifest's, or 25]", min=0.1, max=1000),
 ]
 Play = Annotated[bool, typer.Option("--play/--no-play", help="Whether the window opens playing.")]
+Web = Annotated[bool, typer.Option("--web", help="Show the scenes in a browser.")]
+Port = Annotated[
+    int,
+    typer.Option(help="Port of the page, with --web; 0 takes one that is free.", min=0, max=65535),
+]
 Pictures = Annotated[Path, typer.Option(help="Folder of saved pictures.")]
 
 
@@ -74,28 +83,32 @@ def view(
     size: options.ImageSizes = None,
     provider: options.Provider = "cpu",
     pictures: Pictures = Path(),
+    web: Web = False,
+    ort: options.OrtFolder = None,
+    port: Port = 0,
     streaming: StreamSettings = StreamSettings(),  # noqa: B008
 ) -> None:
     """Show SCENES in a window: orbit around them, play their time, and save pictures.
 
-    The key H lists all keys; files can be dropped on the window.
+    The key H lists all keys; files can be dropped on the window. With --web a browser shows the
+    scenes instead.
 
-    Exits 0 when the window is closed, 2 for wrong options or without a screen, 4 if a scene
-    cannot be read.
+    Exits 0 when the window is closed, 2 for wrong options or no screen, 4 for unreadable scenes.
     """
     from gsgen.runtime.commands.opening import open_scenes, read_scene_files
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
-    from gsgen.runtime.viewer import surface_renderer, viewer, window
+    from gsgen.runtime.viewer import surface_renderer, viewer
 
+    if web:
+        return _serve_page(scenes, _page_view(background, fov, up, time, play=play), ort, port)
     symbols, width, height = options.split_image_size(size, width, height)
     _require_display(scenes)
     files = list(read_scene_files(scenes).values())
     viewpoint = scene_viewpoint(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )
-    for note in viewpoint.notes:
-        typer.echo(f"note: {note}", err=True)
+    _print_notes(viewpoint.notes)
     color = _background(background, files)
     with open_scenes(
         scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=0)
@@ -122,11 +135,59 @@ def view(
             print_line=typer.echo,
             open_files=_file_opener(play=play),
         )
-        home = viewpoint.camera(sources[0], 0, 0.0)
-        try:
-            window.open_window(interface, _title(scenes), (home.width, home.height))
-        finally:
-            interface.playback.close()
+        _open_window(interface, _title(scenes), viewpoint.camera(sources[0], 0, 0.0))
+
+
+def _print_notes(notes: Sequence[str]) -> None:
+    for note in notes:
+        typer.echo(f"note: {note}", err=True)
+
+
+def _open_window(interface: "Viewer", title: str, home: "Camera") -> None:
+    """Show a viewer in a window of its first camera's size, until it is closed."""
+    from gsgen.runtime.viewer import window
+
+    try:
+        window.open_window(interface, title, (home.width, home.height))
+    finally:
+        interface.playback.close()
+
+
+def _page_view(
+    background: str | None, fov: float | None, up: str | None, time: float | None, *, play: bool
+) -> "ModelView":
+    """Return how a page shows models, from the options of the command."""
+    from gsgen.runtime.scene.colors import color_of
+    from gsgen.runtime.web.pages import ModelView
+
+    color = None if background is None else color_of(background, "--background")[:3]
+    return ModelView(background=color, fov=fov, up=up, time=time, play=play)
+
+
+def _serve_page(scenes: Sequence[Path], shown: "ModelView", ort: Path | None, port: int) -> None:
+    """Serve a page of the scenes until Ctrl-C, and open it in the browser."""
+    import webbrowser
+
+    from gsgen.contract.process.atomic_files import MODEL_SUFFIX
+    from gsgen.runtime.web.onnxruntime_web import ort_folder
+    from gsgen.runtime.web.pages import model_bytes
+    from gsgen.runtime.web.serving import ModelServer
+
+    for path in scenes:
+        model_bytes(path)  # an unreadable file is an error here, not in the page alone
+    has_generator = any(path.suffix.lower() == MODEL_SUFFIX for path in scenes)
+    folder = ort_folder(ort) if has_generator else None
+    try:
+        server = ModelServer(scenes, shown, ort=folder, port=port)
+    except OSError as error:
+        hint = "Choose another --port; 0 takes one that is free."
+        message = f"cannot listen: {error.strerror}"
+        raise ConfigInvalid(message, where=f"127.0.0.1:{port}", hint=hint) from error
+    with server:
+        typer.echo(server.address)
+        typer.echo("the page is served until Ctrl-C", err=True)
+        webbrowser.open(server.address)
+        server.serve_forever(poll_interval=0.1)
 
 
 def _background(

@@ -41,6 +41,16 @@ class PlanTables:
         self.plans: list[dict[str, Any]] = []
         self._rows: dict[tuple[str, str], int] = {}
 
+    def pipeline(self, pipeline: RecordedPipeline) -> int:
+        """Return the number of a pipeline's row."""
+        row = {
+            "label": pipeline.label,
+            "module": self.row("modules", module_row(self, pipeline.module)),
+            "entry": pipeline.entry,
+            "groups": list(pipeline.groups),
+        }
+        return self.row("pipelines", row)
+
     def add(self, recorded: RecordedPlan) -> None:
         """Add a recorded frame plan to the JSON tables."""
         self.plans.append(_PlanWriter(self, recorded).plan())
@@ -118,7 +128,7 @@ class _PlanWriter:
 
     def _step(self, step: Step, slot: int | None) -> int:
         row: dict[str, Any] = {
-            "pipeline": self._pipeline(step.kernel.pipeline),
+            "pipeline": self._tables.pipeline(step.kernel.pipeline),
             "binds": [self._bind(bind, slot) for bind in step.binds],
         }
         if len(step.groups) == 2:
@@ -127,20 +137,6 @@ class _PlanWriter:
         else:
             row["groups"] = [self._tree(tree_of(count), slot) for count in step.groups]
         return self._tables.row("steps", row)
-
-    def _pipeline(self, pipeline: RecordedPipeline) -> int:
-        return self._tables.row(
-            "pipelines",
-            {
-                "label": pipeline.label,
-                "module": self._module(pipeline.module),
-                "entry": pipeline.entry,
-                "groups": list(pipeline.groups),
-            },
-        )
-
-    def _module(self, module: RecordedModule) -> int:
-        return self._tables.row("modules", module_row(self._tables, module))
 
     def _bind(self, bind: RecordedBind, slot: int | None) -> int:
         entries = []

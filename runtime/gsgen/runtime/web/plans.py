@@ -10,10 +10,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from gsgen.runtime.gpu.device import MOST_GROUPS
-from gsgen.runtime.gpu.splat_residency import PAGE_ROWS
+from gsgen.contract.model.buffer_copies import VARIADIC, VIEWS
+from gsgen.contract.spec.layout import ROW
+from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, stride
+from gsgen.runtime.kernels.project.live_counts import LiveCounts
 from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
+from gsgen.runtime.kernels.project.repack_rows import RepackRows
 from gsgen.runtime.kernels.shared.counts import BYTES, Counts
+from gsgen.runtime.kernels.shared.kernel import THREADS
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE, source
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.renderer import FIRST_PAIRS, PAIRS_ROOM
@@ -21,7 +26,7 @@ from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.viewer.present import SHOWING, SHOWING_CONSTANTS
 from gsgen.runtime.web.plan_tables import PlanTables, module_row
 from gsgen.runtime.web.recording import APPEARANCES, Shape, record
-from gsgen.runtime.web.recording_device import RecordedModule
+from gsgen.runtime.web.recording_device import RecordedModule, RecordingDevice
 
 PLANS_FILE: Final = "gsgen.runtime.web:client/plans.json"
 """Package and path of the written document."""
@@ -49,6 +54,7 @@ def plans_document() -> dict[str, Any]:
         tables.add(record(shape))
     present = RecordedModule("present", source("present", **SHOWING_CONSTANTS))
     module = tables.row("modules", module_row(tables, present))
+    generators = _generator_kernels(tables)
     return {
         "plans": tables.plans,
         **tables.tables,
@@ -63,6 +69,7 @@ def plans_document() -> dict[str, Any]:
             }
             for each in APPEARANCES
         ],
+        "generators": generators,
         "pairs": {"first": FIRST_PAIRS, "room": PAIRS_ROOM, "most": MOST_GROUPS * RANGE_BLOCK},
         "present": {
             "module": module,
@@ -77,6 +84,45 @@ def plans_document() -> dict[str, Any]:
             "PAGE_ROWS": PAGE_ROWS,
         },
     }
+
+
+def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
+    """Return the kernels between a generator's outputs and pages, and operators without kernels.
+
+    Rows that a page can bind as they are have no kernel. Operators that copy buffers spoil the
+    captured graph of a model whose outputs they produce.
+    """
+    device = Device(RecordingDevice())
+    repacks = []
+    sources = [("float16", ROW, "rows")]
+    sources += [
+        (dtype, channels, "appearance")
+        for dtype in ("float32", "float16")
+        for channels in (3, 4, 12, 27, 48)
+    ]
+    for dtype, columns, target in sources:
+        half = dtype == "float16"
+        is_row = target == "rows"
+        words = ROW if is_row else (4 * stride(columns, half=half) or 2)
+        if columns * (2 if half else 4) == 4 * words:
+            continue
+        kernel = RepackRows(
+            device, columns, words, half_source=half, half_target=half and not is_row
+        ).kernel
+        repacks.append(
+            {
+                "target": target,
+                "dtype": dtype,
+                "columns": columns,
+                "words": words,
+                "pipeline": tables.pipeline(kernel.pipeline),
+                "groups": [["ceil_div", "capacity", THREADS], 1, 1],
+            }
+        )
+    live = LiveCounts(device).kernel
+    counts = {"pipeline": tables.pipeline(live.pipeline), "groups": [1, 1, 1]}
+    copies = {"always": sorted(VIEWS), "of one input": sorted(VARIADIC)}
+    return {"repacks": repacks, "live_counts": counts, "copies": copies}
 
 
 def _fields(dtype: np.dtype[np.void]) -> dict[str, Any]:

@@ -9,12 +9,14 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract._extensions import escape_markup
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.sdk.plugins.export_options import with_common_options
 from gsgen.sdk.plugins.factory import is_target
 from gsgen.sdk.plugins.plugin import Plugin, find_plugins
 
+_FORMATS_GROUP = "gsgen.export_formats"  # commands that write models for other programs
 _HELP = """Export a Gaussian Generator from your torch module, or from the files of a method.
 
 TARGET is package.module:factory, a callable of yours that returns a GaussianGenerator (modules
@@ -128,6 +130,8 @@ def _build() -> typer.Typer:
     def _root() -> None:
         pass
 
+    for point in registered_entry_points(_FORMATS_GROUP):
+        group.command(point.name)(point.load())
     for name, command in find_plugins().items():
         loaded = command.load()
         if isinstance(loaded, Plugin):

@@ -1,7 +1,7 @@
 /** Draws sets of Gaussians from a camera into an image in GPU memory. */
 
-import { GsgenError } from "./errors.js";
 import { PlanHost } from "./host.js";
+import { readBuffer } from "./read.js";
 import { frameUniform, pageUniforms } from "./uniforms.js";
 
 const READERS = 2; // copies of the counts that may be in flight
@@ -63,11 +63,12 @@ export class Renderer {
       queue.writeBuffer(host.input("pages"), 0, pageUniforms(plans, placed, camera));
     }
     const encoder = device.createCommandEncoder({ label: "frame" });
-    placed.forEach(({ liveCount }, slot) => {
-      if (!liveCount) return;
+    for (const { buffers } of this._sets) buffers.encode?.(encoder);
+    placed.forEach(({ liveCounts, page }, slot) => {
+      if (!liveCounts) return;
       const { size, fields } = plans.uniforms.page;
       const offset = slot * size + fields.count[2];
-      encoder.copyBufferToBuffer(liveCount, 0, host.input("pages"), offset, 4);
+      encoder.copyBufferToBuffer(liveCounts, 4 * page, host.input("pages"), offset, 4);
     });
     host.encode(encoder);
     const reader = this._freeReader();
@@ -106,12 +107,13 @@ export class Renderer {
     return this._sets.flatMap(({ buffers, ...own }) => {
       const set = { degree: buffers.degree, antialias: buffers.antialias, ...own };
       let first = 0;
-      return buffers.pages.map(({ capacity }) => {
+      return buffers.pages.map(({ capacity }, number) => {
         const count = Math.min(Math.max(buffers.count - first, 0), capacity);
-        const page = { set, base, capacity, count, liveCount: buffers.liveCount };
+        const { liveCounts } = buffers;
+        const placed = { set, base, capacity, count, liveCounts, page: number };
         base += capacity;
         first += capacity;
-        return page;
+        return placed;
       });
     });
   }
@@ -170,21 +172,9 @@ export class Renderer {
    * @param {string} output
    * @returns {Promise<Float32Array>}
    */
-  async readImage(output) {
+  readImage(output) {
     const image = this.host.image(output);
-    const usage = GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST;
-    const copy = this.device.createBuffer({ label: "read image", size: image.size, usage });
-    const encoder = this.device.createCommandEncoder();
-    encoder.copyBufferToBuffer(image, 0, copy, 0, image.size);
-    this.device.queue.submit([encoder.finish()]);
-    try {
-      await copy.mapAsync(GPUMapMode.READ);
-      return new Float32Array(copy.getMappedRange().slice(0));
-    } catch (error) {
-      throw new GsgenError(`cannot be read: ${error.message}`, { where: `image ${output}` });
-    } finally {
-      copy.destroy();
-    }
+    return readBuffer(this.device, image, Float32Array, image.size / 4);
   }
 
   /** Release all buffers but those of the sets. */

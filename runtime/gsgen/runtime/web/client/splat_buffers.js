@@ -82,8 +82,8 @@ export class SplatBuffers {
     this.degree = degreeOf(channels, space);
     this.antialias = splats.antialias ?? "classic";
     this.isLinear = splats.colorSpace === "linear";
-    /** @type {GPUBuffer | null} Number of live rows, where only the GPU knows it. */
-    this.liveCount = null;
+    /** @type {GPUBuffer | null} Live rows of each page, where only the GPU knows them. */
+    this.liveCounts = null;
     const size = (bytes) => Math.max(16, Math.ceil(bytes / 16) * 16);
     const [rowBytes, bytes] = [ROW_BYTES, storage.bytes].map((each) => size(each * this.capacity));
     this._rows = device.createBuffer({ label: "rows", size: rowBytes, usage: USAGE() });

@@ -1,0 +1,38 @@
+"""Divides the live rows of a generator among its GPU pages."""
+
+__all__ = ["LiveCounts", "live_counts_reference"]
+
+from typing import final
+
+import numpy as np
+from jaxtyping import UInt32
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.splat_residency import PAGE_ROWS
+from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+
+
+@final
+class LiveCounts:
+    """The kernel ``live_counts.wgsl``, for up to 64 pages."""
+
+    def __init__(self, device: Device) -> None:
+        self.kernel = Kernel(
+            device, "live_counts", "divide", ("rw",), THREADS=THREADS, PAGE_ROWS=PAGE_ROWS
+        )
+
+    def step(self, total: Buffer, live: Buffer) -> Step:
+        """Return the dispatch that writes a count per page.
+
+        Args:
+            total: The number of live rows, as int32.
+            live: One word per page.
+        """
+        return Step(self.kernel, (self.kernel.bind(total, live),), (1, 1, 1))
+
+
+def live_counts_reference(total: int, pages: int) -> UInt32[np.ndarray, " n"]:
+    """Return the live rows of each page: the reference of ``live_counts.wgsl``."""
+    first = np.arange(pages) * PAGE_ROWS
+    return np.clip(total - first, 0, PAGE_ROWS).astype(np.uint32)

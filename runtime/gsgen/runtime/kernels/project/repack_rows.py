@@ -1,0 +1,54 @@
+"""Copies rows of a generator's outputs on the GPU into the layout of pages."""
+
+__all__ = ["RepackRows", "repack_reference"]
+
+from typing import final
+
+import numpy as np
+from jaxtyping import Float, UInt32
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+
+
+@final
+class RepackRows:
+    """The kernel ``repack_rows.wgsl``.
+
+    Args:
+        device: Device of the kernel.
+        columns: Numbers of a source row.
+        words: 32-bit words of a target row.
+        half_source: Whether source numbers are float16.
+        half_target: Whether target numbers are; only for a source that is.
+    """
+
+    def __init__(
+        self, device: Device, columns: int, words: int, *, half_source: bool, half_target: bool
+    ) -> None:
+        self.kernel = Kernel(
+            device,
+            "repack_rows",
+            "repack",
+            ("rw",),
+            THREADS=THREADS,
+            COLUMNS=columns,
+            WORDS=words,
+            HALF_SOURCE=half_source,
+            HALF_TARGET=half_target,
+        )
+
+    def step(self, numbers: Buffer, words: Buffer, rows: int) -> Step:
+        """Return the dispatch that copies rows."""
+        return Step(self.kernel, (self.kernel.bind(numbers, words),), (-(-rows // THREADS), 1, 1))
+
+
+def repack_reference(
+    rows: Float[np.ndarray, "n c"], words: int, *, half_target: bool
+) -> UInt32[np.ndarray, "n w"]:
+    """Copy rows into rows of whole words: the reference of ``repack_rows.wgsl``."""
+    dtype = np.float16 if half_target else np.float32
+    target = np.zeros((len(rows), words * (2 if half_target else 1)), dtype)
+    target[:, : rows.shape[1]] = rows
+    return target.view(np.uint32)

@@ -1,0 +1,233 @@
+/**
+ * Generators: ONNX models that compute Gaussians in every frame, in the buffers that are drawn.
+ *
+ * A captured session writes the same buffers in every frame. Pages bind them as they are, or a
+ * kernel copies rows that no page can bind, such as three float32 numbers.
+ */
+
+import { GsgenError } from "./errors.js";
+import { GeneratorSession } from "./generator_session.js";
+import { extentOf } from "./model.js";
+import { manifestOf } from "./onnx_metadata.js";
+import { evaluate } from "./plan.js";
+import { readBuffer } from "./read.js";
+import { appearanceKind, degreeOf, pagesOf } from "./splat_buffers.js";
+import { halfOf } from "./splat_files.js";
+
+const FRAMES = 100; // of a time that declares none
+const FRAMES_PER_SECOND = 25;
+const SURVEYED = 4; // moments of the time that the camera is placed for
+
+/** The outputs of a session as pages. */
+class GeneratorBuffers {
+  /** @param {import("./host.js").KernelCache} kernels @param {Record<string, any>} manifest */
+  constructor(kernels, manifest) {
+    this._kernels = kernels;
+    this._manifest = manifest;
+    this.pages = [];
+    this.capacity = this.count = manifest.outputs.gaussians.capacity;
+    this.antialias = manifest.antialias ?? "classic";
+    this.isLinear = manifest.outputs.appearance.color_space === "linear";
+    this.degree = null;
+    /** @type {GPUBuffer | null} */
+    this.liveCounts = null;
+    this._commands = [];
+    this._own = [];
+    this._bound = "";
+  }
+
+  /**
+   * Bind the outputs of a run; return whether the pages are others than before.
+   * @param {Record<string, any>} outputs Tensors by name.
+   */
+  async bind(outputs) {
+    const { gaussians, appearance, count } = this._manifest.outputs;
+    const tensors = [gaussians, appearance, count].map((spec) => spec && outputs[spec.name]);
+    const buffers = tensors.map((tensor) => tensor?.gpuBuffer);
+    if (this._last?.every((buffer, i) => buffer === buffers[i])) return false;
+    this.destroy();
+    const [rows, colors, live] = tensors;
+    const { plans } = this._kernels;
+    const channels = colors.dims[1];
+    this.degree = degreeOf(channels, appearance.space);
+    const storage = appearanceKind(plans, channels, colors.type);
+    const bound = await Promise.all([
+      this._bindable("rows", rows),
+      this._bindable("appearance", colors),
+    ]);
+    this.pages = pagesOf(plans, storage, bound[0], bound[1], this.capacity);
+    if (live) await this._countLive(live);
+    this._last = buffers;
+    return true;
+  }
+
+  /** Return a tensor's buffer, or one that a kernel fills with its rows in every frame. */
+  async _bindable(target, { type, dims, gpuBuffer }) {
+    const { plans, device } = this._kernels;
+    const entry = plans.generators.repacks.find(
+      (row) => row.target === target && row.dtype === type && row.columns === dims[1],
+    );
+    if (!entry) return gpuBuffer;
+    const size = Math.ceil((4 * entry.words * this.capacity) / 16) * 16;
+    const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_SRC;
+    const buffer = device.createBuffer({ label: `repacked ${target}`, size, usage });
+    this._own.push(buffer);
+    const bytes = Math.ceil((dims[0] * dims[1] * (type === "float16" ? 2 : 4)) / 4) * 4;
+    await this._add(entry, { buffer: gpuBuffer, size: bytes }, { buffer });
+    return buffer;
+  }
+
+  async _countLive(tensor) {
+    const { plans, device } = this._kernels;
+    const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_SRC;
+    const size = 4 * this.pages.length;
+    this.liveCounts = device.createBuffer({ label: "live rows", size, usage });
+    this._own.push(this.liveCounts);
+    const source = { buffer: tensor.gpuBuffer, size: 4 };
+    await this._add(plans.generators.live_counts, source, { buffer: this.liveCounts });
+  }
+
+  async _add({ pipeline, groups }, ...resources) {
+    const { plans, device } = this._kernels;
+    const layout = this._kernels.layout(plans.pipelines[pipeline].groups[0]);
+    const entries = resources.map((resource, binding) => ({ binding, resource }));
+    this._commands.push({
+      pipeline: await this._kernels.pipeline(pipeline),
+      group: device.createBindGroup({ layout, entries }),
+      counts: groups.map((count) => evaluate(count, { capacity: this.capacity })),
+    });
+  }
+
+  /** Encode the copies of a frame. @param {GPUCommandEncoder} encoder */
+  encode(encoder) {
+    if (!this._commands.length) return;
+    const pass = encoder.beginComputePass({ label: "outputs of a generator" });
+    for (const { pipeline, group, counts } of this._commands) {
+      pass.setPipeline(pipeline);
+      pass.setBindGroup(0, group);
+      pass.dispatchWorkgroups(...counts);
+    }
+    pass.end();
+  }
+
+  destroy() {
+    for (const buffer of this._own) buffer.destroy();
+    [this._own, this._commands, this.liveCounts, this._last] = [[], [], null, null];
+  }
+}
+
+/** Check what a page can show of a manifest. */
+function requireDrawable(manifest, name) {
+  const fail = (message, hint, rule = "") => {
+    throw new GsgenError(message, { where: name, hint, rule });
+  };
+  if (manifest.kind !== "gaussian-generator") {
+    fail(`is a ${manifest.kind}, expected a gaussian-generator`, "Show a generator.");
+  }
+  const { gaussians, appearance } = manifest.outputs ?? {};
+  if (!gaussians || !appearance) {
+    fail("declares no gaussians or no appearance, expected both", "gsgen validate MODEL", "GM002");
+  }
+  if (manifest.blend === "wsr") {
+    fail("is drawn by weighted sums, which pages do not draw yet", "gsgen render MODEL -o film.mp4");
+  }
+  const required = manifest.extensions_required ?? [];
+  if (required.length) fail(`requires extensions: ${required}`, "Ask its author for a copy without.");
+}
+
+/** A generator in a page. */
+export class GeneratorModel {
+  /**
+   * @param {import("./host.js").KernelCache} kernels
+   * @param {ArrayBuffer} data
+   * @param {string} name
+   */
+  static async open(kernels, data, name) {
+    const bytes = new Uint8Array(data);
+    const manifest = manifestOf(bytes, name);
+    requireDrawable(manifest, name);
+    const session = await GeneratorSession.open(kernels, bytes, manifest, name);
+    const model = new GeneratorModel(kernels, session, manifest);
+    await model._survey();
+    return model;
+  }
+
+  constructor(kernels, session, manifest) {
+    this._kernels = kernels;
+    this._session = session;
+    this.manifest = manifest;
+    this.isCaptured = session.isCaptured;
+    this._inputs = session.inputs;
+    this.buffers = new GeneratorBuffers(kernels, manifest);
+    this.inputs = manifest.inputs;
+    this.followsCamera = this._inputs.followsCamera;
+    const axis = manifest.space?.up ?? "-y";
+    this.up = ["x", "y", "z"].map((letter) => (axis.endsWith(letter) ? (axis[0] === "-" ? -1 : 1) : 0));
+    this.time = timeOf(manifest.inputs);
+    this.extent = { center: [0, 0, 0], reach: 1 };
+    this._hasRun = false;
+  }
+
+  /** Compute the Gaussians of a frame; return whether the pages are others than before. */
+  async update(values, camera) {
+    const isChanged = this._inputs.update(values, camera);
+    if (!isChanged && this._hasRun) return false;
+    return this._run();
+  }
+
+  async _run() {
+    this._outputs = await this._session.run();
+    this._hasRun = true;
+    return this.buffers.bind(this._outputs);
+  }
+
+  /** Run some moments, and find a box around the Gaussians of all. */
+  async _survey() {
+    const { time } = this;
+    const camera = { view: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], fx: 1, fy: 1, cx: 0.5, cy: 0.5, width: 1, height: 1, near: 0.01 };
+    const boxes = [];
+    for (let moment = 0; moment < (time ? SURVEYED : 1); moment++) {
+      const value = time && time.low + ((time.high - time.low) * moment) / SURVEYED;
+      await this.update(time ? { [time.name]: value } : {}, camera);
+      boxes.push(extentOf(...(await this._liveRows())));
+    }
+    const [low, high] = [Math.min, Math.max].map((pick, side) =>
+      [0, 1, 2].map((axis) =>
+        pick(...boxes.map(({ center, half }) => center[axis] + (side ? half[axis] : -half[axis]))),
+      ),
+    );
+    this.extent = {
+      center: low.map((x, axis) => (x + high[axis]) / 2),
+      reach: Math.hypot(...low.map((x, axis) => high[axis] - x)) / 2 || 1,
+    };
+  }
+
+  /** Read the live rows back; only before the first picture. */
+  async _liveRows() {
+    const { gaussians, count } = this.manifest.outputs;
+    const tensor = this._outputs[gaussians.name];
+    const read = (output, Numbers, size) => readBuffer(this._kernels.device, output.gpuBuffer, Numbers, size);
+    const live = count ? (await read(this._outputs[count.name], Int32Array, 1))[0] : tensor.dims[0];
+    const isHalf = tensor.type === "float16";
+    const data = await read(tensor, isHalf ? Uint16Array : Float32Array, 10 * tensor.dims[0]);
+    return [isHalf ? Float32Array.from(data, halfOf) : data, Math.max(live, 0)];
+  }
+
+  destroy() {
+    this.buffers.destroy();
+    this._session.destroy();
+  }
+}
+
+/** Return the time of a generator, or its frame number in place of one. */
+function timeOf(inputs) {
+  const spec =
+    inputs.find(({ role, range }) => role === "time" && range) ??
+    inputs.find(({ role, range }) => role === "frame_index" && range);
+  if (!spec) return null;
+  const [low, high] = spec.range;
+  const isNumber = spec.role === "frame_index";
+  const frames = spec.frames ?? (isNumber ? high - low + 1 : FRAMES);
+  const seconds = frames / (spec.fps ?? FRAMES_PER_SECOND);
+  return { name: spec.name, low, high, seconds, loop: Boolean(spec.loop), isWhole: isNumber };
+}

@@ -1,0 +1,157 @@
+/** The inputs of a generator: GPU buffers, and the conversion of values to their bytes. */
+
+import { eyeOf } from "./camera.js";
+import { GsgenError } from "./errors.js";
+
+const MATRICES = ["view", "projection"];
+const FAR_RATIO = 1e5; // of the far plane's distance to the near plane's
+/** @type {Record<string, (numbers: number[]) => ArrayBufferView>} */
+const ARRAYS = {
+  float32: (numbers) => Float32Array.from(numbers),
+  int32: (numbers) => Int32Array.from(numbers),
+  uint32: (numbers) => Uint32Array.from(numbers),
+  int64: (numbers) => BigInt64Array.from(numbers, (number) => BigInt(Math.round(number))),
+  float16: (numbers) => Uint16Array.from(numbers, halfBits),
+  bool: (numbers) => Uint8Array.from(numbers, (number) => Number(Boolean(number))),
+};
+
+/** Return the bits of the float16 nearest to a number. */
+function halfBits(number) {
+  const sign = number < 0 || Object.is(number, -0) ? 0x8000 : 0;
+  const size = Math.abs(number);
+  if (Number.isNaN(size)) return 0x7e00;
+  if (size >= 65520) return sign | 0x7c00;
+  const exponent = Math.max(Math.floor(Math.log2(size || 2 ** -24)), -14);
+  const scaled = size / 2 ** (exponent - 10);
+  const low = Math.floor(scaled);
+  const half = scaled - low;
+  const fraction = low + Number(half > 0.5 || (half === 0.5 && low % 2 === 1));
+  return sign | (fraction + ((exponent + 14) << 10));
+}
+
+/** Return the matrix camera → clip that generators receive, 4×4 row by row. */
+export function projectionOf({ fx, fy, cx, cy, width, height, near }) {
+  const far = FAR_RATIO * near;
+  return [
+    (2 * fx) / width, 0, (2 * cx) / width - 1, 0,
+    0, (-2 * fy) / height, 1 - (2 * cy) / height, 0,
+    0, 0, far / (far - near), (-near * far) / (far - near),
+    0, 0, 1, 0,
+  ];
+}
+
+/** Return the values of camera inputs by role. @param {import("./camera.js").Camera} camera */
+function cameraValues(camera) {
+  return {
+    view: camera.view,
+    projection: projectionOf(camera),
+    camera_position: eyeOf(camera),
+    viewport: [camera.width, camera.height],
+  };
+}
+
+/** Return the default of an input, as the contract defines it for the input's role. */
+function defaultOf(spec, shape) {
+  const size = shape.reduce((a, b) => a * b, 1);
+  const fallback = MATRICES.includes(spec.role) ? "identity" : (spec.range?.[0] ?? 0);
+  const value = spec.default ?? fallback;
+  if (value === "zeros") return new Array(size).fill(0);
+  if (value === "identity") return identityOf(spec.role, shape, size);
+  return Array.isArray(value) ? value : new Array(size).fill(value);
+}
+
+function identityOf(role, shape, size) {
+  const numbers = new Array(size).fill(0);
+  const [rows, columns] = [shape[0], shape[shape.length - 1]];
+  if (role !== "pose" && shape.length === 2 && rows === columns) {
+    for (let i = 0; i < rows; i++) numbers[i * (columns + 1)] = 1;
+  } else if (columns === 4) {
+    for (let i = 0; i < size; i += 4) numbers[i] = 1; // quaternions w, x, y, z
+  }
+  return numbers;
+}
+
+/** The input tensors of a session, in buffers that stay: a captured graph reads the same ones. */
+export class GeneratorInputs {
+  /**
+   * @param {GPUDevice} device
+   * @param {any} ort
+   * @param {any} session
+   * @param {Record<string, any>} manifest
+   */
+  constructor(device, ort, session, manifest) {
+    this._device = device;
+    this._isTransposed = (manifest.space?.matrix_order ?? "column") === "column";
+    const declared = new Map(manifest.inputs.map((spec) => [spec.name, spec]));
+    /** @type {Map<string, {spec: any, type: string, size: number, buffer: GPUBuffer, last: string}>} */
+    this._inputs = new Map();
+    this.feeds = {};
+    for (const { name, type, shape } of session.inputMetadata) {
+      const spec = declared.get(name) ?? { name, role: "" };
+      const dims = shape.map(Number);
+      if (!(type in ARRAYS) || !dims.every(Number.isInteger)) {
+        throw new GsgenError(`is ${type} [${shape}], expected a type and sizes that are known`, {
+          where: `input ${name}`,
+          hint: "Give open dimensions a size when you export the model.",
+        });
+      }
+      const size = dims.reduce((a, b) => a * b, 1);
+      const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
+      const bytes = Math.max(16, Math.ceil((8 * size) / 16) * 16);
+      const buffer = device.createBuffer({ label: `input ${name}`, size: bytes, usage });
+      this._inputs.set(name, { spec, type, size, buffer, last: "" });
+      this.feeds[name] = ort.Tensor.fromGpuBuffer(buffer, { dataType: type, dims });
+      this._write(name, defaultOf(spec, dims));
+    }
+  }
+
+  /** Whether an input depends on the camera. */
+  get followsCamera() {
+    const roles = [...MATRICES, "camera_position", "viewport"];
+    return [...this._inputs.values()].some(({ spec }) => roles.includes(spec.role));
+  }
+
+  /**
+   * Write the values of a frame; return whether any input changed.
+   * @param {Record<string, any>} values By name or role.
+   * @param {import("./camera.js").Camera} camera
+   */
+  update(values, camera) {
+    const known = { ...cameraValues(camera) };
+    let isChanged = false;
+    for (const [name, { spec }] of this._inputs) {
+      const value = values[name] ?? values[spec.role] ?? known[spec.role];
+      if (value !== undefined) isChanged = this._write(name, [value].flat(3)) || isChanged;
+    }
+    return isChanged;
+  }
+
+  _write(name, numbers) {
+    const input = this._inputs.get(name);
+    const { spec, type, size } = input;
+    if (numbers.length !== size || !numbers.every(Number.isFinite)) {
+      throw new GsgenError(`is [${numbers.slice(0, 6)}], expected ${size} finite numbers`, {
+        where: `input ${name}`,
+      });
+    }
+    const [low, high] = spec.range ?? [-Infinity, Infinity];
+    if (spec.role === "time" && numbers.some((number) => number < low || number > high)) {
+      throw new GsgenError(`is ${numbers}, expected ${low} to ${high}`, { where: `input ${name}` });
+    }
+    const isMatrix = MATRICES.includes(spec.role) && this._isTransposed;
+    const ordered = isMatrix ? numbers.map((_, i) => numbers[4 * (i % 4) + Math.floor(i / 4)]) : numbers;
+    const key = ordered.join();
+    if (key === input.last) return false;
+    input.last = key;
+    const array = ARRAYS[type](ordered);
+    const bytes = new Uint8Array(Math.ceil(array.byteLength / 4) * 4);
+    bytes.set(new Uint8Array(array.buffer));
+    this._device.queue.writeBuffer(input.buffer, 0, bytes);
+    return true;
+  }
+
+  /** Release the buffers. */
+  destroy() {
+    for (const { buffer } of this._inputs.values()) buffer.destroy();
+  }
+}

@@ -1,0 +1,103 @@
+/**
+ * Runs a generator: in a captured graph where that is right, its constant outputs once.
+ *
+ * ONNX Runtime folds what depends on no input, and a captured graph does not write it. Such outputs
+ * (most often the colours and the count) come from one run that is not captured.
+ */
+
+import { GsgenError } from "./errors.js";
+import { GeneratorInputs } from "./generator_inputs.js";
+import { outputsByOrigin } from "./onnx_metadata.js";
+import { onnxRuntime, openSession } from "./onnx_runtime.js";
+
+/**
+ * A tensor in GPU memory.
+ * @typedef {{type: string, dims: readonly number[], gpuBuffer: GPUBuffer}} GpuTensor
+ */
+
+const BYTES = { float32: 4, float16: 2, int32: 4, uint32: 4, int64: 8 };
+
+export class GeneratorSession {
+  /**
+   * @param {import("./host.js").KernelCache} kernels
+   * @param {Uint8Array} bytes
+   * @param {Record<string, any>} manifest
+   * @param {string} name
+   */
+  static async open({ device, plans }, bytes, manifest, name) {
+    const ort = await onnxRuntime();
+    const { all, constant, copied } = outputsByOrigin(bytes, plans.generators.copies);
+    const open = (capture) => openSession(ort, device, bytes, name, { capture });
+    const isStill = constant.length === all.length;
+    const captured = isStill || copied.length ? null : await open(true);
+    const plain = captured && !constant.length ? null : await open(false);
+    if ((await ort.env.webgpu.device) !== device) {
+      throw new GsgenError("ONNX Runtime Web took another device than the page's", { where: name });
+    }
+    const session = new GeneratorSession(device, captured ?? plain, name);
+    session.inputs = new GeneratorInputs(device, ort, captured ?? plain, manifest);
+    session.isCaptured = Boolean(captured);
+    session._isStill = isStill;
+    if (plain && (captured || isStill)) {
+      const outputs = await session._run(plain);
+      for (const output of constant) session._keep(output, outputs[output]);
+      for (const tensor of Object.values(outputs)) tensor.dispose();
+      plain.release();
+    }
+    return session;
+  }
+
+  constructor(device, session, name) {
+    this._device = device;
+    this._session = session;
+    this._name = name;
+    /** @type {Record<string, GpuTensor>} */
+    this._constants = {};
+    this._outputs = null;
+  }
+
+  /** Whether an output is the same in every frame. @param {string} output */
+  isConstant(output) {
+    return output in this._constants;
+  }
+
+  /**
+   * Run a frame; return its outputs by name.
+   * @returns {Promise<Record<string, GpuTensor>>}
+   */
+  async run() {
+    if (this._isStill) return this._constants;
+    const last = this._outputs;
+    this._outputs = await this._run(this._session);
+    // A captured graph writes the same buffers in every frame, any other session new ones.
+    if (last && !this.isCaptured) for (const tensor of Object.values(last)) tensor.dispose();
+    return { ...this._outputs, ...this._constants };
+  }
+
+  async _run(session) {
+    try {
+      return await session.run(this.inputs.feeds);
+    } catch (error) {
+      const hint = "See what is wrong: gsgen validate MODEL --target webgpu";
+      throw new GsgenError(`the model fails: ${error.message}`, { where: this._name, hint });
+    }
+  }
+
+  /** Copy an output into a buffer of its own. */
+  _keep(output, { type, dims, gpuBuffer }) {
+    const numbers = dims.reduce((a, b) => a * b, 1);
+    const size = Math.max(16, Math.ceil((numbers * BYTES[type]) / 16) * 16);
+    const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
+    const buffer = this._device.createBuffer({ label: `constant ${output}`, size, usage });
+    const encoder = this._device.createCommandEncoder({ label: "constants" });
+    encoder.copyBufferToBuffer(gpuBuffer, 0, buffer, 0, Math.min(size, gpuBuffer.size));
+    this._device.queue.submit([encoder.finish()]);
+    this._constants[output] = { type, dims, gpuBuffer: buffer };
+  }
+
+  destroy() {
+    for (const { gpuBuffer } of Object.values(this._constants)) gpuBuffer.destroy();
+    this.inputs.destroy();
+    if (!this._isStill) this._session.release();
+  }
+}

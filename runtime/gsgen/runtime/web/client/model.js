@@ -1,0 +1,91 @@
+/** Models that an element shows: splat files, and generators that compute new ones every frame. */
+
+import { readSplats } from "./splat_files.js";
+import { SplatBuffers } from "./splat_buffers.js";
+
+const CROPPED = 0.02; // share of the centres, at each end of each axis, that framing ignores
+const SAMPLES = 50_000; // centres that an extent is found from
+
+/**
+ * @typedef {object} Model
+ * @property {any} buffers Its Gaussians in GPU memory.
+ * @property {{center: number[], reach: number}} extent
+ * @property {number[]} up
+ * @property {{name: string, low: number, high: number, seconds: number, loop: boolean} | null} time
+ * @property {any[]} inputs The inputs that a visitor may set.
+ * @property {boolean} followsCamera
+ * @property {(values: Record<string, any>, camera: any) => Promise<boolean>} update Computes a
+ *     frame; true if the pages are others than before.
+ * @property {() => void} destroy
+ */
+
+/**
+ * Return the centre of the box around most centres, half its sides, and half its diagonal.
+ * @param {Float32Array} rows
+ * @param {number} count
+ */
+export function extentOf(rows, count) {
+  const step = Math.max(1, Math.floor(count / SAMPLES));
+  const axes = [[], [], []];
+  for (let row = 0; row < count; row += step) {
+    const center = rows.subarray(10 * row, 10 * row + 4);
+    if (center[3] > 0 && center.every(Number.isFinite)) {
+      for (let axis = 0; axis < 3; axis++) axes[axis].push(center[axis]);
+    }
+  }
+  if (!axes[0].length) return { center: [0, 0, 0], half: [0, 0, 0], reach: 1 };
+  const bounds = axes.map((numbers) => {
+    const sorted = Float32Array.from(numbers).sort();
+    return [quantile(sorted, CROPPED), quantile(sorted, 1 - CROPPED)];
+  });
+  const half = bounds.map(([low, high]) => (high - low) / 2);
+  const reach = Math.hypot(...half) || 1;
+  return { center: bounds.map(([low, high]) => (low + high) / 2), half, reach };
+}
+
+/** Return a quantile of sorted numbers, between two of them as NumPy has it. */
+function quantile(sorted, share) {
+  const place = share * (sorted.length - 1);
+  const [low, high] = [Math.floor(place), Math.ceil(place)];
+  return sorted[low] + (place - low) * (sorted[high] - sorted[low]);
+}
+
+/** The Gaussians of a splat file. */
+class StillModel {
+  /**
+   * @param {import("./host.js").KernelCache} kernels
+   * @param {import("./splat_buffers.js").Splats} splats
+   */
+  constructor({ device, plans }, splats) {
+    this.buffers = new SplatBuffers(device, plans, splats);
+    this.extent = extentOf(splats.rows, splats.count);
+    this.up = [0, -1, 0];
+    this.time = null;
+    this.inputs = [];
+    this.followsCamera = false;
+  }
+
+  async update() {
+    return false;
+  }
+
+  destroy() {
+    this.buffers.destroy();
+  }
+}
+
+/**
+ * Open a model from its bytes.
+ * @param {import("./host.js").KernelCache} kernels
+ * @param {ArrayBuffer} data
+ * @param {string} name Address of the file, for messages.
+ * @returns {Promise<Model>}
+ */
+export async function openModel(kernels, data, name) {
+  const { isOnnx } = await import("./onnx_metadata.js");
+  if (isOnnx(new Uint8Array(data))) {
+    const { GeneratorModel } = await import("./generator.js");
+    return GeneratorModel.open(kernels, data, name);
+  }
+  return new StillModel(kernels, await readSplats(data, name));
+}

@@ -1,0 +1,131 @@
+/** Reads what a page has to know of an ONNX file: its manifest, and what computes its outputs. */
+
+import { GsgenError } from "./errors.js";
+
+const KEYS = ["gsgen.manifest", "gaussian-generator.manifest"];
+const METADATA = 14; // ModelProto.metadata_props
+const [IR_VERSION, GRAPH] = [1, 7]; // ModelProto.ir_version, ModelProto.graph
+const [NODE, WEIGHT, INPUT, OUTPUT] = [1, 5, 11, 12]; // GraphProto
+const TENSOR_NAME = 8; // TensorProto.name
+const NODE_PARTS = { input: 1, output: 2, operator: 4 }; // NodeProto
+
+/**
+ * Yield the fields of a protobuf message: number, and bytes or a number.
+ * @param {Uint8Array} bytes
+ * @returns {Generator<[number, Uint8Array | number]>}
+ */
+function* fieldsOf(bytes) {
+  let position = 0;
+  const varint = () => {
+    let [value, factor] = [0, 1];
+    for (;;) {
+      if (position >= bytes.length) throw new RangeError("a number ends behind the message");
+      const byte = bytes[position++];
+      value += (byte & 127) * factor;
+      if (byte < 128) return value;
+      factor *= 128;
+    }
+  };
+  while (position < bytes.length) {
+    const key = varint();
+    const [number, wire] = [Math.floor(key / 8), key % 8];
+    if (wire === 0) yield [number, varint()];
+    else if (wire === 1 || wire === 5) position += wire === 1 ? 8 : 4;
+    else if (wire === 2) {
+      const length = varint();
+      if (position + length > bytes.length) throw new RangeError("a field ends behind the message");
+      yield [number, bytes.subarray(position, position + length)];
+      position += length;
+    } else throw new RangeError(`wire type ${wire}`);
+  }
+}
+
+/** Return whether bytes begin like an ONNX model. @param {Uint8Array} bytes */
+export function isOnnx(bytes) {
+  if (bytes[0] !== 8 * IR_VERSION) return false;
+  try {
+    for (const [number] of fieldsOf(bytes)) if (number === GRAPH) return true;
+  } catch (error) {
+    if (!(error instanceof RangeError)) throw error;
+  }
+  return false;
+}
+
+/**
+ * Return the manifest of a model.
+ * @param {Uint8Array} bytes
+ * @param {string} name
+ * @returns {Record<string, any>}
+ */
+export function manifestOf(bytes, name) {
+  const decoder = new TextDecoder();
+  for (const [number, value] of fieldsOf(bytes)) {
+    if (number !== METADATA || typeof value === "number") continue;
+    const entry = new Map(fieldsOf(value));
+    const text = (part) => decoder.decode(/** @type {Uint8Array} */ (entry.get(part)));
+    if (KEYS.includes(text(1))) return JSON.parse(text(2));
+  }
+  const hint = "Add one: gsgen inspect MODEL --emit-manifest";
+  throw new GsgenError("has no manifest", { where: name, hint, rule: "GM001" });
+}
+
+/**
+ * Sort the outputs of a model by what computes them in a captured graph, which records kernels alone.
+ *
+ * A buffer copy is not recorded: its output is stale, or overwritten, in all frames but the first.
+ * Outputs that depend on no input are constants, which ONNX Runtime folds: nothing computes them.
+ * @param {Uint8Array} bytes
+ * @param {{always: string[], "of one input": string[]}} copies Operators without kernels.
+ * @returns {{copied: string[], constant: string[], all: string[]}}
+ */
+export function outputsByOrigin(bytes, copies) {
+  const decoder = new TextDecoder();
+  const nameOf = (value) => decoder.decode(new Map(fieldsOf(value)).get(1));
+  const [outputs, changing, copied, weights] = [[], new Set(), new Set(), new Set()];
+  const [inputs, nodes] = [[], []];
+  const graph = [...fieldsOf(bytes)].find(([number]) => number === GRAPH)?.[1];
+  for (const [number, value] of fieldsOf(/** @type {Uint8Array} */ (graph))) {
+    if (typeof value === "number") continue;
+    if (number === OUTPUT) outputs.push(nameOf(value));
+    else if (number === INPUT) inputs.push(nameOf(value));
+    else if (number === WEIGHT) weights.add(tensorName(value, decoder));
+    else if (number === NODE) nodes.push(nodeOf(value, decoder));
+  }
+  // Files of the oldest versions list weights among the inputs.
+  for (const name of inputs) if (!weights.has(name)) changing.add(name);
+  for (const name of inputs) copied.add(name);
+  for (const { operator, reads, writes } of nodes) {
+    if (!reads.some((name) => changing.has(name))) continue;
+    // A reduction without axes may return its input, too.
+    const isCopy =
+      copies.always.includes(operator) ||
+      operator.startsWith("Reduce") ||
+      (reads.length === 1 && copies["of one input"].includes(operator));
+    for (const name of writes) {
+      changing.add(name);
+      if (isCopy) copied.add(name);
+    }
+  }
+  return {
+    all: outputs,
+    constant: outputs.filter((name) => !changing.has(name)),
+    copied: outputs.filter((name) => changing.has(name) && copied.has(name)),
+  };
+}
+
+/** Return operator, inputs and outputs of a node. */
+function nodeOf(bytes, decoder) {
+  const parts = [...fieldsOf(bytes)];
+  const texts = (part) =>
+    parts.filter(([field]) => field === part).map(([, text]) => decoder.decode(text));
+  const { input, output, operator } = NODE_PARTS;
+  return { operator: texts(operator)[0] ?? "", reads: texts(input), writes: texts(output) };
+}
+
+/** Return the name of a weight, without a copy of its numbers. */
+function tensorName(bytes, decoder) {
+  for (const [number, value] of fieldsOf(bytes)) {
+    if (number === TENSOR_NAME) return decoder.decode(/** @type {Uint8Array} */ (value));
+  }
+  return "";
+}

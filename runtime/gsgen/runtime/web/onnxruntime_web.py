@@ -1,0 +1,85 @@
+"""ONNX Runtime Web, which computes generators in a page: fetched once, by exact version and digest."""
+
+__all__ = ["ORT_FILES", "ORT_VERSION", "cached_ort", "ort_folder"]
+
+import hashlib
+import os
+import subprocess
+import tarfile
+import tempfile
+from pathlib import Path
+from shutil import which
+from typing import Final
+
+from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+
+ORT_VERSION: Final = "1.30.0"
+"""The version that pages load; the client is tested with this one."""
+
+_PACKAGE: Final = "onnxruntime-web"
+_SHA256: Final = "d2228df7e4616bc3348bf504ee888f3bec43789a273f0a63f3e68d203ce3bf71"
+_BUILDS: Final = {
+    "ort.jspi.bundle.min.mjs": "ort-wasm-simd-threaded.jspi.wasm",
+    "ort.webgpu.bundle.min.mjs": "ort-wasm-simd-threaded.asyncify.wasm",
+}
+ORT_FILES: Final = (*_BUILDS, *_BUILDS.values())
+"""Two builds, each a module and its WebAssembly: for browsers that suspend WebAssembly, and others."""
+
+
+def cached_ort() -> Path:
+    """Return the folder in the user's cache where ONNX Runtime Web lies once it was fetched."""
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "gsgen" / f"{_PACKAGE}-{ORT_VERSION}"
+
+
+def ort_folder(given: Path | None) -> Path:
+    """Return a folder with the files of ONNX Runtime Web, fetching them into the cache if needed.
+
+    Args:
+        given: A folder of the user, such as ``dist`` of the npm package.
+
+    Raises:
+        InputUnreadable: ``given`` lacks a file.
+        ConfigInvalid: The files cannot be fetched, or are others than those of the pinned version.
+    """
+    if given is not None:
+        missing = [name for name in ORT_FILES if not (given / name).is_file()]
+        if missing:
+            hint = f"Name the folder `dist` of the npm package {_PACKAGE}@{ORT_VERSION}."
+            raise InputUnreadable(f"has no {', '.join(missing)}", where=str(given), hint=hint)
+        return given
+    folder = cached_ort()
+    if not all((folder / name).is_file() for name in ORT_FILES):
+        _fetch(folder)
+    return folder
+
+
+def _fetch(folder: Path) -> None:
+    """Fetch the npm package, check its digest, and put the needed files into ``folder``."""
+    package = f"{_PACKAGE}@{ORT_VERSION}"
+    hint = f"Fetch {package} yourself, and name its folder `dist`: --ort DIR"
+    npm = which("npm")
+    if npm is None:
+        message = "npm is not installed, which fetches ONNX Runtime Web"
+        raise ConfigInvalid(message, where=package, hint=hint)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".ort.") as work:
+        result = subprocess.run(
+            [npm, "pack", "--silent", package], cwd=work, capture_output=True, text=True
+        )
+        archives = list(Path(work).glob("*.tgz"))
+        if result.returncode or not archives:
+            lines = result.stderr.strip().splitlines() or ["npm pack failed"]
+            raise ConfigInvalid(lines[-1], where=package, hint=hint)
+        content = archives[0].read_bytes()
+        digest = hashlib.sha256(content).hexdigest()
+        if digest != _SHA256:
+            message = f"has the digest {digest}, expected {_SHA256}"
+            raise ConfigInvalid(message, where=package, hint=hint)
+        with tarfile.open(archives[0]) as archive:
+            members = [archive.getmember(f"package/dist/{name}") for name in ORT_FILES]
+            archive.extractall(work, members, filter="data")
+        dist = Path(work) / "package" / "dist"
+        folder.mkdir(exist_ok=True)
+        for name in ORT_FILES:
+            (dist / name).replace(folder / name)

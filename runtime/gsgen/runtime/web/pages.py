@@ -1,0 +1,202 @@
+"""Pages that show models: one that a server delivers, and one that is a single file."""
+
+__all__ = [
+    "ModelView",
+    "client_file",
+    "client_names",
+    "model_bytes",
+    "served_page",
+    "single_file_page",
+]
+
+import base64
+import html
+import json
+import re
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Final, final
+
+from gsgen.contract.process.atomic_files import MODEL_SUFFIX
+from gsgen.formats import FormatError, Splats, open_splats, write_ply
+from gsgen.runtime.errors import SceneUnreadable
+
+_CLIENT: Final = files("gsgen.runtime.web").joinpath("client")
+_PREFIX: Final = "gsgen/"
+_STYLE: Final = """
+body { margin: 0; background: #16181c; color: #e8eaed; font: 16px/1.5 system-ui, sans-serif }
+main { display: grid; gap: 1rem; min-height: 100vh; box-sizing: border-box; padding: 1rem;
+  grid-template-columns: repeat(auto-fit, minmax(min(100%, 30rem), 1fr)) }
+figure { margin: 0; display: grid; grid-template-rows: 1fr auto; gap: .3rem }
+figcaption { color: #9aa0a6; font-size: .85rem }
+gsgen-model { aspect-ratio: auto; min-height: 20rem; height: 100% }
+"""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelView:
+    """How a page shows models.
+
+    Attributes:
+        background: Red, green, blue from 0 to 1; None for black.
+        fov: Vertical field of view, in degrees.
+        up: The world's upward axis, such as ``-y``; None for the model's.
+        time: Fixed time of generators; None plays it.
+        play: Whether the time is played.
+    """
+
+    background: tuple[float, float, float] | None = None
+    fov: float | None = None
+    up: str | None = None
+    time: float | None = None
+    play: bool = True
+
+    def attributes(self) -> str:
+        """Return the attributes of the element ``gsgen-model``."""
+        words = ["camera-controls", "loop"]
+        if self.background is not None:
+            words.append(f'background="{" ".join(f"{part:g}" for part in self.background)}"')
+        if self.fov is not None:
+            words.append(f'field-of-view="{self.fov:g}"')
+        if self.up is not None:
+            words.append(f'up="{html.escape(self.up)}"')
+        if self.time is not None:
+            words.append(f'time="{self.time:g}"')
+        elif self.play:
+            words.append("autoplay")
+        return " ".join(words)
+
+
+@cache
+def client_names() -> tuple[str, ...]:
+    """Return the names of the client's files."""
+    names = (file.name for file in _CLIENT.iterdir())
+    return tuple(sorted(name for name in names if name.endswith((".js", ".json"))))
+
+
+def client_file(name: str) -> bytes:
+    """Return the content of one of :func:`client_names`."""
+    return _CLIENT.joinpath(name).read_bytes()
+
+
+def model_bytes(path: Path) -> bytes:
+    """Return a model as a page reads it: splat files other than SPZ 1 to 3 become a binary PLY.
+
+    Raises:
+        SceneUnreadable: The file cannot be read, or holds no splats that a page draws.
+    """
+    try:
+        if path.suffix.lower() == MODEL_SUFFIX:
+            return path.read_bytes()
+        content = open_splats(path, drop_invalid=True)
+        raw = path.read_bytes()
+    except (OSError, FormatError) as error:
+        raise SceneUnreadable(str(error)) from error
+    if not isinstance(content, Splats):
+        hint = "A page shows splats and generators; draw others with gsgen view."
+        raise SceneUnreadable("holds no splats", where=str(path), hint=hint)
+    is_spz = path.suffix.lower() == ".spz" and raw[:2] == b"\x1f\x8b"
+    if is_spz:
+        return raw
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "splats.ply"
+        write_ply(target, content)
+        return target.read_bytes()
+
+
+def served_page(models: Mapping[str, Path], view: ModelView) -> str:
+    """Return the page of models, by their address on the server."""
+    figures = [_figure(address, path, view) for address, path in models.items()]
+    script = '<script type="module" src="/gsgen/gsgen.js"></script>'
+    return _page([path.name for path in models.values()], [script], figures, _RELOADING)
+
+
+_RELOADING: Final = """
+<script type="module">
+let known = null;
+for (;;) {
+  const response = await fetch("/versions").catch(() => null);
+  const versions = response?.ok ? await response.json() : null;
+  for (const model of document.querySelectorAll("gsgen-model")) {
+    const address = model.getAttribute("src").split("?")[0];
+    const version = versions?.[address];
+    if (known && version && version !== known[address]) model.setAttribute("src", `${address}?${version}`);
+  }
+  known = versions ?? known;
+  await new Promise((resolve) => setTimeout(resolve, 1000));
+}
+</script>
+"""
+
+
+def single_file_page(paths: Iterable[Path], view: ModelView, ort: Path | None) -> str:
+    """Return a page that opens from disk: with its models, the client, and ONNX Runtime Web.
+
+    Args:
+        paths: The models.
+        view: How they are shown.
+        ort: Folder of ONNX Runtime Web, for generators.
+
+    Raises:
+        SceneUnreadable: A model cannot be read.
+    """
+    models = list(paths)
+    head = [f'<script type="importmap">{json.dumps({"imports": _inlined_modules()})}</script>']
+    head.append(_inlined("gsgen-plans", client_file("plans.json")))
+    if ort is not None:
+        # The build for all browsers: which one opens the page is not known.
+        head.append(_inlined("gsgen-ort", (ort / "ort.webgpu.bundle.min.mjs").read_bytes()))
+        wasm = (ort / "ort-wasm-simd-threaded.asyncify.wasm").read_bytes()
+        head.append(_inlined("gsgen-ort-wasm", wasm))
+    head += [_inlined(f"model-{i}", model_bytes(path)) for i, path in enumerate(models)]
+    figures = [_figure(f"#model-{i}", path, view) for i, path in enumerate(models)]
+    start = '<script type="module">import "gsgen/gsgen.js";</script>'
+    return _page([path.name for path in models], head, figures, start)
+
+
+def _inlined_modules() -> dict[str, str]:
+    """Return each module as an address of its own text, by the name that others import."""
+    modules = {}
+    for name in client_names():
+        if name.endswith(".js"):
+            text = client_file(name).decode("utf-8")
+            # A module without an address cannot import its neighbours by relative names.
+            text = re.sub(r'(from |import\(|import )"\./', rf'\1"{_PREFIX}', text)
+            encoded = base64.b64encode(text.encode()).decode()
+            modules[_PREFIX + name] = f"data:text/javascript;base64,{encoded}"
+    return modules
+
+
+def _inlined(identifier: str, content: bytes) -> str:
+    text = base64.b64encode(content).decode()
+    return f'<script type="text/plain" id="{identifier}">{text}</script>'
+
+
+def _figure(address: str, path: Path, view: ModelView) -> str:
+    name = html.escape(path.name)
+    return (
+        f'<figure><gsgen-model src="{html.escape(address)}" name="{name}" alt="{name}" '
+        f"{view.attributes()}></gsgen-model><figcaption>{name}</figcaption></figure>"
+    )
+
+
+def _page(names: list[str], head: list[str], figures: list[str], end: str) -> str:
+    title = html.escape(", ".join(names))
+    return "\n".join(
+        [
+            '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{title}</title>\n<style>{_STYLE}</style>",
+            *head,
+            "<main>",
+            *figures,
+            "</main>",
+            end,
+            "</html>\n",
+        ]
+    )

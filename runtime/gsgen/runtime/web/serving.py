@@ -1,0 +1,115 @@
+"""A local web server of a page with models; it delivers that page's files and nothing else."""
+
+__all__ = ["ModelServer"]
+
+import json
+from collections.abc import Callable, Sequence
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Final, final
+from urllib.parse import quote, unquote, urlsplit
+
+from gsgen.contract.errors import GsgenError
+from gsgen.runtime.web.onnxruntime_web import ORT_FILES
+from gsgen.runtime.web.pages import ModelView, client_file, client_names, model_bytes, served_page
+
+_TYPES: Final = {
+    ".js": "text/javascript",
+    ".mjs": "text/javascript",
+    ".json": "application/json",
+    ".wasm": "application/wasm",
+}
+
+Content = tuple[str, bytes]
+"""A content type and the bytes of a file."""
+
+
+@final
+class ModelServer(ThreadingHTTPServer):
+    """Serves a page of models on this machine.
+
+    Args:
+        models: Files of the models.
+        view: How they are shown.
+        ort: Folder of ONNX Runtime Web; None without generators.
+        port: Port; 0 takes one that is free.
+
+    Attributes:
+        address: Address of the page.
+    """
+
+    daemon_threads = True
+
+    def __init__(
+        self, models: Sequence[Path], view: ModelView, *, ort: Path | None, port: int = 0
+    ) -> None:
+        super().__init__(("127.0.0.1", port), _Handler)
+        self.address = f"http://127.0.0.1:{self.server_port}/"
+        self._models = {f"/models/{number}/{path.name}": path for number, path in enumerate(models)}
+        addresses = {quote(address): path for address, path in self._models.items()}
+        page = served_page(addresses, view).encode()
+        self._files: dict[str, Callable[[], Content]] = {
+            "/": lambda: ("text/html; charset=utf-8", page),
+            "/versions": lambda: ("application/json", json.dumps(self._versions()).encode()),
+        }
+        for name in client_names():
+            self._files[f"/gsgen/{name}"] = partial(_client, name)
+        for name in ORT_FILES if ort is not None else ():
+            self._files[f"/gsgen/ort/{name}"] = partial(_file, ort / name if ort else Path())
+        for address, path in self._models.items():
+            self._files[address] = partial(_model, path)
+
+    def content(self, path: str) -> Content | None:
+        """Return the content of an address; None if there is none."""
+        make = self._files.get(path)
+        return None if make is None else make()
+
+    def _versions(self) -> dict[str, str]:
+        """Return a text for each model that changes when its file does."""
+        versions = {}
+        for address, path in self._models.items():
+            if path.exists():
+                status = path.stat()
+                versions[quote(address)] = f"{status.st_mtime_ns}-{status.st_size}"
+        return versions
+
+
+def _client(name: str) -> Content:
+    return _TYPES[Path(name).suffix], client_file(name)
+
+
+def _file(path: Path) -> Content:
+    return _TYPES[path.suffix], path.read_bytes()
+
+
+def _model(path: Path) -> Content:
+    return "application/octet-stream", model_bytes(path)
+
+
+@final
+class _Handler(BaseHTTPRequestHandler):
+    server: ModelServer
+
+    def do_GET(self) -> None:
+        """Answer with a file of the page."""
+        try:
+            content = self.server.content(unquote(urlsplit(self.path).path))
+        except GsgenError as error:
+            self._answer(500, "text/plain; charset=utf-8", str(error).encode())
+            return
+        if content is None:
+            self._answer(404, "text/plain", b"not found")
+        else:
+            self._answer(200, *content)
+
+    def _answer(self, status: int, kind: str, body: bytes) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Cache-Control", "no-cache")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *words: object) -> None:
+        """Print nothing: requests are of no interest to a user."""

@@ -1,0 +1,193 @@
+"""The element `<gsgen-model>` in pages: served by the commands' server, and opened from disk."""
+
+import json
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsgen.formats import write_ply, write_spz
+from gsgen.reference_plugins.synthetic.knot import torus_knot
+from gsgen.runtime.web.pages import ModelView, single_file_page
+from gsgen.runtime.web.serving import ModelServer
+from support.web.pages import WebSite
+
+_ELEMENT = "document.querySelector('gsgen-model')"
+
+
+@pytest.fixture(scope="module")
+def knot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("knot") / "knot.spz"
+    write_spz(path, torus_knot(600, degree=1))
+    return path
+
+
+@contextmanager
+def running(server: ModelServer) -> Iterator[str]:
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+    thread.start()
+    try:
+        yield server.address
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+@pytest.fixture
+def page(browser: Any) -> Iterator[Any]:
+    context = browser.new_context(viewport={"width": 1000, "height": 380})
+    page = context.new_page()
+    page.set_default_timeout(90_000)
+    yield page
+    context.close()
+
+
+def wait(page: Any, condition: str = f"{_ELEMENT}.report") -> None:
+    page.wait_for_function(condition)
+
+
+def errors_of(page: Any) -> list[dict[str, str]]:
+    return list(json.loads(page.evaluate(f"JSON.stringify({_ELEMENT}.report.errors)")))
+
+
+def pixels(page: Any) -> np.ndarray:
+    """Return the picture of the element's last frame, as [height, width, 4]."""
+    numbers, width, height = page.evaluate(
+        f"""async () => {{
+          const model = {_ELEMENT};
+          const image = await model._renderer.readImage("color");
+          return [[...image], model.camera.width, model.camera.height];
+        }}"""
+    )
+    return np.array(numbers, np.float32).reshape(height, width, 4)
+
+
+def test_a_served_page_shows_models_and_reloads_them(page: Any, knot: Path, tmp_path: Path) -> None:
+    path = tmp_path / "model.spz"
+    path.write_bytes(knot.read_bytes())
+    view = ModelView(background=(0.1, 0.2, 0.3), fov=40, up="-y")
+    with running(ModelServer([path, knot], view, ort=None)) as address:
+        page.goto(address)
+        wait(page, "[...document.querySelectorAll('gsgen-model')].every((m) => m.report)")
+        assert errors_of(page) == []
+        image = pixels(page)
+        assert (image[..., 3] > 0.5).mean() > 0.02  # a knot …
+        np.testing.assert_allclose(image[0, 0, :3], [0.1, 0.2, 0.3], atol=1e-6)  # … before it
+        # Both elements share one device, and each has a picture of its own.
+        same = "(() => { const [a, b] = document.querySelectorAll('gsgen-model');"
+        assert page.evaluate(f"{same} return a._renderer.device === b._renderer.device }})()")
+        write_spz(path, torus_knot(900, degree=0))
+        wait(page, f"{_ELEMENT}._model?.buffers.count === 900")
+
+
+def test_keys_and_pointers_move_the_camera(page: Any, knot: Path) -> None:
+    with running(ModelServer([knot], ModelView(), ort=None)) as address:
+        page.goto(address)
+        wait(page)
+        before = page.evaluate(f"{_ELEMENT}.camera.view")
+        first = pixels(page)
+        page.keyboard.press("Tab")
+        page.keyboard.press("ArrowLeft")
+        wait(page, f"{_ELEMENT}.camera.view.join() !== '{','.join(map(str, before))}'")
+        page.wait_for_timeout(300)
+        assert np.abs(pixels(page) - first).max() > 0.1
+        page.keyboard.press("Home")
+        page.wait_for_timeout(300)
+        np.testing.assert_allclose(page.evaluate(f"{_ELEMENT}.camera.view"), before, atol=1e-12)
+        page.mouse.move(200, 150)
+        page.mouse.down()
+        page.mouse.move(260, 150, steps=3)
+        page.mouse.up()
+        page.wait_for_timeout(300)
+        assert page.evaluate(f"{_ELEMENT}.camera.view") != before
+
+
+def test_the_element_is_described_for_screen_readers(page: Any, knot: Path) -> None:
+    with running(ModelServer([knot], ModelView(), ort=None)) as address:
+        page.goto(address)
+        wait(page)
+        canvas = f"{_ELEMENT}.shadowRoot.querySelector('canvas')"
+        assert page.evaluate(f"{canvas}.getAttribute('role')") == "img"
+        assert page.evaluate(f"{canvas}.getAttribute('aria-label')") == "knot.spz"
+        assert page.evaluate(f"{canvas}.tabIndex") == 0
+        status = f"{_ELEMENT}.shadowRoot.querySelector('[role=status]').textContent"
+        assert page.evaluate(status) == "Loaded: knot.spz"
+
+
+def test_a_page_of_one_file_opens_from_disk(page: Any, knot: Path, tmp_path: Path) -> None:
+    ply = tmp_path / "<knot> & co.ply"
+    write_ply(ply, torus_knot(400, degree=2))
+    file = tmp_path / "page.html"
+    file.write_text(single_file_page([knot, ply], ModelView(), None), "utf-8")
+    requests: list[str] = []
+    page.on("request", lambda request: requests.append(request.url[:40]))
+    page.goto(file.as_uri())
+    wait(page, "[...document.querySelectorAll('gsgen-model')].every((m) => m.report)")
+    assert errors_of(page) == []
+    assert (pixels(page)[..., 3] > 0.5).any()
+    assert [url for url in requests if not url.startswith(("data:", "file:"))] == []
+    assert page.evaluate("document.title") == "knot.spz, <knot> & co.ply"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"no model", "is neither PLY nor SPZ"), (None, "cannot be loaded: 404")],
+)
+def test_an_error_says_what_is_wrong_and_what_helps(
+    content: bytes | None, message: str, site: WebSite, page: Any
+) -> None:
+    site.contents["/error.html"] = b"""<!doctype html><meta charset=utf-8>
+      <script type=module src=/client/gsgen.js></script>
+      <gsgen-model src="/wrong.ply" alt="Nothing"></gsgen-model>"""
+    site.contents.pop("/wrong.ply", None)
+    if content is not None:
+        site.contents["/wrong.ply"] = content
+    page.goto(f"{site.address}/error.html")
+    wait(page)
+    [error] = errors_of(page)
+    assert message in error["message"]
+    assert error["hint"]
+    alert = f"{_ELEMENT}.shadowRoot.querySelector('[role=alert]')"
+    assert message in page.evaluate(f"{alert}.textContent")
+
+
+def test_a_lost_device_is_opened_again(page: Any, knot: Path) -> None:
+    with running(ModelServer([knot], ModelView(), ort=None)) as address:
+        page.goto(address)
+        wait(page)
+        page.evaluate(f"{_ELEMENT}._before = {_ELEMENT}._renderer.device; null")
+        page.evaluate(f"{_ELEMENT}._before.destroy()")
+        wait(page, f"{_ELEMENT}._renderer && {_ELEMENT}._renderer.device !== {_ELEMENT}._before")
+        wait(page, f"{_ELEMENT}.camera && {_ELEMENT}._renderer?.counts.visible > 0")
+        assert errors_of(page) == []
+
+
+def test_steady_frames_make_no_gpu_objects(page: Any, knot: Path) -> None:
+    """Of 30 frames of a moving camera, only encoders, passes and command buffers are made."""
+    with running(ModelServer([knot], ModelView(), ort=None)) as address:
+        page.goto(address)
+        wait(page)
+        page.wait_for_timeout(500)
+        made = page.evaluate(
+            f"""async () => {{
+              const model = {_ELEMENT};
+              const device = model._renderer.device;
+              const made = {{}};
+              for (const name of Object.getOwnPropertyNames(GPUDevice.prototype)) {{
+                if (!name.startsWith("create") || name === "createCommandEncoder") continue;
+                const own = device[name].bind(device);
+                device[name] = (...rest) => {{ made[name] = (made[name] ?? 0) + 1; return own(...rest); }};
+              }}
+              for (let frame = 0; frame < 30; frame++) {{
+                model._orbit.orbit(0.01, 0);
+                await model._draw(performance.now());
+              }}
+              return made;
+            }}"""
+        )
+        assert made == {}
