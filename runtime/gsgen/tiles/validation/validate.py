@@ -23,9 +23,9 @@ from gsgen.contract.validation.waivers import apply_waivers
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.stores.opening import INDEX, open_store
 from gsgen.tiles.stores.store import Store
+from gsgen.tiles.validation.headers import headers
 from gsgen.tiles.validation.inspected import InspectedTileset, inspect_content_file, inspect_tileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
-from gsgen.tiles.validation.rules.headers import headers
 
 _CONTENTS: Final = (".glb", ".gltf")
 _INDICES: Final = (".json", ".3tz")

@@ -11,9 +11,9 @@ from gsgen.tiles.errors import Fault
 from gsgen.tiles.gltf.encoding import SPZ_EXTENSION
 from gsgen.tiles.gltf.spz_quality import SPZ_VERSION
 from gsgen.tiles.index import GLTF_EXTENSION
+from gsgen.tiles.validation.headers import headers, primitives
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
-from gsgen.tiles.validation.rules.headers import headers, primitives
 from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of
 
 _BOTH: Final = (TILESET, TILE_CONTENT)

@@ -8,9 +8,9 @@ from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 from gsgen.formats.glb.splats import NAME
+from gsgen.tiles.validation.headers import headers, primitives
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
-from gsgen.tiles.validation.rules.headers import headers, primitives
 from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty
 
 MAX_SPLATS: Final = 262_144
