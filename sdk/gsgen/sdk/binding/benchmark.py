@@ -57,7 +57,7 @@ def time_frames(
         capture: Capture and replay frames if model and provider allow it.
         seconds: Time limit of the child process.
     """
-    options = {
+    options: dict[str, Any] = {
         "provider": provider,
         "frames": frames,
         "sizes": dict(sizes or {}),
