@@ -35,7 +35,7 @@ class MemoryFull(CapacityExceeded):
 
 
 class SceneInvalid(GsgenError):
-    """A camera, a transform or an array is invalid on every device."""
+    """An invalid camera, transform or array raises the same error on every device."""
 
 
 class SceneUnreadable(GsgenError):

@@ -129,7 +129,7 @@ MEANS = {"mins": [-1, -2, -3], "maxs": [1, 2, 3], "files": ["l.webp", "u.webp"]}
         ({"count": "x"}, HeaderMalformed, "meta.json, count: 'x'\n"),
         ({"count": True}, HeaderMalformed, "meta.json, count: 'True'\n"),
         ({"count": 10**30}, HeaderMalformed, "meta.json, count: "),
-        ({"count": 10**9}, SizeExceeded, "the 1000000000 splats take about 236 bytes each\n"),
+        ({"count": 10**9}, SizeExceeded, "the 1000000000 splats take about 236000000000 bytes\n"),
         (
             {"count": 10**7},
             FileTruncated,

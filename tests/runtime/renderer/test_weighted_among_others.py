@@ -112,7 +112,7 @@ def test_published_backgrounds_compose_with_nothing(device: Device) -> None:
     sums = summed(celled(5))
     for scene in (Scene([sums, cloud(3)]), Scene([sums], meshes=[wall(3)])):
         with pytest.raises(
-            SceneInvalid, match=r"published: is True, expected a scene of weighted sets only"
+            SceneInvalid, match=r"published: is True, but the scene has depth-sorted sets or meshes"
         ):
             published.render(scene, camera())
     published.render(Scene([cloud(3)]), camera())  # nothing is summed here

@@ -318,7 +318,7 @@ def test_the_command_prints_the_choice(tmp_path: Path) -> None:
         ({"kind": "knapsack"}, "expected cut or deadlines"),
         ({"budget_bytes": 2, "loaded": []}, "enough for the cheapest choice of tiles"),
         ({"budget_bytes": -1}, "budget_bytes"),
-        ({"loaded": [[1, 3]]}, "a node and one of its qualities"),
+        ({"loaded": [[1, 3]]}, "the index of a node, and the index of one of its qualities"),
         ({"loaded": [[1]]}, "[node, quality]"),
         ({"nodes": []}, "one node at least"),
         ({"nodes": [{"parent": 0, "bytes": [1], "utility": [1]}]}, "expected one tree"),

@@ -18,7 +18,7 @@ from gsgen.contract.spec.severity import Level
 
 
 class LevelUnavailable(GsgenError):
-    """Raised if a level cannot run on this machine; its rules are reported as skipped."""
+    """Raised if a validation level cannot run on this machine; its rules are reported as skipped."""
 
     @property
     def reason(self) -> str:

@@ -76,7 +76,7 @@ def warn_about_body(cfg: "CfgArgs", body: "Body") -> None:
 
 
 def read_shape(text: str | None, motion: "Motion | None", most: int) -> list[float] | None:
-    """Return the shape coefficients to bake in, by --shape or motion; None keeps them an input."""
+    """Return the body-shape coefficients to store as constants: of --shape, else of the motion file."""
     coefficients = parse_numbers(text, most, "--shape")
     if coefficients is not None or motion is None:
         return coefficients

@@ -81,9 +81,9 @@ def _solve_cut(problem: JsonObject) -> Choice:
         known = 0 <= node < len(options.cost) and 0 <= quality < options.cost.shape[1]
         if not known or not np.isfinite(options.cost[node, quality]):
             raise TilesetInvalid(
-                f"the loaded entry is [{node}, {quality}]",
+                f"the loaded tile is [{node}, {quality}]",
                 location=f"{problem.at('loaded')}[{index}]",
-                expected="a node and one of its qualities",
+                expected="the index of a node, and the index of one of its qualities",
             )
         options.cost[node, quality] = 0.0
     budget = problem.number("budget_bytes", least=0)
@@ -157,7 +157,7 @@ def _read_loaded(problem: JsonObject) -> Iterator[tuple[int, int]]:
         numbers = isinstance(pair, list) and len(pair) == 2
         if not (numbers and all(type(entry) is int for entry in pair)):
             raise TilesetInvalid(
-                f"the loaded entry is {pair!r:.40}",
+                f"the loaded tile is {pair!r:.40}",
                 location=f"{problem.at('loaded')}[{index}]",
                 expected="[node, quality], two whole numbers",
             )

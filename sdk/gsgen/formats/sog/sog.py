@@ -140,7 +140,7 @@ def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
     count = meta.count
     if count * _BYTES_EACH > max_bytes:
         raise SizeExceeded(
-            f"the {count} splats take about {_BYTES_EACH} bytes each",
+            f"the {count} splats take about {count * _BYTES_EACH} bytes",
             expected=f"{max_bytes} bytes or fewer",
             hint="if you trust the file, read it with a larger max_bytes",
         )

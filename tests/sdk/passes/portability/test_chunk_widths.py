@@ -212,5 +212,7 @@ def test_bfloat16_is_chunked_though_the_cpu_runs_it_not() -> None:
 
 @pytest.mark.parametrize("make", [ChunkConcat, ChunkSplit])
 def test_a_limit_below_two_makes_no_tree(make: type) -> None:
-    with pytest.raises(ValueError, match="the limit of tensors is 1, expected 2 or more"):
+    with pytest.raises(
+        ValueError, match="one operator may join at most 1 tensors, expected a limit of 2"
+    ):
         make(1)

@@ -1,4 +1,4 @@
-"""Rules of companion models (GO): images and camera states have the declared sizes."""
+"""Rules GO of models shipped beside a generator: images and camera tensors have declared sizes."""
 
 from collections.abc import Iterator
 

@@ -201,7 +201,9 @@ class WithinLimit(Rewrite):
     def __init__(self, limit: int = SAFE_WIDTH) -> None:
         super().__init__()
         if limit < 2:
-            raise ValueError(f"the limit of tensors is {limit}, expected 2 or more")
+            raise ValueError(
+                f"one operator may join at most {limit} tensors, expected a limit of 2 or more"
+            )
         self.limit = limit
 
     @classmethod

@@ -236,7 +236,7 @@ class _Attempt:
         return gather_nested_rows(node, rows, selector) if isinstance(selector, Index) else None
 
     def _replace_counts(self, node: ir.Node, facts: Sequence[Fact | None]) -> bool:
-        """Replace counts of selected rows that a node reads as numbers; return whether possible.
+        """Replace inputs that hold the number of selected rows by N; return whether all were replaced.
 
         Any node may read numbers from a shape if they do not depend on the count.
         """

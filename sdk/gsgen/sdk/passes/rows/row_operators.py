@@ -37,7 +37,7 @@ Facts = Sequence[Fact | None]
 
 
 def propagate_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Return the rows that a node computes from all N rows; None if the node may mix rows."""
+    """Return the node's output computed on all N rows; None if the node may mix the rows."""
     if any(isinstance(fact, Rows) and fact.flat for fact in facts):
         return None
     if node.op_type in _ELEMENTWISE:
