@@ -250,7 +250,7 @@ def test_vertices_may_move(renderer: Renderer) -> None:
     fresh = MeshData(other.vertices, shape.faces, shape.colors)
     wanted = renderer.render(Scene([scene.sets[0]], meshes=[fresh]), camera())
     assert np.array_equal(after.rgba, wanted.rgba)
-    with pytest.raises(SceneInvalid, match=r"vertices: float32 \[3, 3\], expected .* \[4, 3\]"):
+    with pytest.raises(SceneInvalid, match=r"vertices: is float32 \[3, 3\], expected .* \[4, 3\]"):
         shape.update(other.vertices[:3])
 
 
@@ -412,11 +412,11 @@ def _with_nan() -> np.ndarray:
     [
         (lambda: MeshData(_with_nan(), FACE), r"vertices: 1 of 3 rows .* row 1 is .*nan"),
         (lambda: MeshData(np.full((3, 3), np.inf), FACE), "vertices: 3 of 3 rows are not finite"),
-        (lambda: MeshData(POINTS[:, :2], FACE), r"vertices: float32 \[3, 2\], expected"),
+        (lambda: MeshData(POINTS[:, :2], FACE), r"vertices: is float32 \[3, 2\], expected"),
         (lambda: MeshData(POINTS, FACE + 1), r"row 0 is \[1, 2, 3\], expected indices of 3 vert"),
         (lambda: MeshData(POINTS, FACE - 1), r"row 0 is \[-1, 0, 1\]"),
-        (lambda: MeshData(POINTS, FACE / 1), r"faces: float64 \[1, 3\], expected integers"),
-        (lambda: MeshData(POINTS, FACE, POINTS[:2]), r"colors: float32 \[2, 3\]"),
+        (lambda: MeshData(POINTS, FACE / 1), r"faces: is float64 \[1, 3\], expected integers"),
+        (lambda: MeshData(POINTS, FACE, POINTS[:2]), r"colors: is float32 \[2, 3\]"),
         (lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2]), "texture: is None, expected both"),
         (
             lambda: MeshData(POINTS, FACE, texture=np.zeros((1, 1, 3), np.uint8)),
@@ -424,7 +424,7 @@ def _with_nan() -> np.ndarray:
         ),
         (
             lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2], texture=np.zeros((1, 1, 3))),
-            r"texture: float64 \[1, 1, 3\], expected uint8",
+            r"texture: is float64 \[1, 1, 3\], expected uint8",
         ),
         (lambda: MeshData(POINTS, FACE, color_space="rgb"), "color_space: is 'rgb'"),
         (lambda: Mesh(wall(1), np.diag([1.0, 0, 1, 1])), "is singular"),

@@ -91,8 +91,8 @@ def test_alpha_may_come_along_whatever_the_size(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("declared", "message"),
     [
-        ([], "0 images"),
-        ([inputs.image(), inputs.image(name="other")], "2 images"),
+        ([], "declares 0 image inputs, expected one"),
+        ([inputs.image(), inputs.image(name="other")], "declares 2 image inputs, expected one"),
         ([inputs.image(), inputs.timestep(0, name="image")], "is the name of two inputs"),
         ([inputs.image(name="result")], "or of the result"),
         ([inputs.image(), inputs.view()], "the role view"),

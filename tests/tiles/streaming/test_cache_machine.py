@@ -60,6 +60,15 @@ def pool_machine(tree: TileTree, events: list[str]) -> type[RuleBasedStateMachin
         @rule(needed=st.sets(rows, max_size=12), expected=st.sets(rows, max_size=20))
         def frame(self, needed: set[int], expected: set[int]) -> None:
             """A camera needs resident tiles, or tiles that are to come."""
+            self.show(needed, expected)
+
+        @precondition(lambda self: self.there)
+        @rule()
+        def frame_of_all(self) -> None:
+            """A camera needs every resident tile, so that none may leave."""
+            self.show(self.there, set())
+
+        def show(self, needed: set[int], expected: set[int]) -> None:
             events.append("frame")
             self.time += 1
             marks = [np.isin(np.arange(len(tree)), sorted(group)) for group in (needed, expected)]

@@ -65,7 +65,11 @@ def _fetch(folder: Path) -> None:
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".ort.") as work:
         result = subprocess.run(
-            [npm, "pack", "--silent", package], cwd=work, capture_output=True, text=True
+            [npm, "pack", "--silent", package],
+            cwd=work,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
         )
         archives = list(Path(work).glob("*.tgz"))
         if result.returncode or not archives:
