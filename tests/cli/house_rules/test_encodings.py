@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,11 +64,13 @@ SLOW_CALLS = [
     ["doctor"],
     ["render", CLOUD, "--width", "32", "--height", "24", "-o", "{}/bild→.png"],
     ["bake", MODEL, "-o", "{}/gebacken→.ply"],
+    ["card", MODEL, "-o", "{}/karte→"],
+    ["samples", "{}/beispiele→"],
     ["bench-render", CLOUD, "--width", "32", "--height", "24", "--frames", "2"],
     ["references", MODEL, "--width", "16", "--count", "1", "-o", "{}/kopie→.onnx"],
     ["tiles", "score", "{}/kacheln→", CLOUD, "--width", "32", "--height", "32"],
 ]
-WRITES_ANY_FOLDER = ["viewer-kit", "write"]
+WRITES_ANY_FOLDER = (["viewer-kit", "write"], ["samples"])  # an unknown name is no mistake
 WINDOW = "view"  # opens a window: only its help and its errors are printed here
 
 NARROW, WIDE = {"COLUMNS": "40"}, {"COLUMNS": "200"}
@@ -103,7 +106,7 @@ def command_paths() -> Iterator[list[str]]:
 def every_call(slow: bool) -> list[list[str]]:
     paths = list(command_paths())
     helps = [[*path, "--help"] for path in paths]
-    wrong = [[*path, ABSENT] for path in paths if path != WRITES_ANY_FOLDER]
+    wrong = [[*path, ABSENT] for path in paths if path not in WRITES_ANY_FOLDER]
     wrong += [[*path, "--opt→ion"] for path in paths]
     return [*helps, *wrong, *CALLS, *(SLOW_CALLS if slow else ())]
 
@@ -162,25 +165,21 @@ def printed(
 def collect(
     command: list[str], folder: Path, environment: dict[str, str], sink: str, target: Path
 ) -> bytes:
-    def start(output: int) -> "subprocess.Popen[bytes]":
-        return subprocess.Popen(
-            command,
-            cwd=folder,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-        )
-
+    options: dict[str, Any] = {
+        "cwd": folder,
+        "env": environment,
+        "stdin": subprocess.DEVNULL,
+        "stderr": subprocess.STDOUT,
+    }
     if sink == "pipe":
-        return start(subprocess.PIPE).communicate(timeout=240)[0]
+        return subprocess.run(command, **options, stdout=subprocess.PIPE, timeout=240).stdout
     if sink == "file":
         with target.open("wb") as file:
-            assert start(file.fileno()).wait(240) == 0
+            subprocess.run(command, **options, stdout=file, timeout=240, check=True)
         return target.read_bytes()
     pty = pytest.importorskip("pty")  # Windows has none
     own_end, child_end = pty.openpty()
-    process = start(child_end)
+    process = subprocess.Popen(command, **options, stdout=child_end)
     os.close(child_end)
     chunks = []
     while True:

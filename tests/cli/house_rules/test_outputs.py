@@ -48,8 +48,8 @@ def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 class FullDisk(tempfile.TemporaryDirectory[str]):
     """A folder for a draft whose file is /dev/full: no byte fits."""
 
-    def __init__(self, dir: Path, prefix: str) -> None:
-        super().__init__(dir=dir, prefix=prefix)
+    def __init__(self, dir: Path, prefix: str, *, ignore_cleanup_errors: bool) -> None:
+        super().__init__(dir=dir, prefix=prefix, ignore_cleanup_errors=ignore_cleanup_errors)
         (Path(self.name) / prefix[1:-1]).symlink_to("/dev/full")
 
 
