@@ -80,6 +80,9 @@ def _open_display() -> "Progress":
         TimeElapsedColumn(),
         console=Console(stderr=True),
         transient=True,
+        # rich's stand-in for stderr would write UTF-8 past the transliteration.
+        redirect_stdout=False,
+        redirect_stderr=False,
     )
 
 
