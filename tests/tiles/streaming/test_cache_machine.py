@@ -43,6 +43,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> TileTree:
 def pool_machine(tree: TileTree, events: list[str]) -> type[RuleBasedStateMachine]:
     """Return a machine of the pool of ``tree`` that notes the name of each event."""
     rows = st.integers(0, len(tree) - 1)
+    needs = st.sets(rows, max_size=12) | st.just(set(range(len(tree))))  # all: none may leave
 
     class PoolMachine(RuleBasedStateMachine):
         """Admits, needs and removes tiles; a naive model says which tiles may leave."""
@@ -57,18 +58,9 @@ def pool_machine(tree: TileTree, events: list[str]) -> type[RuleBasedStateMachin
             self.expected: set[int] = set()
             self.time = 0.0
 
-        @rule(needed=st.sets(rows, max_size=12), expected=st.sets(rows, max_size=20))
+        @rule(needed=needs, expected=st.sets(rows, max_size=20))
         def frame(self, needed: set[int], expected: set[int]) -> None:
             """A camera needs resident tiles, or tiles that are to come."""
-            self.show(needed, expected)
-
-        @precondition(lambda self: self.there)
-        @rule()
-        def frame_of_all(self) -> None:
-            """A camera needs every resident tile, so that none may leave."""
-            self.show(self.there, set())
-
-        def show(self, needed: set[int], expected: set[int]) -> None:
             events.append("frame")
             self.time += 1
             marks = [np.isin(np.arange(len(tree)), sorted(group)) for group in (needed, expected)]
