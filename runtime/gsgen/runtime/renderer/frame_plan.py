@@ -141,7 +141,10 @@ class Plan:
             self.buffers |= self._weighted.buffers
             self.images |= self._weighted.images
             self.stages |= self._weighted.stages
-        if not alone:
+            self.clears += self._weighted.clears
+        if alone and self._weighted is not None:
+            self.inputs |= self._weighted.inputs
+        else:
             self.stages |= self._record(placed, outputs, quads=quads)
         self._held = {"counts": self._counts}
         if self._weighted is not None:
@@ -352,8 +355,6 @@ class Plan:
             clock.begin()
         for buffer, offset, size in self.clears:
             encoder.clear_buffer(buffer, offset, size)
-        if self._weighted is not None:
-            self._weighted.clear(encoder)
         if self._meshes is not None:
             stamps = clock.around("meshes") if clock else None
             self._meshes.encode(encoder, background, stamps)

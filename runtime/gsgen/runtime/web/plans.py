@@ -41,8 +41,10 @@ _SIZES: Final = (64, 256, 1024, 4096)
 """Sides of the largest square images whose tiles are sorted in one, two, three and four passes."""
 
 SHAPES: Final = tuple(
-    Shape(outputs=outputs, panorama=panorama, deep=deep, size=(side, side))
-    for outputs, panorama, deep, side in product(_OUTPUTS, (False, True), (False, True), _SIZES)
+    Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
+    for outputs, weighted, panorama, deep, side in product(
+        _OUTPUTS, (False, True), (False, True), (False, True), _SIZES
+    )
 )
 """The shapes of all plans; of equal plans the one for smaller images comes first."""
 
