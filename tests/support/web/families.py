@@ -28,7 +28,7 @@ class Family:
         options: Further arguments of the plugin's ``build``.
         has_motion: Whether the model plays a motion.
         tolerance: What Gaussians may differ by, relative to the largest number of their column.
-            Poses are turned by sines and cosines, which SwiftShader computes to 2e-4.
+            Poses and positional encodings take sines, which SwiftShader computes to 2e-4.
     """
 
     write: Callable[[Path], Path]
@@ -40,7 +40,7 @@ class Family:
 _TRIGONOMETRY = 2e-3
 
 FAMILIES: Mapping[str, Family] = {
-    "deformable-3dgs": Family(write=synthetic.write_deformable),
+    "deformable-3dgs": Family(write=synthetic.write_deformable, tolerance=_TRIGONOMETRY),
     "duplex-gs": Family(write=synthetic.write_duplex, options={"blend": "wsr"}),
     "gauhuman": Family(write=synthetic.write_gauhuman, has_motion=True, tolerance=_TRIGONOMETRY),
     "gaussian-avatars": Family(write=synthetic.write_gaussian_avatar),
@@ -49,7 +49,7 @@ FAMILIES: Mapping[str, Family] = {
     "octree-gs": Family(write=synthetic.write_octree),
     "r3-avatar": Family(write=synthetic.write_r3, has_motion=True, tolerance=_TRIGONOMETRY),
     "rotor-4dgs": Family(write=synthetic.write_rotor, options={"time_duration": (0.0, 1.0)}),
-    "sc-gs": Family(write=synthetic.write_sc_gs),
+    "sc-gs": Family(write=synthetic.write_sc_gs, tolerance=_TRIGONOMETRY),
     "scaffold-gs": Family(write=synthetic.write_scaffold),
     "spacetime-gaussians": Family(write=synthetic.write_spacetime),
 }

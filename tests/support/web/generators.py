@@ -16,14 +16,18 @@ from support.web.scenes import camera_of
 def drawn_frames(site: WebSite, path: Path, frames: Sequence[KitFrame]) -> Any:
     """Draw frames of a model one after the other in one session of a page."""
     site.contents[f"/{path.name}"] = path.read_bytes()
-    described = [
+    return site.call("generatorFrames", f"/{path.name}", described_frames(frames))
+
+
+def described_frames(frames: Sequence[KitFrame]) -> list[dict[str, Any]]:
+    """Return the camera and the values of each frame, as JavaScript takes them."""
+    return [
         {
             "camera": camera_of(runtime_camera(frame.camera)),
             "values": {name: value.ravel().tolist() for name, value in frame.values.items()},
         }
         for frame in frames
     ]
-    return site.call("generatorFrames", f"/{path.name}", described)
 
 
 def assert_same_pictures(

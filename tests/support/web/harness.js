@@ -6,7 +6,6 @@ import { KernelCache } from "/client/host.js";
 import { IDENTITY } from "/client/matrices.js";
 import { openModel } from "/client/model.js";
 import { choosePlan, evaluate, loadPlans } from "/client/plan.js";
-import { readBuffer } from "/client/read.js";
 import { Renderer } from "/client/renderer.js";
 import { readSplats } from "/client/splat_files.js";
 import { SplatBuffers } from "/client/splat_buffers.js";
@@ -110,18 +109,12 @@ export async function splatFile(path) {
   }
 }
 
-/** Return the rows that a generator computed last; none of float16. */
-async function rowsOf(device, { _outputs, manifest }) {
-  const { type, dims, gpuBuffer } = _outputs[manifest.outputs.gaussians.name];
-  return readBuffer(device, gpuBuffer, Float32Array, type === "float32" ? dims[0] * dims[1] : 0);
-}
-
 /** Draw frames of a generator one after the other in one session, as an element does. */
 export async function generatorFrames(path, frames) {
   const { device, errors, kernels } = await opening();
   let model = null;
   const renderer = new Renderer(kernels);
-  const result = { images: [], rows: [], isCaptured: false, errors: [], rebound: 0 };
+  const result = { images: [], isCaptured: false, errors: [], rebound: 0 };
   try {
     model = await openModel(kernels, await (await fetch(path)).arrayBuffer(), path);
     result.isCaptured = model.isCaptured;
@@ -134,7 +127,6 @@ export async function generatorFrames(path, frames) {
       }
       await renderer.drawWhole(camera);
       result.images.push(textOf(await renderer.readImage("color")));
-      result.rows.push(textOf(await rowsOf(device, model)));
     }
     result.extent = model.extent;
     result.isLinear = model.buffers.isLinear;
