@@ -12,7 +12,7 @@ from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig
 
-GPU = SortConfig(256, 16, 4, 4)
+GPU = SortConfig(256, 8, 8, 4)
 """How work is cut where there are many invocations."""
 
 

@@ -37,8 +37,8 @@ _OUTPUTS: Final[tuple[tuple[Output, ...], ...]] = (
     ("normal",),
     ("color", "depth"),
 )
-_SIZES: Final = (64, 256, 1024, 4096)
-"""Sides of the largest square images whose tiles are sorted in one, two, three and four passes."""
+_SIZES: Final = (256, 4096)
+"""Sides of the largest square images whose tiles are sorted in one pass and in two."""
 
 SHAPES: Final = tuple(
     Shape(outputs=outputs, panorama=panorama, deep=deep, size=(side, side))
