@@ -13,7 +13,7 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.sizes import at_least
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Dispatch, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import ABSENT, LARGE_TILE, TILE
 from gsgen.runtime.kernels.sort.scan import MANY, Scan
 
 KEY_BITS: Final = 32
@@ -28,21 +28,23 @@ class Columns(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SortConfig:
-    """How a radix sort and the listing of tiles are divided among GPU invocations.
+    """How the sort, the listing of tiles and the blending are divided among GPU invocations.
 
     Attributes:
         threads: Invocations of a workgroup of the sort.
         run: Keys per invocation of the sort.
         digit_bits: Most bits that one pass sorts by.
         walk: Sorted splats per invocation of the binning.
+        tile: Edge of the tiles that splats are listed by, in pixels.
     """
 
     threads: int
     run: int
     digit_bits: int
     walk: int
+    tile: int
 
     @property
     def block(self) -> int:
@@ -56,8 +58,10 @@ class SortConfig:
 
 
 def cut_for(device: Device) -> SortConfig:
-    """Return the sort settings of a device: many keys per invocation on a CPU, few on a GPU."""
-    return SortConfig(8, 512, 8, 64) if device.software else SortConfig(256, 8, 8, 4)
+    """Return the settings of a device: long runs per invocation on a CPU, large tiles on a GPU."""
+    if device.software:
+        return SortConfig(threads=8, run=512, digit_bits=8, walk=64, tile=TILE)
+    return SortConfig(threads=256, run=8, digit_bits=8, walk=4, tile=LARGE_TILE)
 
 
 @final
