@@ -107,12 +107,8 @@ class Plan:
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
         self._splats = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
-        self.inputs = {
-            "frame": self._frame,
-            "bare frame": self._bare_frame,
-            "pages": self._slots,
-            "counts": self._counts,
-        }
+        self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
+        self.inputs |= {"pages": self._slots, "counts": self._counts}
         self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
         # Weighted sets become a layer, which the hardware's blending does not support.

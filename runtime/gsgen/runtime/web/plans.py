@@ -37,14 +37,16 @@ _OUTPUTS: Final[tuple[tuple[Output, ...], ...]] = (
     ("normal",),
     ("color", "depth"),
 )
-_SIZES: Final = (512, 8192)
-"""Sides of the largest square images whose tiles are sorted in one pass and in two."""
+_SIZES: Final = {False: (512, 8192), True: (256, 4096)}
+"""Sides of the largest square images whose tiles are sorted in one pass and in two.
+
+Weighted sums have smaller tiles.
+"""
 
 SHAPES: Final = tuple(
     Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
-    for outputs, weighted, panorama, deep, side in product(
-        _OUTPUTS, (False, True), (False, True), (False, True), _SIZES
-    )
+    for outputs, weighted, panorama, deep in product(_OUTPUTS, *[(False, True)] * 3)
+    for side in _SIZES[weighted]
 )
 """The shapes of all plans; of equal plans the one for smaller images comes first."""
 
