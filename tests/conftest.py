@@ -8,10 +8,13 @@ in, but for those of the command line's own tests.
 import os
 import sys
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
+from unittest.mock import patch
 
 import pytest
 
+from gsgen.contract.probing import sandbox
+from support.forked_sandbox import run_forked
 from support.reports.corpus_line import corpus_line
 
 _ON = {name: value for name, value in os.environ.items() if name.startswith("COVERAGE_PROCESS")}
@@ -50,6 +53,16 @@ def _measured(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     if request.node.path.name in ("test_validate.py", "test_other_commands.py", "test_diff.py"):
         for name, value in _ON.items():
             monkeypatch.setenv(name, value)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _sandbox_children(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fork the sandbox's processes, but in the tests of the sandbox itself."""
+    if sys.platform != "linux" or request.path.name == "test_sandbox.py":
+        yield
+        return
+    with patch.object(sandbox, "_run_child", run_forked):
+        yield
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
