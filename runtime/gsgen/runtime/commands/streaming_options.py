@@ -60,8 +60,8 @@ def with_streaming_options(command: Callable[..., None]) -> Callable[..., None]:
     own = inspect.signature(command).parameters
 
     def streaming_command(*arguments: Any, **values: Any) -> None:
-        given = {name: values.pop(name) for name in _OPTIONS if name in values}
-        command(*arguments, **values, streaming=_settings(**given))
+        streaming_values = {name: values.pop(name) for name in _OPTIONS if name in values}
+        command(*arguments, **values, streaming=_settings(**streaming_values))
 
     further = [
         parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in _OPTIONS.values()
