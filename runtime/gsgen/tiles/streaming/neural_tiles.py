@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, field
-from typing import Final, final
+from typing import Any, final
 
 import numpy as np
 
@@ -33,12 +33,11 @@ from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.clock import Clock
 from gsgen.tiles.streaming.events import EventLog, NeuralEvents
+from gsgen.tiles.streaming.fetch import RETRY_AFTER
 from gsgen.tiles.streaming.generator_opening import GeneratorOpener, ModelReader
 from gsgen.tiles.streaming.generator_rows import tile_rows
 from gsgen.tiles.streaming.session_frame import TileArrival
 from gsgen.tiles.volumes import Box
-
-_RETRY_AFTER: Final = 30.0  # seconds after which a model that could not be had is asked for again
 
 
 @final
@@ -213,8 +212,7 @@ class NeuralTiles:
 
     def wait(self, seconds: float) -> None:
         """Sleep until a generator is open or a run ends, for a limited time."""
-        pending: list[Future[FrameDelta] | Future[tuple[GeneratorWorker, int]]] = []
-        pending += self._loading.values()
+        pending: list[Future[Any]] = [*self._loading.values()]
         pending += [entry.pending for entry in self._open.values() if entry.pending]
         if pending:
             wait_for(pending, timeout=seconds, return_when=FIRST_COMPLETED)
@@ -297,7 +295,7 @@ class NeuralTiles:
         """Fall back to the splats of a tile, and report why in one line that names the tile."""
         self._release(tile)
         may_pass = isinstance(error, StoreUnavailable)
-        self._retry_at[tile] = time + _RETRY_AFTER if may_pass else np.inf
+        self._retry_at[tile] = time + RETRY_AFTER if may_pass else np.inf
         message = str(error).replace("\n", " ")
         uri = self._neural[tile].uri
         message = message if uri in message else f"{uri}: {message}"
@@ -319,7 +317,8 @@ class NeuralTiles:
         centers, axes = self._tree.center, self._tree.half_axes
         size = {
             tile: float(
-                np.linalg.norm(axes[tile]) / max(np.linalg.norm(centers[tile] - camera.eye), 1e-9)
+                np.linalg.norm(axes[tile])
+                / max(float(np.linalg.norm(centers[tile] - camera.eye)), 1e-9)
             )
             for tile in tiles
             if self._retry_at.get(tile, -np.inf) <= time

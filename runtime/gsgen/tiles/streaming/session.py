@@ -27,7 +27,7 @@ from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
 from gsgen.tiles.streaming.drawing import FADE_SECONDS, Fades, drawable_tiles
 from gsgen.tiles.streaming.events import EventLog
-from gsgen.tiles.streaming.fetch import FetchLink, FetchResult
+from gsgen.tiles.streaming.fetch import RETRY_AFTER, FetchLink, FetchResult
 from gsgen.tiles.streaming.generator_opening import ModelReader
 from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
 from gsgen.tiles.streaming.neural_tiles import NeuralTiles, NeuralTilesOptions
@@ -39,7 +39,6 @@ UPLOAD_BUDGET: Final = 4 << 20
 RUNS_PER_SECOND: Final = 25.0
 _COARSER: Final = 2**0.25  # step of the error while a cut does not fit the pool
 _MOST_STEPS: Final = 80
-_RETRY_AFTER: Final = 30.0  # seconds after which a tile that could not be had is asked for again
 _MOST_PENDING: Final = 64  # decoded tiles that wait for their upload
 
 
@@ -308,7 +307,7 @@ class TilesetSession:
                 continue
             self._planner.fail(result.tile)
             passing = isinstance(result.error, StoreUnavailable)
-            self._retry_at[result.tile] = time + _RETRY_AFTER if passing else np.inf
+            self._retry_at[result.tile] = time + RETRY_AFTER if passing else np.inf
             self._report(str(result.error).replace("\n", " "))
         return results
 
