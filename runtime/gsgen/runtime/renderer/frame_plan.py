@@ -27,7 +27,7 @@ from gsgen.runtime.kernels.raster.mesh_place import (
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
-from gsgen.runtime.kernels.shared.shader import ABSENT, TILE
+from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import Columns
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
@@ -92,7 +92,8 @@ class Plan:
         self._layers: Layers | None = None
         self._device, self._kernels = device, kernels
         self._size, self._panorama, self._deep = size, panorama, deep
-        self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
+        tile = kernels.cut.tile
+        self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
         self.pair_capacity = pair_capacity
         self._gaussians = sum(page.capacity for _, page in placed)
         self._origins = _origins(placed)

@@ -40,16 +40,24 @@ class Kernels:
             always_in_blocks=one_shape,
         )
         self.sort = RadixSort(device, self.cut, self.scan)
-        self.bin = cache(lambda panorama: BinTiles(device, self.cut.walk, panorama=panorama))
+        self.bin = cache(
+            lambda panorama: BinTiles(device, self.cut.walk, panorama=panorama, tile=self.cut.tile)
+        )
         self.ranges = TileRanges(device)
         self.blend = cache(
             lambda pick, panorama, layers: BlendTiles(
-                device, pick=pick, panorama=panorama, layers=layers
+                device, pick=pick, panorama=panorama, layers=layers, tile=self.cut.tile
             )
         )
         self.project = cache(
             lambda half, words, panorama, packed, slot_rows: ProjectKernel(
-                device, words, half=half, panorama=panorama, packed=packed, slot_rows=slot_rows
+                device,
+                words,
+                half=half,
+                panorama=panorama,
+                packed=packed,
+                slot_rows=slot_rows,
+                tile=self.cut.tile,
             )
         )
         self.cull_slots = cache(
