@@ -197,6 +197,9 @@ class Renderer:
         fetch: bool,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
+        # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
+        pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
+        self._pairs = max(self._pairs, min(pooled_rows, self._most_pairs))
         plan = self.plan(placed, camera, requested, meshes)
         plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
         counts, images = plan.collect(fetch=fetch)
@@ -280,9 +283,14 @@ class Renderer:
         """Return whether quads draw the colours; not in "auto" if another output needs tiles."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
+    @property
+    def _most_pairs(self) -> int:
+        """The most pairs of a splat and a tile that the device can hold."""
+        return int(min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK))
+
     def _grow(self, pairs: int) -> None:
         """Raise the capacity for splat-tile pairs, or raise if the device cannot hold them."""
-        most = min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK)
+        most = self._most_pairs
         if pairs > most:
             raise CapacityExceeded(
                 f"the image needs {pairs:,} pairs of a splat and a tile; "
