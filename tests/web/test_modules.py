@@ -44,8 +44,17 @@ OPERATORS = {"add", "sub", "mul", "floor_div", "ceil_div", "mod", "neg", "abs", 
 def test_formulas_have_the_values_of_python(site: WebSite) -> None:
     """Every formula of the plans at random sizes, and every operator at random operands."""
     rng = random.Random(0)
-    names = ("width", "height", "pairs", "gaussians", "pages", "capacity", "slot")
-    names += ("cells", "set_cells")
+    names = (
+        "width",
+        "height",
+        "pairs",
+        "gaussians",
+        "pages",
+        "capacity",
+        "slot",
+        "cells",
+        "set_cells",
+    )
     document = json.loads(written_plans())
     formulas = [
         formula

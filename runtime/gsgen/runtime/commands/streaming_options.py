@@ -32,6 +32,10 @@ def _settings(
     log: Annotated[
         Path | None, typer.Option(help="Write what streaming does to this file, as JSON lines.")
     ] = None,
+    generators: Annotated[
+        int,
+        typer.Option(help="Most models of neural tiles that run at once; 0 draws splats.", min=0),
+    ] = 4,
     allow_origin: Annotated[
         list[str] | None,
         typer.Option(help="Another origin that a server may redirect to; repeatable."),
@@ -43,6 +47,7 @@ def _settings(
         cache_bytes=parse_bytes(cache, "--cache"),
         predictor=predictor,
         log=log,
+        neural_sessions=generators,
         allow_origins=tuple(allow_origin or ()),
     )
 

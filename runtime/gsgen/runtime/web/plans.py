@@ -43,9 +43,11 @@ _SIZES: Final = {False: (512, 8192), True: (256, 4096)}
 Weighted sums have smaller tiles.
 """
 
+_BOTH: Final = (False, True)
+
 SHAPES: Final = tuple(
     Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
-    for outputs, weighted, panorama, deep in product(_OUTPUTS, *[(False, True)] * 3)
+    for outputs, weighted, panorama, deep in product(_OUTPUTS, _BOTH, _BOTH, _BOTH)
     for side in _SIZES[weighted]
 )
 """The shapes of all plans; of equal plans the one for smaller images comes first."""
