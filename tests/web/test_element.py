@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gsgen.conformance.fixtures import fixtures
 from gsgen.formats import write_ply, write_spz
 from gsgen.reference_plugins.synthetic.knot import torus_knot
 from gsgen.runtime.web.pages import ModelView, single_file_page
@@ -40,7 +41,7 @@ def running(server: ModelServer) -> Iterator[str]:
 
 @pytest.fixture
 def page(browser: Any) -> Iterator[Any]:
-    context = browser.new_context(viewport={"width": 1000, "height": 380})
+    context = browser.new_context(viewport={"width": 700, "height": 340})
     page = context.new_page()
     page.set_default_timeout(90_000)
     yield page
@@ -167,13 +168,24 @@ def test_a_lost_device_is_opened_again(page: Any, knot: Path) -> None:
         assert errors_of(page) == []
 
 
-def test_steady_frames_make_no_gpu_objects(page: Any, knot: Path) -> None:
-    """Of 30 frames of a moving camera, only encoders, passes and command buffers are made."""
+def test_steady_frames_make_no_gpu_objects_and_keep_no_memory(page: Any, knot: Path) -> None:
+    """Of 200 frames of a moving camera, only encoders, passes and command buffers are made.
+
+    No frame waits for an earlier one, so that several are in flight.
+    """
+    profiler = page.context.new_cdp_session(page)
+
+    def heap_bytes() -> int:
+        profiler.send("HeapProfiler.collectGarbage")
+        return int(profiler.send("Runtime.getHeapUsage")["usedSize"])
+
+    page.set_viewport_size({"width": 200, "height": 120})
     with running(ModelServer([knot], ModelView(), ort=None)) as address:
         page.goto(address)
         wait(page)
         page.wait_for_timeout(500)
-        made = page.evaluate(
+        heap = heap_bytes()
+        made, in_flight = page.evaluate(
             f"""async () => {{
               const model = {_ELEMENT};
               const device = model._renderer.device;
@@ -183,11 +195,39 @@ def test_steady_frames_make_no_gpu_objects(page: Any, knot: Path) -> None:
                 const own = device[name].bind(device);
                 device[name] = (...rest) => {{ made[name] = (made[name] ?? 0) + 1; return own(...rest); }};
               }}
-              for (let frame = 0; frame < 30; frame++) {{
+              let [finished, most] = [0, 0];
+              for (let frame = 1; frame <= 200; frame++) {{
                 model._orbit.orbit(0.01, 0);
                 await model._draw(performance.now());
+                most = Math.max(most, frame - finished);
+                const done = device.queue.onSubmittedWorkDone().then(() => finished++);
+                if (frame % 10 === 0) await done;
               }}
-              return made;
+              return [made, most];
             }}"""
         )
         assert made == {}
+        assert in_flight >= 2
+        assert heap_bytes() - heap < 1 << 20
+
+
+def test_a_dropped_file_is_judged(page: Any, knot: Path, tmp_path: Path) -> None:
+    [fixture] = [fixture for fixture in fixtures() if fixture.rule == "GM004"][:1]
+    model = fixture.write(tmp_path)
+    with running(ModelServer([knot], ModelView(), ort=None)) as address:
+        page.goto(address)
+        wait(page)
+        words = page.evaluate_handle(
+            """([name, bytes]) => {
+              const transfer = new DataTransfer();
+              transfer.items.add(new File([new Uint8Array(bytes)], name));
+              return transfer;
+            }""",
+            ["wrong.onnx", list(model.read_bytes())],
+        )
+        page.dispatch_event("gsgen-model", "drop", {"dataTransfer": words})
+        wait(page, f"{_ELEMENT}.report.errors.length")
+        [error] = errors_of(page)
+        assert error["rule"] == "GM004"
+        assert error["where"] == "wrong.onnx"
+        assert "gsgen validate" in error["hint"]
