@@ -21,11 +21,8 @@ from contract.adversarial.scenes import Array, Scene, rows, scene, sh_columns
 
 FAMILY = "cameras"
 N = 400
-PROBES = Sentence(
-    "levels.md",
-    "At these probes outputs must be finite, and the count, opacities and variances must lie in "
-    "their ranges",
-)
+PROBES = Sentence("levels.md", "At these probes outputs must be finite")
+RANGES = Sentence("levels.md", "and the count, opacities and variances must lie in their ranges")
 
 Parts = tuple[str, str, str]
 PartsOf = Callable[[GraphBuilder, Scene, Array, str, str], Parts]
@@ -196,7 +193,7 @@ for name, mistake, kind, parts, factor, cause in DECIDABLE:
         mistake,
         *cause,
         build=partial(_seen, kind, parts, factor=factor),
-        sentence=PROBES,
+        sentence=RANGES if "opacity" in name else PROBES,
     )
 
 CULLING = (
