@@ -107,7 +107,7 @@ class GaussianAvatars(GaussianGenerator):
         expression: Float[Tensor, " e"],
         root_translation: Float[Tensor, "3"],
     ) -> Gaussians:
-        """Return the Gaussians of the head with an expression, in a pose, at a place."""
+        """Return the Gaussians of the head for given expression, pose and root translation."""
         frames, centres = self._triangles(self._vertices(pose, expression, root_translation))
         frame = frames.index_select(0, self.binding)
         moved = (frame * self.position[:, None, :]).sum(dim=2)
