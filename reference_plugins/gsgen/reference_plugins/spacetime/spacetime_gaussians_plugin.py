@@ -2,19 +2,19 @@
 
 __all__ = ["PLUGIN"]
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
-    Fps,
-    Frames,
     Iteration,
-    Loop,
     note,
     report_checkpoint,
+    with_time_options,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -41,21 +41,15 @@ _PUBLICATION = Publication(
 )
 
 
+@with_time_options
 def build(
-    checkpoint: _Checkpoint,
-    iteration: Iteration = None,
-    frames: Frames = None,
-    fps: Fps = None,
-    *,
-    loop: Loop = False,
-    decode: _Decode = None,
+    checkpoint: _Checkpoint, iteration: Iteration = None, *, time: Input, decode: _Decode = None
 ) -> "SpacetimeGaussians":
     """Read a checkpoint of SpacetimeGaussians, report its contents, and return its generator."""
     from gsgen.reference_plugins.loading.errors import NotInCheckpoint
     from gsgen.reference_plugins.loading.provenance import producer_of
     from gsgen.reference_plugins.spacetime.spacetime_checkpoint import read_spacetime
     from gsgen.reference_plugins.spacetime.spacetime_gaussians import SpacetimeGaussians
-    from gsgen.sdk import inputs
 
     read = read_spacetime(checkpoint, iteration)
     report_checkpoint(read.describe(), read.run.cfg)
@@ -69,7 +63,7 @@ def build(
     if decode is not None:
         note("warning: colours are approximate where Gaussians blend: the method decodes pixels")
     duration = read.run.cfg.integer("duration", 0)
-    time = inputs.time(frames=frames or duration or None, fps=fps, loop=loop or None)
+    time = replace(time, frames=time.frames or duration or None)
     generator = SpacetimeGaussians(read.splats, read.decoder, time)
     if generator.color_range is not None:
         low, high = generator.color_range
