@@ -22,8 +22,6 @@ _BEHIND_GUARDS = (
     *("Sqrt", "Reciprocal", "Pow", "Cast", "Expand", "Reshape", "Squeeze", "Unsqueeze"),
     *("Transpose", "Identity", "Slice", "Gather", "Where", "Clip", "Max", "Min"),
 )
-# Share of the allowed error up to which tables of fewer than LEAST_ELEMENTS are rounded, too.
-_SHARE_OF_SMALL = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +40,15 @@ class RetainedFloat32:
     excess: float = 0.0
 
 
-def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
+def choose_tables(
+    measure: ErrorProbe, budget: int, allowed: float, allowed_with_small: float
+) -> Search:
     """Choose weight tables to store in 16 bits, large ones first, within the allowed error.
 
     A table whose even steps are too coarse is tried as float16, which rounds small numbers less.
 
-    ``allowed`` is the largest share of the tolerance.
+    ``allowed`` is the largest share of the tolerance, ``allowed_with_small`` the one up to which
+    tables of fewer than ``LEAST_ELEMENTS`` are stored so, too: few bytes depend on them.
     """
     # Step 1: large tables, each in the form that is closer.
     measure.model.store_unstepped(())
@@ -68,13 +69,13 @@ def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
         for group in first.retained
     )
     measured = first.measured + unstepped.measured
-    # Step 3: small tables, where the rounding hardly shows: few bytes depend on them.
+    # Step 3: small tables.
     small = [k for k, size in enumerate(measure.sizes) if size < LEAST_ELEMENTS]
     second = max_quantizable(
         small,
         lambda added: measure.of_weights([*stored, *added]),
         budget=budget - measured,
-        allowed=_SHARE_OF_SMALL * allowed,
+        allowed=allowed_with_small,
     )
     return Search(
         stored | second.quantized,
