@@ -107,7 +107,7 @@ class GaussianAvatars(GaussianGenerator):
         expression: Float[Tensor, " e"],
         root_translation: Float[Tensor, "3"],
     ) -> Gaussians:
-        """Return the Gaussians of the head with an expression, in a pose, at a place."""
+        """Return the Gaussians of the head for given expression, pose and root translation."""
         # Edges are differences of vertices: these keep more digits before the head is translated.
         frames, centres = self._triangles(self._vertices(pose, expression))
         centres = centres + root_translation.reshape(1, 3)

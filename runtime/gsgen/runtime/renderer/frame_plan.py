@@ -27,11 +27,11 @@ from gsgen.runtime.kernels.raster.mesh_place import (
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
-from gsgen.runtime.kernels.shared.shader import ABSENT, TILE
+from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import Columns
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
-from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
@@ -92,7 +92,8 @@ class Plan:
         self._layers: Layers | None = None
         self._device, self._kernels = device, kernels
         self._size, self._panorama, self._deep = size, panorama, deep
-        self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
+        tile = kernels.cut.tile
+        self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
         self.pair_capacity = pair_capacity
         self._gaussians = sum(page.capacity for _, page in placed)
         self._origins = _origins(placed)
@@ -104,7 +105,8 @@ class Plan:
         n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
-        self._splats = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
+        self._records = kernels.records(n)
+        self._projected, self._splats = self._splat_arrays(n)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.inputs = {
             "frame": self._frame,
@@ -151,6 +153,14 @@ class Plan:
     def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
         self.buffers[name] = self._device.storage(name, size, extra=extra)
         return self.buffers[name]
+
+    def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
+        """Allocate the splats; return the buffers for the projection, and for the other kernels."""
+        if not self._records:
+            arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
+            return arrays, arrays
+        records = self._storage("shapes", RECORD * n)
+        return [records, self._storage("weights", 0)], [records, records]
 
     def _cleared(self, placed: Sequence[Placed]) -> list[tuple[Buffer, int, int | None]]:
         """Return the buffers that are cleared before a frame, with offset and size in bytes."""
@@ -216,7 +226,7 @@ class Plan:
         return list(self._meshes.layers)
 
     def _draw_quads(self, order: Buffer, colors: Buffer) -> QuadsStep:
-        kernel = self._kernels.quads(self._meshes is not None, self._panorama)
+        kernel = self._kernels.quads(self._meshes is not None, self._panorama, self._records)
         size = kernel.row_bytes(self._size[0]) * self._size[1]
         self.images["color"] = self._storage("color image", size)
         resources = (self._frame, self._counts, order, *self._splats, colors)
@@ -233,14 +243,14 @@ class Plan:
         self, placed: Sequence[Placed], keys: Buffer, colors: Buffer, lows: Buffer
     ) -> list[Step]:
         recorded = []
-        outputs = (self._frame, keys, *self._splats, colors, lows)
+        outputs = (self._frame, keys, *self._projected, colors, lows)
         for slot, (_, page) in enumerate(placed):
             slot_rows = _slot_rows(page)
             if slot_rows:
                 cull = self._kernels.cull_slots(slot_rows, self._panorama)
                 recorded.append(cull.step(self._frame, keys, lows, self._slots, slot, page))
             kernel = self._kernels.project(
-                page.half, page.stride, self._panorama, page.packed, slot_rows
+                page.half, page.stride, self._panorama, page.packed, slot_rows, self._records
             )
             recorded.append(kernel.step(outputs, self._slots, slot, page))
         return recorded
@@ -267,7 +277,7 @@ class Plan:
     def _bin(self, order: Buffer, colors: Buffer, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
         run_pairs = self._storage("run pairs", 4 * -(-self._gaussians // walk))
-        measure, emit = self._kernels.bin(self._panorama).steps(
+        measure, emit = self._kernels.bin(self._panorama, self._records).steps(
             self._counts,
             (self._frame, self._counts, order, colors, run_pairs, *pairs, *self._splats),
         )
@@ -296,7 +306,8 @@ class Plan:
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
-        kernel = self._kernels.blend(pick, self._panorama, layers.count if layers else 0)
+        count = layers.count if layers else 0
+        kernel = self._kernels.blend(pick, self._panorama, count, self._records)
         among = None
         if layers is not None:
             layer_colors = layers.normals if name == "normal" else layers.colors

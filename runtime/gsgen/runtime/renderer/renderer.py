@@ -15,7 +15,7 @@ from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, MemoryFull
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.mesh_residency import MeshResidency
-from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, Residency, bytes_of
+from gsgen.runtime.gpu.splat_residency import Residency, bytes_of
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4
@@ -73,7 +73,8 @@ class Renderer:
         compact: Whether SH and colours are float16, and covariances take 16 bytes: 128 instead of
             232 bytes per Gaussian of degree 3, 40 instead of 56 for RGB; pictures differ by less
             than 1e-3, or 4e-3 where a threshold is met.
-        page_rows: Most Gaussians of one dispatch and one binding.
+        page_rows: Most Gaussians of one dispatch and one binding; by default 262,144, and twice
+            as many on GPUs.
         published: Whether weighted sums count backgrounds as the method's own renderer does
             (Liu et al. 2025): the background keeps its whole weight in the numerator. Such
             pictures compare with that renderer's, but cannot be composed with others.
@@ -91,7 +92,7 @@ class Renderer:
         *,
         rasteriser: RasteriserOption = "auto",
         compact: bool = False,
-        page_rows: int = PAGE_ROWS,
+        page_rows: int | None = None,
         published: bool = False,
     ) -> None:
         self._published, self._compact = published, compact
@@ -196,6 +197,9 @@ class Renderer:
         fetch: bool,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
+        # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
+        pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
+        self._pairs = max(self._pairs, min(pooled_rows, self._most_pairs))
         plan = self.plan(placed, camera, requested, meshes)
         plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
         counts, images = plan.collect(fetch=fetch)
@@ -279,9 +283,14 @@ class Renderer:
         """Return whether quads draw the colours; not in "auto" if another output needs tiles."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
+    @property
+    def _most_pairs(self) -> int:
+        """The most pairs of a splat and a tile that the device can hold."""
+        return int(min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK))
+
     def _grow(self, pairs: int) -> None:
         """Raise the capacity for splat-tile pairs, or raise if the device cannot hold them."""
-        most = min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK)
+        most = self._most_pairs
         if pairs > most:
             raise CapacityExceeded(
                 f"the image needs {pairs:,} pairs of a splat and a tile; "

@@ -19,7 +19,7 @@ from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
 from gsgen.runtime.kernels.project.repack_rows import RepackRows
 from gsgen.runtime.kernels.shared.counts import BYTES, Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS
-from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE, source
+from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, source
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.renderer import FIRST_PAIRS, PAIRS_ROOM
 from gsgen.runtime.scene.frame import Output
@@ -37,8 +37,8 @@ _OUTPUTS: Final[tuple[tuple[Output, ...], ...]] = (
     ("normal",),
     ("color", "depth"),
 )
-_SIZES: Final = (64, 256, 1024, 4096)
-"""Sides of the largest square images whose tiles are sorted in one, two, three and four passes."""
+_SIZES: Final = (512, 8192)
+"""Sides of the largest square images whose tiles are sorted in one pass and in two."""
 
 SHAPES: Final = tuple(
     Shape(outputs=outputs, panorama=panorama, deep=deep, size=(side, side))
@@ -78,7 +78,6 @@ def plans_document() -> dict[str, Any]:
             "modes": {"color": 0} | SHOWING_CONSTANTS,
         },
         "constants": {
-            "TILE": TILE,
             "JACOBIAN_MARGIN": JACOBIAN_MARGIN,
             "NO_HARMONICS": NO_HARMONICS,
             "PAGE_ROWS": PAGE_ROWS,

@@ -47,7 +47,7 @@ class UniformWriter {
  * @param {readonly number[]} background Red, green, blue, multiplied by alpha.
  */
 export function frameUniform(plans, camera, background) {
-  const { TILE, JACOBIAN_MARGIN } = plans.constants;
+  const { JACOBIAN_MARGIN } = plans.constants;
   const uniform = new UniformWriter(plans.uniforms.frame);
   const focal = [camera.fx, camera.fy];
   const center = [camera.cx, camera.cy];
@@ -62,7 +62,6 @@ export function frameUniform(plans, camera, background) {
   uniform.set("slope_high", both((i) => (size[i] - center[i] + margin[i]) / focal[i]));
   uniform.set("near", camera.near);
   uniform.set("size", size);
-  uniform.set("tiles", both((i) => Math.ceil(size[i] / TILE)));
   uniform.set("period", periodOf(camera));
   uniform.set("background", background.slice(0, 3));
   return uniform.bytes;
