@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.contract.spec.manifest import Joint
+from gsgen.contract.spec.manifest import Joint, Space
 from gsgen.reference_plugins.bodies.rotations import rotation_matrices
 from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import GaussianAvatarsCheckpoint
 from gsgen.reference_plugins.heads.teeth import SHAPES
@@ -34,6 +34,7 @@ class GaussianAvatars(GaussianGenerator):
     """GaussianAvatars: a head that expression, pose and translation move."""
 
     family = "avatar"
+    space = Space(up="+y")
 
     joints: Tensor
     joint_dirs: Tensor
