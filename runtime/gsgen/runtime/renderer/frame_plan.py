@@ -108,12 +108,8 @@ class Plan:
         self._records = kernels.records(n)
         self._projected, self._splats = self._splat_arrays(n)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
-        self.inputs = {
-            "frame": self._frame,
-            "bare frame": self._bare_frame,
-            "pages": self._slots,
-            "counts": self._counts,
-        }
+        self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
+        self.inputs |= {"pages": self._slots, "counts": self._counts}
         self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
         # Weighted sets become a layer, which the hardware's blending does not support.
@@ -143,7 +139,10 @@ class Plan:
             self.buffers |= self._weighted.buffers
             self.images |= self._weighted.images
             self.stages |= self._weighted.stages
-        if not alone:
+            self.clears += self._weighted.clears
+        if alone and self._weighted is not None:
+            self.inputs |= self._weighted.inputs
+        else:
             self.stages |= self._record(placed, outputs, quads=quads)
         self._held = {"counts": self._counts}
         if self._weighted is not None:
@@ -365,8 +364,6 @@ class Plan:
             clock.begin()
         for buffer, offset, size in self.clears:
             encoder.clear_buffer(buffer, offset, size)
-        if self._weighted is not None:
-            self._weighted.clear(encoder)
         if self._meshes is not None:
             stamps = clock.around("meshes") if clock else None
             self._meshes.encode(encoder, background, stamps)

@@ -82,7 +82,9 @@ class Kernels:
         )
         self.order = DepthOrder(device, self.cut, self.sort)
         self.weighted = cache(
-            lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.order, self.ranges)
+            lambda: WeightedKernels(
+                device, self.cut, self.scan, self.sort, self.order, self.ranges, self.tile_bits
+            )
         )
         self.quads = cache(
             lambda tested, panorama, records: DrawQuads(
