@@ -58,8 +58,9 @@ from gsgen.sdk.exporting.parity_diagnosis import Suspects
 from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
 from gsgen.sdk.exporting.sh_degrees import HALF_RGB
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
-from gsgen.sdk.exporting.trace_hazards import Watch
-from gsgen.sdk.exporting.tracing import trace_generator
+from gsgen.sdk.exporting.tracing.autocast import float32_arithmetic
+from gsgen.sdk.exporting.tracing.hazards import Watch
+from gsgen.sdk.exporting.tracing.trace import trace_generator
 from gsgen.sdk.exporting.verification import check_memory, check_parity
 from gsgen.sdk.float16.convert_model import Float16Result, float16_manifest, to_float16
 from gsgen.sdk.parity import Parity
@@ -184,7 +185,8 @@ def export(
         pictures=pictures,
         probes=_PROBES[verify],
     )
-    with padded_harmonics(generator, half=options.dtype == "float16", target=target) as notes:
+    half = options.dtype == "float16"
+    with padded_harmonics(generator, half=half, target=target) as notes, float32_arithmetic(notes):
         exported = _export(generator, path, options, settings, progress)
         return replace(exported, notes=tuple(notes))
 
@@ -319,7 +321,10 @@ def _describe(
         return _Description(draft, first_runs, first_probes[0], watch)
     # Cameras orbit the bounds, so probes are placed a second time, around the measured bounds.
     references = EagerRuns(generator, _probes(draft, count=options.probes))
-    manifest = replace(draft, bounds=measure_bounds(chain(first_runs, references)))
+    measured = [first_runs, references]
+    if options.probes < _PROBES["full"]:  # bounds need as many probes as the validator takes
+        measured.append(EagerRuns(generator, _probes(draft, count=_PROBES["full"])))
+    manifest = replace(draft, bounds=measure_bounds(chain(*measured)))
     far = EagerRuns(generator, tuple(_far_probes(manifest)))
     return _Description(manifest, references + far, references.probes[1], watch)
 
