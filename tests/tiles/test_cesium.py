@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import label
 
 from gsgen.formats import Splats
 from gsgen.tiles.validation import sketches
@@ -12,6 +13,7 @@ from support.tiles import cesium
 from support.tiles.foreign_tiles import east_north_up
 
 _EACH = 1500
+DATA = Path(__file__).with_name("data")
 
 
 @pytest.fixture(autouse=True)
@@ -78,3 +80,12 @@ def test_a_missing_tile_is_seen_to_fail(tmp_path: Path) -> None:
     (tmp_path / name).unlink()
     seen = cesium.view(tmp_path)
     assert [url for url in seen.failed if name in url]
+
+
+def test_the_first_draft_is_drawn_as_points() -> None:
+    """GT007 is right: without the required extensions, five splats are five dots."""
+    seen = cesium.view(DATA / "synthetic")
+    assert (seen.failed, seen.errors, seen.splats) == ([], [], 0)
+    assert [url.rpartition("/set/")[2] for url in seen.loaded] == ["0/0.gltf"]
+    _, dots = label(seen.picture.max(axis=2) > 20, structure=np.ones((3, 3)))
+    assert dots == 5

@@ -145,7 +145,7 @@ class _Ordered(TyperCommand):
 
 
 def _number_hint(bounds: Any) -> str:
-    """Return what an option takes that is a number; nothing for other options."""
+    """Return the type and the range of a numeric command-line option; empty for others."""
     noun = {"int": "a whole number", "float": "a number"}.get(bounds.name.split()[0])
     if noun is None:
         return ""

@@ -49,7 +49,7 @@ def test_what_is_declared_and_how_it_is_built_are_compared(tmp_path: Path) -> No
     sketch.write(a)
     sketch.declaring(family="4d").reworded("Mul (speed, time)", "Add (speed, time)").write(b)
     facts = json.loads(gsgen_here("diff", a, b, "--json").out)["facts"]
-    listed = {(fact["kind"], fact["what"]): fact["second"] for fact in facts}
+    listed = {(fact["kind"], fact["name"]): fact["second"] for fact in facts}
     assert listed[("contract", "family")] == "4d"
     assert ("graph", "operator Mul") in listed
 

@@ -112,7 +112,7 @@ def test_the_format_line_has_to_be_known(tmp_path, line):
 
 def test_a_header_without_end_is_truncated(tmp_path):
     assert refusal(tmp_path, b"ply\nformat ascii 1.0\n", FileTruncated) == (
-        "header: no end_header in the first 21 bytes, the whole file\n"
+        "header: the PLY header has no end_header in its first 21 bytes, the whole file\n"
         f"expected a line `end_header`\n{AGAIN}"
     )
 
@@ -120,7 +120,7 @@ def test_a_header_without_end_is_truncated(tmp_path):
 def test_a_header_is_looked_for_in_one_mebibyte_only(tmp_path):
     content = b"ply\n" + b"comment -\n" * 200_000 + b"end_header\n"
     assert refusal(tmp_path, content, HeaderMalformed) == (
-        "header: no end_header in the first 1048576 bytes\nexpected a line `end_header`"
+        "header: the PLY header has no end_header in its first 1048576 bytes\nexpected a line `end_header`"
     )
 
 

@@ -40,6 +40,8 @@ CONSTANTS: dict[str, int | float | bool] = {
     "CELLS": 8,
     "PARTS": 8,
     "LANES": 8,
+    "CELL_WIDTH": 8,
+    "CELL_HEIGHT": 4,
     "POLYNOMIAL": True,
     "PICK": False,
     "MASKED": True,

@@ -16,6 +16,7 @@ from support.rendering.sorting import GPU, KEYS, Bench, keys_of
 
 ROOM = 1 << 16
 MANY = 300_000
+SMALL = SortConfig(threads=256, run=4, digit_bits=4, walk=4, tile=32)
 
 
 @pytest.fixture(scope="module", params=["this device", "many invocations"])
@@ -75,7 +76,7 @@ def test_many_keys(many: Bench, kind: str) -> None:
 
 @pytest.fixture(scope="module", params=["this device", "small blocks"])
 def many(request: pytest.FixtureRequest, device: Device) -> Bench:
-    cut = cut_for(device) if request.param == "this device" else SortConfig(256, 4, 4, 4)
+    cut = cut_for(device) if request.param == "this device" else SMALL
     return Bench(device, cut, 32, MANY, compact=True)
 
 

@@ -218,6 +218,56 @@ def test_after_any_events_a_pool_draws_what_a_new_set_of_its_tiles_draws(
         np.testing.assert_array_equal(actual.rgba, expected.rgba)
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_a_tile_is_rewritten_in_its_slots(renderer: Renderer, seed: int) -> None:
+    """Runs of a generator give fewer or more rows, before and after a frame."""
+    rng = np.random.default_rng(seed)
+    data = cloud(900, 40 + seed, degree=0)
+    rows, color = data.rows.astype(np.float32), data.appearance.astype(np.float32)
+    pool = SplatPool(9 * SLOT, 3, slot_rows=SLOT)
+    scene = Scene([], pools=[pool])
+    pool.insert(1, rows[:40], color[:40], np.zeros(3), reserved_rows=500)
+    pool.insert(2, rows[40:240], color[40:240], np.zeros(3))
+    assert pool.free_slots == 9 - 4 - 2
+    pool.draw({1: 1.0, 2: 1.0})
+    for count in (40, 500, 0, 129, int(rng.integers(1, 500))):
+        pick = rng.choice(900, count, replace=False)
+        pool.rewrite(1, rows[:1], color[:1], np.zeros(3))  # replaced before it is drawn
+        origin = rng.normal(size=3)
+        moved = rows[pick].copy()
+        moved[:, :3] = (moved[:, :3] - origin).astype(np.float32)
+        pool.rewrite(1, moved, color[pick], origin)
+        both = (
+            np.concatenate([rows[pick], rows[40:240]]),
+            np.concatenate([color[pick], color[40:240]]),
+        )
+        expected = renderer.render(Scene([SplatData(*both, "sh")]), camera())
+        actual = renderer.render(scene, camera())
+        np.testing.assert_allclose(actual.rgba, expected.rgba, atol=2e-4)
+        assert actual.visible == expected.visible
+    with pytest.raises(CapacityExceeded, match="513 rows, but the slots of the tile hold 512") as e:
+        pool.rewrite(1, rows[:513], color[:513], np.zeros(3))
+    assert "Reserve rows" in e.value.hint
+    with pytest.raises(SceneInvalid, match="not in the splat pool"):
+        pool.rewrite(3, rows[:1], color[:1], np.zeros(3))
+
+
+def test_a_flight_through_a_pool_draws_no_frame_twice(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The capacity for pairs is that of the pool's rows, so that it rarely has to grow."""
+    monkeypatch.setattr(renderers, "FIRST_PAIRS", 64)
+    drawer, plans = Renderer(renderer.device, rasteriser="tiles"), []
+    plan = renderers.Plan
+    monkeypatch.setattr(renderers, "Plan", lambda *a, **k: plans.append(1) or plan(*a, **k))
+    pool = filled(cloud(700, seed=6, degree=0))
+    for tiles in ([], [0], [0, 1], [0, 1, 2, 3]):
+        pool.draw(dict.fromkeys(tiles, 1.0))
+        frame = drawer.render(Scene([], pools=[pool]), camera())
+    assert frame.pairs > 64
+    assert len(plans) == 1
+
+
 def test_a_pool_refuses_what_it_cannot_hold() -> None:
     pool = SplatPool(2 * SLOT, 3, slot_rows=SLOT)
     rows, color = np.zeros((SLOT + 1, 10), np.float32), np.zeros((SLOT + 1, 3), np.float32)

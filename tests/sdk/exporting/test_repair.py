@@ -144,7 +144,7 @@ def test_a_dry_run_says_as_json_what_would_change(tmp_path: Path) -> None:
     assert ran.code == 0, ran.err
     made = json.loads(ran.out)
     assert made["path"] is None
-    assert made["repairs"] == [{"what": "dimension N is 5", "rule": "GO004"}]
+    assert made["repairs"] == [{"description": "dimension N is 5", "rule": "GO004"}]
     assert [made[when]["verdict"] for when in ("before", "after")] == ["invalid", "conforms"]
     assert made["after"]["subject"]["uri"] == str(source)
     assert sorted(tmp_path.iterdir()) == here

@@ -10,14 +10,14 @@ import numpy as np
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.sort.scan import Scan, scan_reference
-from gsgen.runtime.kernels.sort.sort import SortConfig, cut_for, sort_reference
+from gsgen.runtime.kernels.sort.sort import cut_for, sort_reference
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene
 from support.checkpoints.golden_case import golden_case
 from support.rendering.mesh_scenes import MESH_SCENES
 from support.rendering.near_ties import NEAR_TIES
-from support.rendering.sorting import KEYS, Bench, keys_of, scanned
+from support.rendering.sorting import GPU, KEYS, Bench, keys_of, scanned
 
 
 def ways(device: Device) -> dict[str, Renderer]:
@@ -70,7 +70,7 @@ def unmet(renderer: Renderer) -> list[str]:
 def unsorted(device: Device, sizes: list[int]) -> list[str]:
     """Sort all keys of all sizes, in two cuts; return where NumPy finds another order."""
     wrong = []
-    for n, cut in product(sizes, (cut_for(device), SortConfig(256, 4, 4, 4))):
+    for n, cut in product(sizes, (cut_for(device), GPU)):
         sort = Bench(device, cut, 32, max(n, 1), compact=True)
         for kind in KEYS:
             keys = keys_of(n, kind) if n else np.full(1, 0xFFFFFFFF, np.uint32)

@@ -12,7 +12,7 @@ from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig
 
-GPU = SortConfig(256, 16, 4, 4)
+GPU = SortConfig(threads=256, run=8, digit_bits=8, walk=4, tile=32)
 """How work is cut where there are many invocations."""
 
 

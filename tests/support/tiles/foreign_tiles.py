@@ -109,7 +109,9 @@ def glb(document: dict[str, object], body: bytes) -> bytes:
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def spz_glb(splats: dict[str, np.ndarray], matrix: np.ndarray | None = None) -> bytes:
+def spz_glb(
+    splats: dict[str, np.ndarray], matrix: np.ndarray | None = None, *, drafts: bool = False
+) -> bytes:
     """A .glb with SPZ 2 of degree 0, twelve fractional bits."""
     count = len(splats["position"])
     parts = [struct.pack("<IIIBBBB", 0x5053474E, 2, count, 0, 12, 0, 0)]
@@ -128,6 +130,9 @@ def spz_glb(splats: dict[str, np.ndarray], matrix: np.ndarray | None = None) -> 
     names = ("KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2")
     extension = {"extensions": {names[1]: {"bufferView": 0}}, "kernel": "ellipse"}
     extension["colorSpace"] = "srgb_rec709_display"
+    if drafts:
+        names = ("KHR_spz_gaussian_splats_compression",)
+        extension = {"bufferView": 0}
     accessor = {"componentType": 5126, "count": count, "type": "VEC3"}
     node: dict[str, object] = {"mesh": 0}
     if matrix is not None:

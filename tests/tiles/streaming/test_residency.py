@@ -1,5 +1,7 @@
 """Evictions: 10,000 random events hold the capacity, and what is needed keeps its ancestors."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -180,6 +182,38 @@ def test_the_disk_cache_holds_its_cap_and_gives_back_the_bytes(tmp_path: Path) -
     assert 100 < hits < 1900
     assert DiskCache(tmp_path / "cache", 50_000).total_bytes == cache.total_bytes
     assert cache.get("http://b", named(files[0])) is None
+
+
+_WRITER = """
+import sys
+from pathlib import Path
+import numpy as np
+from gsgen.tiles.streaming.disk_cache import DiskCache
+
+folder, seed = Path(sys.argv[1]), int(sys.argv[2])
+cache, rng, most = DiskCache(folder, 50_000), np.random.default_rng(seed), 0
+for number in range(400):
+    data = rng.bytes(int(rng.integers(1, 9000)))
+    digest = __import__("hashlib").sha256(data).hexdigest()
+    cache.put("http://a", f"{seed}-{number}.onnx", data, digest)
+    most = max(most, cache.total_bytes)
+assert cache.get("http://a", f"{seed}-399.onnx", digest) in (None, data)
+print(most)
+"""
+
+
+def test_several_processes_keep_one_cap(tmp_path: Path) -> None:
+    words = [sys.executable, "-c", _WRITER, str(tmp_path / "cache")]
+    writers = [
+        subprocess.Popen([*words, str(seed)], stdout=subprocess.PIPE, text=True)
+        for seed in range(3)
+    ]
+    most = [int(writer.communicate()[0]) for writer in writers]
+    assert [writer.returncode for writer in writers] == [0, 0, 0]
+    # A file that is being written counts, and one more that a scan meets while it is renamed.
+    assert max(most) <= 50_000 + 9000
+    total = sum(file.stat().st_size for file in (tmp_path / "cache").iterdir())
+    assert 40_000 < total <= 50_000
 
 
 def test_a_file_that_changed_on_disk_or_has_no_digest_is_not_given(tmp_path: Path) -> None:

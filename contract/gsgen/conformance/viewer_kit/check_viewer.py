@@ -114,9 +114,10 @@ def _check_frame(
     try:
         actual = read_picture(pictures, name)
         if actual.shape != expected.shape:
-            message = f"is {actual.shape[1]}×{actual.shape[0]} pixels"
-            size = f"{expected.shape[1]}×{expected.shape[0]}"
-            raise PictureUnreadable(f"{name}: {message}, expected {size}")
+            raise PictureUnreadable(
+                f"{name}: is {actual.shape[1]}×{actual.shape[0]} pixels, "
+                f"expected {expected.shape[1]}×{expected.shape[0]}"
+            )
     except PictureUnreadable as error:
         return {"picture": name, "verdict": "failed", "problem": str(error)}
     return {"picture": name, **compare(expected, actual, tolerance)}
@@ -162,8 +163,10 @@ def read_picture(folder: Path, name: str) -> np.ndarray:
     except (OSError, ValueError, EOFError, KeyError, zlib.error, struct.error) as error:
         raise PictureUnreadable(f"{path}: the picture cannot be read: {error!r}") from error
     if array.ndim != 3 or array.shape[2] not in (3, 4) or array.dtype.kind != "f":
-        message = f"is {array.dtype}{list(array.shape)}, expected floats [height, width, 3 or 4]"
-        raise PictureUnreadable(f"{path}: {message}")
+        raise PictureUnreadable(
+            f"{path}: the array is {array.dtype}{list(array.shape)}, "
+            "expected floats [height, width, 3 or 4]"
+        )
     return np.asarray(np.clip(array[..., :3], 0, 1), np.float64)
 
 
@@ -187,8 +190,10 @@ def decode_png(raw: bytes) -> np.ndarray:
         offset += length + 12
     width, height, depth, color, _, _, interlace = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
     if depth != 8 or color not in _CHANNELS or interlace:
-        message = f"the PNG has depth {depth}, colour type {color}, interlace {interlace}"
-        raise PictureUnreadable(f"{message}; expected 8 bits of grey or RGB, not interlaced")
+        raise PictureUnreadable(
+            f"the PNG has depth {depth}, colour type {color}, interlace {interlace}; "
+            "expected 8 bits of grey or RGB, not interlaced"
+        )
     size = width * _CHANNELS[color]
     if (size + 1) * height > _MAX_BYTES:
         raise PictureUnreadable(

@@ -44,7 +44,7 @@ def diff(
         typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
         raise typer.Exit(code)
     for fact in facts:
-        typer.echo(f"{fact.kind}  {fact.what}: {fact.first} → {fact.second}")
+        typer.echo(f"{fact.kind}  {fact.name}: {fact.first} → {fact.second}")
     for output in outputs:
         same = (
             "equal bits"

@@ -48,7 +48,7 @@ _PERMUTATIONS = {
     parts.format(name): (
         *range(position, position + 3),
         opacity,
-        *(first + place for place in places),
+        *(first + column for column in places),
     )
     for name, places in _COVARIANCES.items()
     for parts, (position, opacity, first) in _PARTS.items()

@@ -66,7 +66,7 @@ class ProbeRun:
 
     @property
     def extremes(self) -> Extremes | None:
-        """The row count, minima and maxima of the live rows of a survey run."""
+        """The row count, and the minimum and maximum of each column, of a run with survey inputs."""
         return self.sample.extremes if self.sample is not None else None
 
     @property
@@ -148,8 +148,8 @@ class Behaviour:
         run, probe = self.trial.execution.runs[index], self.trial.plan.probes[index]
         sample = self.trial.execution.samples[run.sample] if run.sample >= 0 else None
         if run.center:
-            place = ", ".join(f"{value:.6g}" for value in run.center)
-            probe = replace(probe, label=f"{probe.label} ({place})")
+            center = ", ".join(f"{value:.6g}" for value in run.center)
+            probe = replace(probe, label=f"{probe.label} ({center})")
         return ProbeRun(probe, sample, run.error)
 
     def _of(self, indices: Iterable[int]) -> list[tuple[Probe, dict[str, np.ndarray]]]:

@@ -30,13 +30,13 @@ class Difference:
 
     Attributes:
         kind: ``contract`` or ``graph``.
-        what: The name of the fact: ``outputs.gaussians.dtype`` or ``operator MatMul``.
+        name: The name of the compared fact: ``outputs.gaussians.dtype`` or ``operator MatMul``.
         first: Its value in the first model.
         second: Its value in the second model.
     """
 
     kind: str
-    what: str
+    name: str
     first: str
     second: str
 

@@ -29,9 +29,9 @@ def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str
         if (trouble := _mismatch(pair, homes.get(name)))
     ]
     if troubles or not adapter.pairs:
-        message = f"{len(troubles)} of {len(adapter.pairs)} layers do not fit the networks"
         raise CheckpointInvalid(
-            f"{message}: {first_names(troubles, '; ')}",
+            f"{len(troubles)} of {len(adapter.pairs)} layers do not fit the networks: "
+            f"{first_names(troubles, '; ')}",
             where=str(adapter.path),
             hint="The LoRA may have been trained for another network.",
         )

@@ -80,9 +80,11 @@ def read_gaussian_avatars(
         hint = "Give the FLAME model that the training used: --body FILE."
         raise CheckpointInvalid(message, where=str(path), hint=hint)
     if not expressions or len(shape) > SHAPES or stored < SHAPES + expressions:
-        message = f"has {len(shape)} shapes and {expressions} expressions"
-        expected = f"expected at most {SHAPES}, and 1 to {max(0, stored - SHAPES)}"
-        raise CheckpointInvalid(f"{message}; {expected}", where=str(path))
+        raise CheckpointInvalid(
+            f"has {len(shape)} shapes and {expressions} expressions; expected at most {SHAPES} "
+            f"shapes and 1 to {max(0, stored - SHAPES)} expressions, as FLAME has",
+            where=str(path),
+        )
     if binding.min() < 0 or binding.max() >= len(flame.faces):
         message = f"binding_0 names triangle {binding.max()}, but FLAME has {len(flame.faces)}"
         raise CheckpointInvalid(message, where=str(run.files / "point_cloud.ply"))

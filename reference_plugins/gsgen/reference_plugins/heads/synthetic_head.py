@@ -140,7 +140,7 @@ def _write_face_model(
 
 
 def _skin_color(direction: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Return hair, skin, eyes and lips by the direction from the middle of the head."""
+    """Return the colour of hair, skin, eyes or lips for each direction from the head's centre."""
     x, y, z = direction.T
     color = np.tile([0.85, 0.66, 0.55], (len(direction), 1))
     color[(y > 0.5) | (z < -0.1)] = [0.25, 0.16, 0.1]

@@ -106,7 +106,7 @@ def _strip(a: _Index, b: _Index, corners: tuple[_Corners, _Corners]) -> Int[np.n
 
 
 def _lips(body: Body) -> tuple[_Index, _Index]:
-    """Return the vertices of both lips, of ``FLAME_masks.pkl`` beside the model if it names them."""
+    """Return FLAME's lip vertices, from ``FLAME_masks.pkl`` beside the model if it exists."""
     path: Path = body.path.with_name("FLAME_masks.pkl")
     masks = read_array_pickle(path) if path.is_file() else {}
     named: Sequence[object] = [masks.get(name) for name in _MASKS]

@@ -151,8 +151,11 @@ def _captured(path: Path, content: Any) -> tuple[tuple[Any, ...], int]:
         raise CheckpointInvalid(message, where=str(path), hint=hint)
     for index, kind in ((0, int), (_ROT_4D, bool), (_TIME_DEGREE, int)):
         if not isinstance(values[index], kind):
-            message = f"value {index} of capture is {_described(values[index])}"
-            raise CheckpointInvalid(f"{message}, expected {kind.__name__}", where=str(path))
+            raise CheckpointInvalid(
+                f"value {index} of capture() is {_described(values[index])}, "
+                f"expected {kind.__name__}",
+                where=str(path),
+            )
     return values, content[1]
 
 
@@ -175,9 +178,11 @@ def _splats(path: Path, values: tuple[Any, ...]) -> RotorSplats:
     stored = sh.shape[1]
     degree, time_degree = values[0], values[_TIME_DEGREE]
     if stored not in _CHANGES or not 0 <= degree <= _SH_DEGREE:
-        message = f"has {stored} SH coefficients, of which degree {degree} is active"
-        wanted = f"{', '.join(map(str, _CHANGES))} coefficients and degree 0 to {_SH_DEGREE}"
-        raise CheckpointInvalid(f"{message}; expected {wanted}", where=str(path))
+        raise CheckpointInvalid(
+            f"has {stored} SH coefficients, of which degree {degree} is active; expected "
+            f"{', '.join(map(str, _CHANGES))} coefficients and degree 0 to {_SH_DEGREE}",
+            where=str(path),
+        )
     # The published code adds harmonics of time only once all degrees are active.
     harmonics = time_degree if _CHANGES[stored] and degree == _SH_DEGREE else 0
     if not 0 <= harmonics < stored // _COEFFICIENTS:

@@ -69,5 +69,5 @@ def _motion(position: Float[np.ndarray, "n 3"], sway: float) -> Float[np.ndarray
 
 
 def _numbered(name: str, table: Float[np.ndarray, "n k"]) -> dict[str, Float[np.ndarray, " n"]]:
-    """Return the columns of an array by PLY property name: a prefix and a number from 0."""
+    """Return an array's columns by PLY property name, which is a prefix and the column number."""
     return {f"{name}_{index}": column for index, column in enumerate(table.T)}

@@ -32,6 +32,10 @@ def _settings(
     log: Annotated[
         Path | None, typer.Option(help="Write what streaming does to this file, as JSON lines.")
     ] = None,
+    generators: Annotated[
+        int,
+        typer.Option(help="Most models of neural tiles that run at once; 0 draws splats.", min=0),
+    ] = 4,
     allow_origin: Annotated[
         list[str] | None,
         typer.Option(help="Another origin that a server may redirect to; repeatable."),
@@ -43,6 +47,7 @@ def _settings(
         cache_bytes=parse_bytes(cache, "--cache"),
         predictor=predictor,
         log=log,
+        neural_sessions=generators,
         allow_origins=tuple(allow_origin or ()),
     )
 
@@ -55,8 +60,8 @@ def with_streaming_options(command: Callable[..., None]) -> Callable[..., None]:
     own = inspect.signature(command).parameters
 
     def streaming_command(*arguments: Any, **values: Any) -> None:
-        given = {name: values.pop(name) for name in _OPTIONS if name in values}
-        command(*arguments, **values, streaming=_settings(**given))
+        streaming_values = {name: values.pop(name) for name in _OPTIONS if name in values}
+        command(*arguments, **values, streaming=_settings(**streaming_values))
 
     further = [
         parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in _OPTIONS.values()

@@ -103,6 +103,8 @@ class SplatPool:
         rows: Float32[np.ndarray, "n 10"],
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
+        *,
+        reserved_rows: int = 0,
     ) -> None:
         """Assign pool slots to a tile, whose rows are copied into GPU memory before the next frame.
 
@@ -111,6 +113,8 @@ class SplatPool:
             rows: ``x y z opacity xx xy xz yy yz zz``, with positions relative to ``origin``.
             appearance: SH coefficients, as many as the pool has channels.
             origin: In the space of the pool, float64.
+            reserved_rows: Rows for which the tile gets slots, if more than it has now; see
+                :meth:`rewrite`.
 
         Raises:
             CapacityExceeded: The free slots do not suffice.
@@ -118,13 +122,8 @@ class SplatPool:
         """
         if tile in self._slots_of:
             raise SceneInvalid("the tile is in the splat pool already", where=f"tile {tile}")
-        if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):
-            raise SceneInvalid(
-                f"has rows {list(rows.shape)} and appearance {list(appearance.shape)}, expected "
-                f"[N, {layout.ROW}] and [N, {self.channels}]",
-                where=f"tile {tile}",
-            )
-        needed = -(-len(rows) // self.slot_rows)
+        self._require_shapes(tile, rows, appearance)
+        needed = -(-max(len(rows), reserved_rows) // self.slot_rows)
         if needed > len(self._free):
             raise CapacityExceeded(
                 f"the tile needs {needed} slots, but only {len(self._free)} of {self.slots} are free",
@@ -133,15 +132,68 @@ class SplatPool:
             )
         slots = [heapq.heappop(self._free) for _ in range(needed)]
         self._slots_of[tile] = slots
+        self._write(slots, rows, appearance, origin)
+
+    def rewrite(
+        self,
+        tile: int,
+        rows: Float32[np.ndarray, "n 10"],
+        appearance: Float32[np.ndarray, "n c"],
+        origin: Float[np.ndarray, "3"],
+    ) -> None:
+        """Replace the rows of a tile in the slots that it holds, as for :meth:`insert`.
+
+        Raises:
+            CapacityExceeded: The slots of the tile do not suffice.
+            SceneInvalid: The tile is not in the pool, or the arrays have other shapes.
+        """
+        slots = self._held_slots(tile)
+        self._require_shapes(tile, rows, appearance)
+        if len(rows) > len(slots) * self.slot_rows:
+            raise CapacityExceeded(
+                f"{len(rows):,} rows, but the slots of the tile hold {len(slots) * self.slot_rows:,}",
+                where=f"tile {tile}",
+                hint="Reserve rows when the tile is inserted.",
+            )
+        self._drop_writes(slots)
+        self._write(slots, rows, appearance, origin)
+
+    def _require_shapes(self, tile: int, rows: np.ndarray, appearance: np.ndarray) -> None:
+        if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):
+            raise SceneInvalid(
+                f"has rows {list(rows.shape)} and appearance {list(appearance.shape)}, expected "
+                f"[N, {layout.ROW}] and [N, {self.channels}]",
+                where=f"tile {tile}",
+            )
+
+    def _write(
+        self,
+        slots: list[int],
+        rows: Float32[np.ndarray, "n 10"],
+        appearance: Float32[np.ndarray, "n c"],
+        origin: Float[np.ndarray, "3"],
+    ) -> None:
+        """Describe the slots of a tile in the slot table, and queue the writes of its rows."""
         reach = _REACH * np.sqrt(np.maximum(rows[:, [4, 7, 9]], 0))
         lows, highs = rows[:, :3] - reach, rows[:, :3] + reach
         for index, slot in enumerate(slots):
             part = slice(index * self.slot_rows, (index + 1) * self.slot_rows)
             self.live[slot] = len(rows[part])
             self.origin[slot] = origin
+            if not self.live[slot]:  # a reserved slot without rows
+                continue
             self.low[slot], self.high[slot] = lows[part].min(axis=0), highs[part].max(axis=0)
             first = slot * self.slot_rows
             self._writes.append(SlotWrite(first, rows[part], appearance[part]))
+
+    def _drop_writes(self, slots: list[int]) -> None:
+        firsts = {slot * self.slot_rows for slot in slots}
+        self._writes = [write for write in self._writes if write.first not in firsts]
+
+    def _held_slots(self, tile: int) -> list[int]:
+        if tile not in self._slots_of:
+            raise SceneInvalid("the tile is not in the splat pool", where=f"tile {tile}")
+        return self._slots_of[tile]
 
     def evict(self, tile: int) -> None:
         """Free the slots of the splat pool that a tile holds.
@@ -149,13 +201,12 @@ class SplatPool:
         Raises:
             SceneInvalid: The tile is not in the pool.
         """
-        if tile not in self._slots_of:
-            raise SceneInvalid("the tile is not in the splat pool", where=f"tile {tile}")
-        for slot in self._slots_of.pop(tile):
+        slots = self._held_slots(tile)
+        del self._slots_of[tile]
+        self._drop_writes(slots)
+        for slot in slots:
             self.live[slot] = self.fade[slot] = 0
             heapq.heappush(self._free, slot)
-            first = slot * self.slot_rows
-            self._writes = [write for write in self._writes if write.first != first]
 
     def draw(self, fades: Mapping[int, float]) -> None:
         """Set the tiles of the splat pool that the next frames draw, and an opacity factor of each.
@@ -165,9 +216,7 @@ class SplatPool:
         """
         self.fade[:] = 0
         for tile, fade in fades.items():
-            if tile not in self._slots_of:
-                raise SceneInvalid("the tile is not in the splat pool", where=f"tile {tile}")
-            self.fade[self._slots_of[tile]] = fade
+            self.fade[self._held_slots(tile)] = fade
 
     def take_writes(self) -> list[SlotWrite]:
         """Return and clear the list of the pool's rows that one renderer still has to upload."""

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from gsgen.contract.errors import GsgenError
+from gsgen.formats.glb.container import COMPRESSIONS
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import Mesh, MeshData
@@ -29,11 +30,7 @@ SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply", ".stl")
 # glTF is x left, y up, z forward; worlds here, and PLY files, are x right, y down.
 _FROM_GLTF: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
 _SPLAT_EXTENSION: Final = b"KHR_gaussian_splatting"
-_COMPRESSIONS: Final = (
-    "KHR_draco_mesh_compression",
-    "EXT_meshopt_compression",
-    "KHR_texture_basisu",
-)
+_COMPRESSIONS: Final = (*COMPRESSIONS, "KHR_texture_basisu")
 _HEADER: Final = 1 << 20  # bytes of a PLY file that are searched for the end of its header
 _STL: Final = struct.Struct("<80xI")
 _STL_FACE: Final = 50

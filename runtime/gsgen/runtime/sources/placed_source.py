@@ -1,6 +1,6 @@
 """Places a source of Gaussians or meshes in the world, with its own drawing settings."""
 
-__all__ = ["DrawSettings", "PlacedSource"]
+__all__ = ["DrawSettings", "PlacedSource", "local_camera"]
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace

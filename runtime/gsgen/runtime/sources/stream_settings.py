@@ -22,6 +22,7 @@ class StreamSettings:
         predictor: Name of a predictor of camera paths, or its ONNX file.
         log: File of events as JSON lines; None for none.
         allow_origins: Other origins that redirects of a server may lead to.
+        neural_sessions: Most generators of neural tiles that are open at once; 0 for none.
         wait: Most seconds that a frame waits for all tiles that its camera needs; 0 to draw what
             is there, as a window does, with cross-fades.
     """
@@ -32,6 +33,7 @@ class StreamSettings:
     predictor: str = "constant-velocity"
     log: Path | None = None
     allow_origins: tuple[str, ...] = ()
+    neural_sessions: int = 4
     wait: float = 30.0
 
 

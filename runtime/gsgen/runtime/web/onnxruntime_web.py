@@ -32,22 +32,22 @@ def cached_ort() -> Path:
     return Path(base) / "gsgen" / f"{_PACKAGE}-{ORT_VERSION}"
 
 
-def ort_folder(given: Path | None) -> Path:
+def ort_folder(user_folder: Path | None) -> Path:
     """Return a folder with the files of ONNX Runtime Web, fetching them into the cache if needed.
 
     Args:
-        given: A folder of the user, such as ``dist`` of the npm package.
+        user_folder: A folder of the user, such as ``dist`` of the npm package.
 
     Raises:
-        InputUnreadable: ``given`` lacks a file.
+        InputUnreadable: ``user_folder`` lacks a file.
         ConfigInvalid: The files cannot be fetched, or are others than those of the pinned version.
     """
-    if given is not None:
-        missing = [name for name in ORT_FILES if not (given / name).is_file()]
+    if user_folder is not None:
+        missing = [name for name in ORT_FILES if not (user_folder / name).is_file()]
         if missing:
             hint = f"Name the folder `dist` of the npm package {_PACKAGE}@{ORT_VERSION}."
-            raise InputUnreadable(f"has no {', '.join(missing)}", where=str(given), hint=hint)
-        return given
+            raise InputUnreadable(f"has no {', '.join(missing)}", where=str(user_folder), hint=hint)
+        return user_folder
     folder = cached_ort()
     if not all((folder / name).is_file() for name in ORT_FILES):
         _fetch(folder)

@@ -40,7 +40,7 @@ gsgen-model { aspect-ratio: auto; min-height: 20rem; height: 100% }
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelView:
-    """How a page shows models.
+    """Settings of a page that shows models, such as the background and the controls.
 
     Attributes:
         background: Red, green, blue from 0 to 1; None for black.
@@ -57,7 +57,7 @@ class ModelView:
     play: bool = True
 
     def attributes(self) -> str:
-        """Return the attributes of the element ``gsgen-model``."""
+        """Return the HTML attributes that these settings give the element ``gsgen-model``."""
         words = ["camera-controls", "loop"]
         if self.background is not None:
             words.append(f'background="{" ".join(f"{part:g}" for part in self.background)}"')
@@ -74,18 +74,18 @@ class ModelView:
 
 @cache
 def client_names() -> tuple[str, ...]:
-    """Return the names of the client's files."""
+    """Return the names of the browser client's files: ES modules and frame plans."""
     names = (file.name for file in _CLIENT.iterdir())
     return tuple(sorted(name for name in names if name.endswith((".js", ".json"))))
 
 
 def client_file(name: str) -> bytes:
-    """Return the content of one of :func:`client_names`."""
+    """Return the bytes of a file of the browser client; see :func:`client_names`."""
     return _CLIENT.joinpath(name).read_bytes()
 
 
 def model_bytes(path: Path) -> bytes:
-    """Return a model as a page reads it: splat files other than SPZ 1 to 3 become a binary PLY.
+    """Return the bytes of a model for a page; splat files but SPZ 1 to 3 become a binary PLY.
 
     Raises:
         SceneUnreadable: The file cannot be read, or holds no splats that a page draws.
@@ -110,7 +110,7 @@ def model_bytes(path: Path) -> bytes:
 
 
 def served_page(models: Mapping[str, Path], view: ModelView) -> str:
-    """Return the page of models, by their address on the server."""
+    """Return the HTML page that shows the models at the given addresses of a server."""
     figures = [_figure(address, path, view) for address, path in models.items()]
     script = '<script type="module" src="/gsgen/gsgen.js"></script>'
     return _page([path.name for path in models.values()], [script], figures, _RELOADING)
@@ -135,7 +135,7 @@ for (;;) {
 
 
 def single_file_page(paths: Iterable[Path], view: ModelView, ort: Path | None) -> str:
-    """Return a page that opens from disk: with its models, the client, and ONNX Runtime Web.
+    """Return an HTML page that opens from disk: it embeds the models and the browser client.
 
     Args:
         paths: The models.
@@ -160,7 +160,7 @@ def single_file_page(paths: Iterable[Path], view: ModelView, ort: Path | None) -
 
 
 def _inlined_modules() -> dict[str, str]:
-    """Return each module as an address of its own text, by the name that others import."""
+    """Return each ES module's text as a data URL, by the name under which it is imported."""
     modules = {}
     for name in client_names():
         if name.endswith(".js"):

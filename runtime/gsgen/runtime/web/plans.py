@@ -19,7 +19,7 @@ from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
 from gsgen.runtime.kernels.project.repack_rows import RepackRows
 from gsgen.runtime.kernels.shared.counts import BYTES, Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS
-from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE, source
+from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, source
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.renderer import FIRST_PAIRS, PAIRS_ROOM
 from gsgen.runtime.scene.frame import Output
@@ -37,12 +37,18 @@ _OUTPUTS: Final[tuple[tuple[Output, ...], ...]] = (
     ("normal",),
     ("color", "depth"),
 )
-_SIZES: Final = (64, 256, 1024, 4096)
-"""Sides of the largest square images whose tiles are sorted in one, two, three and four passes."""
+_SIZES: Final = {False: (512, 8192), True: (256, 4096)}
+"""Sides of the largest square images whose tiles are sorted in one pass and in two.
+
+Weighted sums have smaller tiles.
+"""
+
+_BOTH: Final = (False, True)
 
 SHAPES: Final = tuple(
-    Shape(outputs=outputs, panorama=panorama, deep=deep, size=(side, side))
-    for outputs, panorama, deep, side in product(_OUTPUTS, (False, True), (False, True), _SIZES)
+    Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
+    for outputs, weighted, panorama, deep in product(_OUTPUTS, _BOTH, _BOTH, _BOTH)
+    for side in _SIZES[weighted]
 )
 """The shapes of all plans; of equal plans the one for smaller images comes first."""
 
@@ -78,7 +84,6 @@ def plans_document() -> dict[str, Any]:
             "modes": {"color": 0} | SHOWING_CONSTANTS,
         },
         "constants": {
-            "TILE": TILE,
             "JACOBIAN_MARGIN": JACOBIAN_MARGIN,
             "NO_HARMONICS": NO_HARMONICS,
             "PAGE_ROWS": PAGE_ROWS,

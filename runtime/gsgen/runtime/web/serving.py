@@ -61,12 +61,12 @@ class ModelServer(ThreadingHTTPServer):
             self._files[address] = partial(_model, path)
 
     def content(self, path: str) -> Content | None:
-        """Return the content of an address; None if there is none."""
+        """Return content type and bytes of the file at a URL path; None if no file is there."""
         make = self._files.get(path)
         return None if make is None else make()
 
     def _versions(self) -> dict[str, str]:
-        """Return a text for each model that changes when its file does."""
+        """Return a revision of each model's file, a text that changes when the file changes."""
         versions = {}
         for address, path in self._models.items():
             if path.exists():
@@ -92,7 +92,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: ModelServer
 
     def do_GET(self) -> None:
-        """Answer with a file of the page."""
+        """Answer an HTTP GET request with a file of the page, or with the status 404."""
         try:
             content = self.server.content(unquote(urlsplit(self.path).path))
         except GsgenError as error:
@@ -112,4 +112,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *words: object) -> None:
-        """Print nothing: requests are of no interest to a user."""
+        """Print nothing for an HTTP request, which is of no interest to the user."""

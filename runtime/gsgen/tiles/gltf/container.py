@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from urllib.parse import unquote_to_bytes
 
-from gsgen.formats.glb.container import Container, parse
+from gsgen.formats.glb.container import Container, parse, require_uncompressed
 from gsgen.formats.shared.errors import FormatError
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.json_values import JsonDict, JsonObject, parse_object
@@ -35,6 +35,8 @@ def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Cont
     version = document.child("asset").text("version")
     if version != "2.0":
         document.child("asset").refuse("version", "2.0")
+    with as_fault(location, Fault.CONTENT):
+        require_uncompressed(document.values)
     return _with_buffers(document, fetch)
 
 

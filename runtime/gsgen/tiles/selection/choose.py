@@ -60,18 +60,18 @@ def choose_options(hulls: OptionHulls, weight: Float64[np.ndarray, " n"], budget
     bound = utility
     if fitting < len(order):
         bound += float(gain[fitting] * (budget - spent) / cost[fitting])
-    taken = np.zeros(len(order), bool)
-    taken[order[:fitting]] = True
+    is_taken = np.zeros(len(order), bool)
+    is_taken[order[:fitting]] = True
     later = order[fitting:][cost[fitting:] <= budget - spent][:_STEPS_BEYOND]
     for step in later.tolist():
         tile = hulls.tile[step]
-        is_next = step == 0 or hulls.tile[step - 1] != tile or taken[step - 1]
+        is_next = step == 0 or hulls.tile[step - 1] != tile or is_taken[step - 1]
         if is_next and spent + hulls.cost[step] <= budget:
-            taken[step] = True
+            is_taken[step] = True
             spent += float(hulls.cost[step])
             utility += float(hulls.value[step] * weight[tile])
     option = np.full(hulls.count, -1, np.int64)
     # Steps ascend within a tile, so that the last one that is assigned is the highest.
-    chosen = np.flatnonzero(taken)
+    chosen = np.flatnonzero(is_taken)
     option[hulls.tile[chosen]] = hulls.option[chosen]
     return Choice(option, utility, spent, max(bound, utility))

@@ -1,4 +1,4 @@
-"""Spends what a point of a tile tree's frontier leaves of the budget.
+"""Improves a choice of tiles by spending the part of the budget that it leaves unused.
 
 Where tiles are worth what they are independently of the tiles below them, a step of the root's
 frontier may cost a large part of the budget: it opens a whole subtree. The last point within the
@@ -18,14 +18,14 @@ from gsgen.tiles.selection.choose import Choice
 from gsgen.tiles.selection.tree_choice import TreeFrontier
 
 TOLERANCE: Final = 1e-3
-"""Share of the bound below which the choice is as good as the bound can tell."""
+"""Gap between utility and upper bound, as a share of the bound, that is not worth closing."""
 
 MAX_DEPTH: Final = 128
-"""Levels of a tree beyond which nothing is filled: subtrees are solved by recursion."""
+"""Depth of a tile tree above which choices stay as they are, since subtrees are recursive."""
 
 
 def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
-    """Return a choice of at least the utility of ``choice``, and of no more than a budget.
+    """Return a choice of tiles within a budget whose utility is that of ``choice`` or more.
 
     A node takes its best option that fits, or the steps of its children by falling gain for cost,
     whichever is worth more; a child whose next step does not fit is solved the same way, with
@@ -51,7 +51,7 @@ def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """A choice in a subtree: its cost, its utility, and pairs of a node and its quality."""
+    """Chosen tiles of a subtree: cost, utility, and pairs of a tile and its quality."""
 
     cost: float
     utility: float
@@ -60,7 +60,7 @@ class _Solution:
 
 @final
 class _SubtreeSolver:
-    """Chooses tiles of subtrees within budgets, greedily."""
+    """Chooses tiles of a tile tree's subtrees within budgets, by a greedy search."""
 
     def __init__(self, frontier: TreeFrontier, tolerance: float) -> None:
         self._levels, self._options = frontier.levels, frontier.options
@@ -77,7 +77,7 @@ class _SubtreeSolver:
         self._children = [self._children_of(depth) for depth in range(len(self._levels) - 1)]
 
     def _children_of(self, depth: int) -> list[Int64[np.ndarray, " m"]]:
-        """Return the positions, in the next level, of the children of each node of a level."""
+        """Return the children of each tree node at a depth, as positions at the next depth."""
         level, below = self._levels[depth], self._levels[depth + 1]
         owner = np.searchsorted(level.nodes, self._options.parent[below.nodes])
         order = np.argsort(owner, kind="stable")
@@ -85,7 +85,7 @@ class _SubtreeSolver:
         return [order[start:end] for start, end in pairwise(limits)]
 
     def solve(self, depth: int, position: int, budget: float) -> _Solution | None:
-        """Return a good choice in the subtree of a node; None where every choice costs more."""
+        """Return well chosen tiles of a node's subtree; None if all choices exceed the budget."""
         node = int(self._levels[depth].nodes[position])
         best: _Solution | None = None
         # 1. The node's own best option.
@@ -146,12 +146,12 @@ class _SubtreeSolver:
         )
 
     def _potential(self, depth: int, child: int, point: dict[int, int], left: float) -> float:
-        """Return the most utility that a child can gain for what is left, by its next step."""
+        """Return the utility that a child's next frontier step would gain for the budget left."""
         row, costs, values = point[child], self._costs[depth], self._values[depth]
         return (values[row + 1] - values[row]) * left / (costs[row + 1] - costs[row])
 
     def _at_point(self, depth: int, position: int, row: int) -> _Solution:
-        """Return the choice at a row of a level's frontiers."""
+        """Return the chosen tiles at a point of a node's frontier (cost, utility)."""
         level = self._levels[depth]
         cost, value = self._costs[depth][row], self._values[depth][row]
         if level.option[row] >= 0:

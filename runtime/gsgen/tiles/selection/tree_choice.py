@@ -162,8 +162,8 @@ def _points_below(level: _Level, below: _Level, prefix: Rows) -> Rows:
     """Return each child's frontier point after some steps along the parent node's frontier."""
     first = np.searchsorted(level.step_owner, np.arange(len(level.nodes)))
     rank = np.arange(len(level.step_owner)) - first[level.step_owner]
-    taken = rank < prefix[level.step_owner]
-    return np.asarray(np.bincount(level.step_child[taken], minlength=len(below.nodes)))
+    is_taken = rank < prefix[level.step_owner]
+    return np.asarray(np.bincount(level.step_child[is_taken], minlength=len(below.nodes)))
 
 
 def _build_level(

@@ -14,6 +14,8 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
 from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
 from gsgen.tiles.leaves import MAX_CONTENT, decode_tile_content
+from gsgen.tiles.neural import NeuralTile
+from gsgen.tiles.neural_model import MAX_MODEL
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.store import Store
@@ -58,14 +60,29 @@ class ContentReader:
             files.append(self._file(content.uri, report))
         return files
 
-    def _file(self, uri: str, on_bytes: Callable[[int], None]) -> bytes:
+    def read_model(self, neural: NeuralTile) -> bytes:
+        """Read the model of a neural tile.
+
+        Raises:
+            TilesetInvalid: The file is missing, or cannot be read.
+        """
+        return self._file(neural.uri, lambda count: None, MAX_MODEL, neural.sha256)
+
+    def _file(
+        self,
+        uri: str,
+        on_bytes: Callable[[int], None],
+        limit: int = MAX_CONTENT,
+        digest: str | None = None,
+    ) -> bytes:
+        """Read a file of the tileset; those of servers come from the disk cache, if they can."""
         if not isinstance(self._store, HttpStore):
-            return self._store.read(uri, limit=MAX_CONTENT)
-        data = self._cache.get(self._store.name, uri) if self._cache else None
+            return self._store.read(uri, limit=limit)
+        data = self._cache.get(self._store.name, uri, digest) if self._cache else None
         if data is None:
-            data = self._store.read_whole(uri, on_bytes, MAX_CONTENT)
+            data = self._store.read_whole(uri, on_bytes, limit)
             if self._cache:
-                self._cache.put(self._store.name, uri, data)
+                self._cache.put(self._store.name, uri, data, digest)
         return data
 
     def decode(self, tile: int, files: list[bytes]) -> TileArrival:

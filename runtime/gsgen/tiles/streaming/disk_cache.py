@@ -6,10 +6,12 @@ import contextlib
 import hashlib
 import os
 import re
+import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from threading import Lock
-from typing import Final, final
+from typing import BinaryIO, Final, final
 
 _NAMED_BY_DIGEST: Final = re.compile(r"-([0-9a-f]{8})\.glb$")
 
@@ -22,10 +24,11 @@ def default_cache_folder() -> Path:
 
 @final
 class DiskCache:
-    """A disk cache of downloaded files whose names contain a digest of their bytes.
+    """A disk cache of downloaded files whose digests are known, from their names or otherwise.
 
-    The least recently used files leave first. Several processes may share the folder. A folder
-    that cannot be written is as good as an empty cache.
+    The least recently used files leave first. Several processes may share the folder: each locks
+    the file ``FOLDER.lock`` to store a file, and adds the file's bytes to the sum that stands in it.
+    A folder that cannot be written is as good as an empty cache.
 
     Args:
         folder: Made when the first file is stored.
@@ -35,52 +38,61 @@ class DiskCache:
     def __init__(self, folder: Path, max_bytes: int) -> None:
         self._folder, self._max_bytes = folder, max_bytes
         self._lock = Lock()
-        self._total = sum(size for _, size, _ in self._files())
 
     @property
     def total_bytes(self) -> int:
-        """The bytes of all cached files, as far as this process knows."""
-        return self._total
+        """The bytes of all cached files, those of other processes included."""
+        return sum(size for _, size, _ in self._files())
 
-    def get(self, store: str, path: str) -> bytes | None:
+    def get(self, store: str, path: str, digest: str | None = None) -> bytes | None:
         """Return the content of a file in the disk cache; None if the file is absent or incomplete.
 
         Args:
             store: Name of the store.
             path: Of the file in it.
+            digest: SHA-256 of the content in hexadecimal; if None, its start is in the file name.
         """
-        match = _NAMED_BY_DIGEST.search(path)
-        if match is None:
+        digest = digest or _digest_in_name(path)
+        if digest is None:
             return None
         file = self._file(store, path)
         try:
             data = file.read_bytes()
-            if hashlib.sha256(data).hexdigest()[:8] != match[1]:
-                self._remove(file, len(data))
+            if not hashlib.sha256(data).hexdigest().startswith(digest):
+                file.unlink()
                 return None
             os.utime(file)
         except OSError:
             return None
         return data
 
-    def put(self, store: str, path: str, data: bytes) -> None:
+    def put(self, store: str, path: str, data: bytes, digest: str | None = None) -> None:
         """Store a file in the disk cache, unless it may change or is incomplete."""
-        match = _NAMED_BY_DIGEST.search(path)
-        if match is None or len(data) > self._max_bytes:
+        digest = digest or _digest_in_name(path)
+        if digest is None or len(data) > self._max_bytes:
             return
-        if hashlib.sha256(data).hexdigest()[:8] != match[1]:
+        if not hashlib.sha256(data).hexdigest().startswith(digest):
             return
         file = self._file(store, path)
-        with self._lock:
-            self._make_room(len(data))
-            with contextlib.suppress(OSError):
-                self._folder.mkdir(parents=True, exist_ok=True)
-                before = file.stat().st_size if file.exists() else 0
+        with self._lock, contextlib.suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with self._locked() as counter:
+                total = self._with_room(_read_sum(counter), len(data))
+                _write_sum(
+                    counter, total
+                )  # before the file: a crash may count it, but never lose it
                 handle, draft = tempfile.mkstemp(dir=self._folder, suffix=".tmp")
                 with os.fdopen(handle, "wb") as stream:
                     stream.write(data)
                 os.replace(draft, file)
-                self._total += len(data) - before
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[BinaryIO]:
+        """Open and lock the file beside the folder that holds the sum of the cached bytes."""
+        beside = self._folder.with_name(f"{self._folder.name}.lock")
+        with open(os.open(beside, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0) as file:
+            _lock(file.fileno())  # until the file is closed
+            yield file
 
     def _file(self, store: str, path: str) -> Path:
         return self._folder / hashlib.sha256(f"{store}\n{path}".encode()).hexdigest()
@@ -95,17 +107,47 @@ class DiskCache:
                     files.append((status.st_mtime_ns / 1e9, status.st_size, Path(entry.path)))
         return files
 
-    def _make_room(self, size: int) -> None:
-        if self._total + size <= self._max_bytes:
-            return
-        files = sorted(self._files())
-        self._total = sum(entry[1] for entry in files)  # other processes write, too
-        for _, length, file in files:
-            if self._total + size <= self._max_bytes:
-                break
-            self._remove(file, length)
+    def _with_room(self, total: int | None, size: int) -> int:
+        """Delete the least recently used files until a new one fits the cap; return the new sum.
 
-    def _remove(self, file: Path, size: int) -> None:
-        with contextlib.suppress(OSError):
-            file.unlink()
-            self._total -= size
+        Args:
+            total: Sum of the bytes of all files, or more; None if it is not known.
+            size: Bytes of the new file.
+        """
+        if total is not None and total + size <= self._max_bytes:
+            return total + size
+        files = sorted(self._files())
+        total = sum(length for _, length, _ in files)
+        for _, length, file in files:
+            if total + size <= self._max_bytes:
+                break
+            with contextlib.suppress(FileNotFoundError):
+                file.unlink()
+            total -= length
+        return total + size
+
+
+def _digest_in_name(path: str) -> str | None:
+    match = _NAMED_BY_DIGEST.search(path)
+    return match[1] if match else None
+
+
+def _read_sum(counter: BinaryIO) -> int | None:
+    text = counter.read(32).strip()
+    return int(text) if text.isdigit() else None
+
+
+def _write_sum(counter: BinaryIO, total: int) -> None:
+    counter.seek(0)
+    counter.write(b"%-32d" % total)
+
+
+def _lock(descriptor: int) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(descriptor, msvcrt.LK_LOCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX)

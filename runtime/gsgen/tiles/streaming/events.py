@@ -1,10 +1,10 @@
 """Writes and replays the event log of a streaming session, a file of JSON lines."""
 
-__all__ = ["EventLog", "ReplayLink", "read_events"]
+__all__ = ["EventLog", "NeuralEvents", "ReplayLink", "read_events"]
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import final
 
@@ -16,6 +16,27 @@ from gsgen.tiles.json_values import JsonDict, parse_object
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.streaming.fetch import FetchResult
 from gsgen.tiles.streaming.session_frame import SessionFrame, TileArrival
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class NeuralEvents:
+    """The events of the generators of neural tiles in one frame.
+
+    Attributes:
+        opened: Tiles whose generator was opened.
+        closed: Tiles whose generator was closed.
+        failed: Tiles that fall back to their splats, and why.
+        ran: Tiles whose generator has run, and the number of its Gaussians.
+    """
+
+    opened: list[int] = field(default_factory=list)
+    closed: list[int] = field(default_factory=list)
+    failed: list[tuple[int, str]] = field(default_factory=list)
+    ran: list[tuple[int, int]] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        return bool(self.opened or self.closed or self.failed or self.ran)
 
 
 @final
@@ -64,6 +85,10 @@ class EventLog:
         }
         self._file.write(json.dumps(event) + "\n")
 
+    def neural(self, time: float, events: NeuralEvents) -> None:
+        """Write the events of neural tiles, on a line of their own, which a replay skips."""
+        self._file.write(json.dumps({"t": time, "neural": asdict(events)}) + "\n")
+
     def close(self) -> None:
         """Close the event log."""
         self._file.close()
@@ -94,7 +119,7 @@ class FrameEvents:
 
 
 def read_events(path: Path) -> Iterator[FrameEvents]:
-    """Yield the events of each frame of an event log.
+    """Yield the events of each frame of an event log, without those of neural tiles.
 
     Raises:
         InputUnreadable: The file cannot be read, or a line is not an event.
@@ -107,6 +132,8 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
         ) from error
     for number, line in enumerate(lines, 1):
         values: JsonDict = parse_object(line, f"{path}, line {number}, ").values
+        if "neural" in values:
+            continue
         try:
             yield FrameEvents(
                 time=float(values["t"]),

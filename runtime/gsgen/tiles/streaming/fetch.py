@@ -1,16 +1,19 @@
 """Fetches and decodes the contents of tiles on threads, for a streaming session."""
 
-__all__ = ["FetchLink", "FetchResult"]
+__all__ = ["RETRY_AFTER", "FetchLink", "FetchResult"]
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from queue import SimpleQueue
 from threading import Event, Lock, Semaphore, Thread
-from typing import Generic, TypeVar, final
+from typing import Final, Generic, TypeVar, final
 
 from gsgen.contract.errors import GsgenError
 
 Decoded = TypeVar("Decoded")
+RETRY_AFTER: Final = 30.0
+"""Seconds after which a file that could not be had for now is asked for again."""
+
 _DECODERS = 2  # threads that decode at once: more would take frames their time
 
 OnBytes = Callable[[int], None]

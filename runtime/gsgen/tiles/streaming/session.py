@@ -1,10 +1,10 @@
 """Streams a tileset: takes a camera each frame, and returns tiles to upload and to draw."""
 
-__all__ = ["SessionOptions", "TilesetSession", "open_session"]
+__all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"]
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol, final
 
@@ -27,16 +27,18 @@ from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.disk_cache import DiskCache, default_cache_folder
 from gsgen.tiles.streaming.drawing import FADE_SECONDS, Fades, drawable_tiles
 from gsgen.tiles.streaming.events import EventLog
-from gsgen.tiles.streaming.fetch import FetchLink, FetchResult
+from gsgen.tiles.streaming.fetch import RETRY_AFTER, FetchLink, FetchResult
+from gsgen.tiles.streaming.generator_opening import ModelReader
 from gsgen.tiles.streaming.metrics import MetricsRecorder, StreamingMetrics
+from gsgen.tiles.streaming.neural_tiles import NeuralTiles, NeuralTilesOptions
 from gsgen.tiles.streaming.planner import Link, RequestPlanner
 from gsgen.tiles.streaming.residency import ResidentTiles
 from gsgen.tiles.streaming.session_frame import DrawnTile, SessionFrame, TileArrival
 
 UPLOAD_BUDGET: Final = 4 << 20
+RUNS_PER_SECOND: Final = 25.0
 _COARSER: Final = 2**0.25  # step of the error while a cut does not fit the pool
 _MOST_STEPS: Final = 80
-_RETRY_AFTER: Final = 30.0  # seconds after which a tile that could not be had is asked for again
 _MOST_PENDING: Final = 64  # decoded tiles that wait for their upload
 
 
@@ -57,6 +59,10 @@ class SessionOptions:
         cache_folder: Of the disk cache; the user's where absent.
         allow_origins: Other origins that redirects may lead to.
         log: File of events as JSON lines; None for none.
+        neural_sessions: Most generators of neural tiles that are open at once; 0 to draw the
+            splats of these tiles.
+        runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
+            for every run.
     """
 
     max_error: float = 16.0
@@ -70,6 +76,8 @@ class SessionOptions:
     cache_folder: Path | None = None
     allow_origins: tuple[str, ...] = ()
     log: Path | None = None
+    neural_sessions: int = 4
+    runs_per_second: float = RUNS_PER_SECOND
 
 
 class ArrivalLink(Link, Protocol):
@@ -128,6 +136,7 @@ def open_session(
             report=report or _print_line,
             store=store,
             up=tileset.up,
+            read_model=reader.read_model,
         )
     except BaseException:
         store.close()
@@ -149,6 +158,7 @@ class TilesetSession:
         slot_rows: Rows of a slot.
         pool_slots: Slots of the pool.
         upload_budget: Bytes of arrivals in a frame.
+        neural: The generators of neural tiles; None if there are none, or none may run.
 
     Args:
         tree: The tiles.
@@ -159,6 +169,7 @@ class TilesetSession:
         report: Receives a line for each tile that cannot be had.
         store: Closed with the session.
         up: Upward direction in the root frame; that of splat files if None.
+        read_model: Reads the model of a neural tile; None to draw the splats of these tiles.
     """
 
     def __init__(
@@ -172,6 +183,7 @@ class TilesetSession:
         report: Callable[[str], None] = _print_line,
         store: Store | None = None,
         up: Float64[np.ndarray, " 3"] | None = None,
+        read_model: ModelReader | None = None,
     ) -> None:
         self.up = np.array([0.0, -1.0, 0.0]) if up is None else up
         self.tree, self.sh_degree, self.slot_rows = tree, sh_degree, options.slot_rows
@@ -186,13 +198,45 @@ class TilesetSession:
         )
         self._prefetch = prefetch
         self._planner = RequestPlanner(tree, link, self._recorder, prefetch)
-        self._slots: Int64[np.ndarray, " n"] = -(-tree.splats // options.slot_rows)
+        self._log = EventLog(options.log) if options.log else None
+        self.neural = self._neural_tiles(read_model)
+        self._reserved = self._reserved_rows()
+        self._slots: Int64[np.ndarray, " n"] = -(
+            -np.maximum(tree.splats, self._reserved) // options.slot_rows
+        )
         self._residents = ResidentTiles(tree, self._slots, self.pool_slots)
         self._fades = Fades(tree, options.fade_seconds)
         self._is_empty = np.array([not tile.contents for tile in tree.tiles])
         self._pending: dict[int, TileArrival] = {}
         self._retry_at: dict[int, float] = {}
-        self._log = EventLog(options.log) if options.log else None
+
+    def _neural_tiles(self, read_model: ModelReader | None) -> NeuralTiles | None:
+        options = self._options
+        is_neural = any(tile.neural for tile in self.tree.tiles)
+        if read_model is None or options.neural_sessions < 1 or not is_neural:
+            return None
+        return NeuralTiles(
+            self.tree,
+            read_model,
+            self._clock,
+            NeuralTilesOptions(
+                sessions=options.neural_sessions,
+                runs_per_second=options.runs_per_second,
+                upload_budget=options.upload_budget,
+            ),
+            sh_degree=self.sh_degree,
+            most_rows=self.pool_slots * self.slot_rows,
+            report=self._report,
+            log=self._log,
+        )
+
+    def _reserved_rows(self) -> Int64[np.ndarray, " n"]:
+        """Return the rows that the generator of each tile may write; 0 if it is never run."""
+        reserved = np.zeros(len(self.tree), np.int64)
+        if self.neural:
+            for tile in self.neural.tiles:
+                reserved[tile] = self.neural.splats_max(tile)
+        return reserved
 
     @property
     def metrics(self) -> StreamingMetrics:
@@ -242,6 +286,8 @@ class TilesetSession:
     def close(self) -> None:
         """Cancel all tile requests, and close the file store and the event log."""
         self._link.close()
+        if self.neural:
+            self.neural.close()
         if self._store:
             self._store.close()
         if self._log:
@@ -261,7 +307,7 @@ class TilesetSession:
                 continue
             self._planner.fail(result.tile)
             passing = isinstance(result.error, StoreUnavailable)
-            self._retry_at[result.tile] = time + _RETRY_AFTER if passing else np.inf
+            self._retry_at[result.tile] = time + RETRY_AFTER if passing else np.inf
             self._report(str(result.error).replace("\n", " "))
         return results
 
@@ -289,9 +335,12 @@ class TilesetSession:
         arrivals: list[TileArrival] = []
         room = self.upload_budget
         for tile in order:
-            arrival = self._pending[tile]
+            arrival = replace(self._pending[tile], reserved_rows=int(self._reserved[tile]))
             if arrivals and arrival.upload_bytes > room:
                 break
+            # The metadata of foreign tilesets do not count splats: the estimate may be too low.
+            needed = -(-len(arrival.rows) // self.slot_rows)
+            self._slots[tile] = max(int(self._slots[tile]), needed)
             victims = self._residents.admit(tile, time)
             del self._pending[tile]
             if victims is None:

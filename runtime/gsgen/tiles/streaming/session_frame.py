@@ -5,7 +5,8 @@ The session decides, the renderer obeys. Each frame, in this order:
 1. The renderer calls :meth:`StreamingSession.frame` with its camera.
 2. It frees the slots of every tile of ``evicted``, and of no other.
 3. It uploads every arrival of ``arrivals``. Their bytes are within the upload budget, and their
-   slots within the pool, as the session counts them: ⌈rows / slot_rows⌉ each.
+   slots within the pool, as the session counts them: ⌈rows / slot_rows⌉ each, or
+   ⌈reserved_rows / slot_rows⌉ if that is more.
 4. It draws the tiles of ``drawn``, with opacities multiplied by ``fade``, and no other.
 
 A tile is resident from its arrival to its eviction. Drawn tiles are resident. Keys are indices of
@@ -36,12 +37,15 @@ class TileArrival:
         appearance: SH coefficients of degree 0 up, three channels each, float32, [n, c]; c is
             the same for all tiles of a session.
         origin: In the root tile's frame, float64.
+        reserved_rows: Rows that the slots of the tile must hold; more than those of ``rows`` for
+            a neural tile, whose generator writes into the same slots.
     """
 
     tile: int
     rows: Float32[np.ndarray, "n 10"] = field(repr=False)
     appearance: Float32[np.ndarray, "n c"] = field(repr=False)
     origin: Float64[np.ndarray, " 3"]
+    reserved_rows: int = 0
 
     @property
     def upload_bytes(self) -> int:

@@ -2,6 +2,7 @@
 
 __all__ = ["TilesSource", "open_stream", "recognises"]
 
+import math
 import sys
 import time
 from collections.abc import Iterable
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.spec import layout
+from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.contract.spec.units import format_mebibytes
 from gsgen.runtime.scene.camera import Camera
@@ -24,22 +26,28 @@ from gsgen.tiles.leaves import recognises
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.stores.opening import address_of
 from gsgen.tiles.streaming.drawing import FADE_SECONDS
-from gsgen.tiles.streaming.session import SessionOptions, open_session
+from gsgen.tiles.streaming.neural_tiles import NeuralTiles
+from gsgen.tiles.streaming.session import RUNS_PER_SECOND, SessionOptions, open_session
 from gsgen.tiles.streaming.session_frame import SessionFrame, StreamingSession
 
 _PATIENCE: Final = 0.2  # seconds between two looks at what arrived
+_TIME: Final = "time"
 
 
 @final
 class TilesSource(Source):
     """The tiles of a tileset that the camera needs, within budgets of bytes and Gaussians.
 
+    Neural tiles with an input ``time`` give the source this input, over the range of all of them.
+
     Args:
         name: Path or address of the tileset.
         session: Chooses, fetches and evicts tiles; it is closed with the source.
         up: Upward direction in the root frame.
         extent: Centre and radius of the root tile's box.
-        wait: Most seconds that a frame waits for all tiles of its cut; 0 not to wait.
+        wait: Most seconds that a frame waits for all tiles of its cut, and for the generators of
+            its neural tiles; 0 not to wait.
+        neural: The generators of neural tiles, which the session closes; None for none.
     """
 
     def __init__(
@@ -50,8 +58,13 @@ class TilesSource(Source):
         up: tuple[float, float, float],
         extent: tuple[Float[np.ndarray, "3"], float],
         wait: float,
+        neural: NeuralTiles | None = None,
     ) -> None:
         self.name, self.up = name, up
+        self._neural = neural
+        if neural and (span := neural.time_range):
+            self.inputs = (Input(name=_TIME, role=_TIME, shape=(1,), range=span, default=span[0]),)
+        self._values: dict[str, object] = {}
         self._session, self._wait, self._extent = session, wait, extent
         channels = 3 * coefficients(session.sh_degree)
         rows = session.pool_slots * session.slot_rows
@@ -64,8 +77,9 @@ class TilesSource(Source):
         self._changes = 0
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Record the camera of the frame, by which tiles are selected."""
+        """Record the camera of the frame, by which tiles are selected, and the input values."""
         self._camera = camera
+        self._values |= values
 
     def finish(self) -> None:
         """Take the tiles that arrived; a waiting source takes all tiles that the camera needs."""
@@ -73,28 +87,76 @@ class TilesSource(Source):
             return
         frustum = Frustum.from_camera(self._camera)
         deadline = time.monotonic() + self._wait
-        frame = self._take(frustum)
-        while not frame.is_complete and (left := deadline - time.monotonic()) > 0:
-            self._session.wait(min(left, _PATIENCE))
-            frame = self._take(frustum)
-        if self._wait and not frame.is_complete:
-            sys.stderr.write(
-                f"gsgen: {self.name}: {frame.missing} tiles did not arrive within "
-                f"{self._wait:g} s; coarser ones are drawn\n"
-            )
+        frame = self._take(frustum, self._camera)
+        while self.is_streaming and (left := deadline - time.monotonic()) > 0:
+            if frame.is_complete and self._neural:
+                self._neural.wait(min(left, _PATIENCE))
+            else:
+                self._session.wait(min(left, _PATIENCE))
+            frame = self._take(frustum, self._camera)
+        if self._wait:
+            self._report_missing(frame)
 
-    def _take(self, frustum: Frustum) -> SessionFrame:
+    def _report_missing(self, frame: SessionFrame) -> None:
+        """Write a line to stderr if a frame is drawn without a part of what its camera needs."""
+        line = ""
+        if not frame.is_complete:
+            line = f"{frame.missing} tiles did not arrive within {self._wait:g} s; coarser ones are"
+        elif unsettled := self._unsettled_generators:
+            line = (
+                f"{unsettled} generators did not finish within {self._wait:g} s; earlier splats are"
+            )
+        if line:
+            sys.stderr.write(f"gsgen: {self.name}: {line} drawn\n")
+
+    def _take(self, frustum: Frustum, camera: Camera) -> SessionFrame:
         """Upload and evict tiles in the renderer's splat pool, as the streaming session decides."""
         frame = self._session.frame(frustum)
         for tile in frame.evicted:
             self._pool.evict(tile)
         for arrival in frame.arrivals:
-            self._pool.insert(arrival.tile, arrival.rows, arrival.appearance, arrival.origin)
+            self._pool.insert(
+                arrival.tile,
+                arrival.rows,
+                arrival.appearance,
+                arrival.origin,
+                reserved_rows=arrival.reserved_rows,
+            )
+        has_rewritten = self._rewrite(frame, camera)
         self._pool.draw({drawn.tile: drawn.fade for drawn in frame.drawn})
         is_same = self._last is not None and self._last.drawn == frame.drawn
-        self._changes += not (is_same and not frame.arrivals and not frame.evicted)
+        is_same = is_same and not (frame.arrivals or frame.evicted or has_rewritten)
+        self._changes += not is_same
         self._last = frame
         return frame
+
+    def _rewrite(self, frame: SessionFrame, camera: Camera) -> bool:
+        """Write what generators of neural tiles give into the slots of these tiles, if anything."""
+        if self._neural is None:
+            return False
+        for tile in frame.evicted:
+            self._neural.evict(tile)
+        for arrival in frame.arrivals:
+            self._neural.arrive(arrival)
+        updates = self._neural.frame(
+            camera,
+            self._values,
+            [drawn.tile for drawn in frame.drawn],
+            uploaded=sum(arrival.upload_bytes for arrival in frame.arrivals),
+            is_complete=frame.missing == 0,
+        )
+        for rows in updates:
+            self._pool.rewrite(rows.tile, rows.rows, rows.appearance, rows.origin)
+        return bool(updates)
+
+    @property
+    def _unsettled_generators(self) -> int:
+        return len(self._neural.unsettled) if self._neural else 0
+
+    def interrupt(self) -> None:
+        """Stop the runs of generators, whose tiles then draw their splats."""
+        if self._neural:
+            self._neural.interrupt()
 
     def abandon(self) -> None:
         """Do nothing: tiles that arrive wait for the next frame."""
@@ -117,22 +179,29 @@ class TilesSource(Source):
     @property
     def is_streaming(self) -> bool:
         """Whether the picture still changes under a fixed camera, while tiles arrive or fade."""
-        return self._last is None or not self._last.is_complete
+        is_complete = self._last is not None and self._last.is_complete
+        return not is_complete or self._unsettled_generators > 0
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:
-        """The drawn and the missing tiles, the received bytes, and the share of hits."""
+        """The drawn and the missing tiles, the received bytes, the share of hits, generators."""
         if self._last is None:
             return ()
         metrics = self._session.metrics
         missing = f", {self._last.missing} missing" if self._last.missing else ""
         used = self._pool.slots - self._pool.free_slots
-        return (
+        rows = (
             ("tiles", f"{len(self._last.drawn)} drawn{missing}"),
             ("pool", f"{100 * used / self._pool.slots:.0f} % of {len(self._pool):,} rows"),
             ("received", f"{format_mebibytes(metrics.bytes)} in {metrics.requests} requests"),
             ("hits", f"{100 * metrics.hit_rate:.0f} %, {metrics.hole_frames} frames with holes"),
         )
+        if self._neural is None:
+            return rows
+        neural = self._neural
+        models = format_mebibytes(neural.bytes)
+        text = f"{len(neural.open_tiles)} open, {neural.runs} runs, models of {models}"
+        return (*rows, ("generators", text))
 
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
@@ -141,8 +210,10 @@ class TilesSource(Source):
         return SplatSet(self.data)
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Raise KeyError, since a tileset has no inputs."""
-        raise KeyError(name)
+        """Return the shape of the input ``time``, the only one that a tileset may have."""
+        if name != _TIME or not self.inputs:
+            raise KeyError(name)
+        return (1,)
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
         """Do nothing, since a tileset's extent is the box of the root tile."""
@@ -167,6 +238,8 @@ def open_stream(path: Path, settings: StreamSettings) -> TilesSource:
         cache_bytes=settings.cache_bytes,
         allow_origins=settings.allow_origins,
         log=settings.log,
+        neural_sessions=settings.neural_sessions,
+        runs_per_second=math.inf if settings.wait else RUNS_PER_SECOND,
     )
     session = open_session(path, options)
     tree = session.tree
@@ -178,4 +251,5 @@ def open_stream(path: Path, settings: StreamSettings) -> TilesSource:
         up=(float(up[0]), float(up[1]), float(up[2])),
         extent=(tree.center[0], reach),
         wait=settings.wait,
+        neural=session.neural,
     )

@@ -15,6 +15,13 @@ from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSuppo
 
 MAGIC: Final = b"glTF"
 
+COMPRESSIONS: Final = (
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
+    "KHR_draco_mesh_compression",
+)
+"""Extensions that compress attributes or indices, which are not decoded."""
+
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _MOST_JSON = 1 << 28
 Json = dict[str, Any]
@@ -86,6 +93,18 @@ def parse(data: Data) -> Container:
         body = body if kind == b"BIN\0" else 0
         require_room(data, binary + _CHUNK.size, body, "chunk BIN")
     return Container(document, data, binary + _CHUNK.size, body)
+
+
+def require_uncompressed(document: Json) -> None:
+    """Raise if a glTF document can only be read with an extension that compresses attributes."""
+    for name in array_member(document, "extensionsRequired", "document"):
+        if name in COMPRESSIONS:
+            raise NotSupported(
+                f"the file needs {name}, which is not decoded",
+                where="extensionsRequired",
+                expected="attributes that are not compressed, or SPZ",
+                hint="Export the file without compression of meshes.",
+            )
 
 
 def _document(content: bytes) -> Json:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.glb.container import Container, array_member, build, parse
+from gsgen.formats.glb.container import Container, array_member, build, parse, require_uncompressed
 from gsgen.formats.glb.nodes import Matrix, meshes, moved
 from gsgen.formats.glb.splats import COLOR_SPACES, NAME, coefficient, is_splats, read_primitive
 from gsgen.formats.shared.axes import RDF_LUF, flip
@@ -89,6 +89,7 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
 
 def scene_primitives(glb: Container) -> Iterator[tuple[dict[str, Any], Matrix, str]]:
     """Yield each splat primitive of a glTF scene with its transform and its JSON location."""
+    require_uncompressed(glb.document)
     for mesh, matrix in meshes(glb):
         primitives = array_member(
             glb.item("meshes", mesh, "nodes"), "primitives", f"meshes[{mesh}]"

@@ -44,8 +44,11 @@ def is_splats(primitive: Json) -> bool:
     """Return whether a glTF primitive holds splats by KHR_gaussian_splatting or a draft of it."""
     extensions, attributes = primitive.get("extensions"), primitive.get("attributes")
     has_extension = isinstance(extensions, dict) and any(key in extensions for key in (NAME, *_SPZ))
-    drafted = isinstance(attributes, dict) and {"_ROTATION", "_SCALE"} <= attributes.keys()
-    return has_extension or drafted
+    return has_extension or (isinstance(attributes, dict) and _is_drafted(attributes))
+
+
+def _is_drafted(attributes: Json) -> bool:
+    return {"_ROTATION", "_SCALE"} <= attributes.keys()
 
 
 def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) -> Splats:
@@ -56,8 +59,9 @@ def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) 
     if mode != _POINTS:
         raise HeaderMalformed(shown(str(mode)), where=f"{where}, mode", expected="0, points")
     space: Literal["srgb", "linear"] = "srgb"
+    attributes = object_member(primitive, "attributes", where)
     if NAME in extensions:
-        space = _color_space(extension, where)
+        space = _color_space(extension, attributes, where)
     packed = extensions | object_member(extension, "extensions", where)
     for name in _SPZ:
         if name in packed:
@@ -65,19 +69,21 @@ def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) 
                 glb, object_member(packed, name, where), f"{where}, {name}", max_bytes
             )
             return replace(splats, color_space=space)
-    attributes = object_member(primitive, "attributes", where)
     return _from_attributes(glb, attributes, where, space)
 
 
-def _color_space(extension: Json, where: str) -> Literal["srgb", "linear"]:
+def _color_space(extension: Json, attributes: Json, where: str) -> Literal["srgb", "linear"]:
     kernel, space = extension.get("kernel", "ellipse"), extension.get("colorSpace")
     if kernel != "ellipse":
         raise NotSupported(shown(str(kernel)), where=f"{where}, kernel", expected="ellipse")
-    if space is None and "extensions" in extension:  # the drafts with SPZ do not state it
+    # Drafts do not state it, whether they store SPZ or attributes of their own names.
+    if space is None and ("extensions" in extension or _is_drafted(attributes)):
         return "srgb"
     if not isinstance(space, str) or space not in COLOR_SPACES:
         raise NotSupported(
-            shown(str(space)), where=f"{where}, colorSpace", expected=" or ".join(COLOR_SPACES)
+            "missing" if space is None else shown(str(space)),
+            where=f"{where}, colorSpace",
+            expected=" or ".join(COLOR_SPACES),
         )
     return COLOR_SPACES[space]
 

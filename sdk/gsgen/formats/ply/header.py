@@ -175,7 +175,7 @@ def _split(data: mmap.mmap) -> tuple[list[str], int]:
 
 
 def _endless(searched: int, size: int) -> FileTruncated | HeaderMalformed:
-    message = f"no end_header in the first {searched} bytes"
+    message = f"the PLY header has no end_header in its first {searched} bytes"
     expected = "a line `end_header`"
     if searched < size:
         return HeaderMalformed(message, where="header", expected=expected)

@@ -197,9 +197,10 @@ def _check_output_sizes(
     for spec in output_specs:
         size = math.prod(shapes[spec.name]) * spec.dtype.itemsize
         if size > limit:
-            message = f"shape {list(shapes[spec.name])} takes {size / 1e9:.1f} GB"
             raise RunFailed(
-                f"the output of {message}, more than {limit_name}", where=f"output {spec.name}"
+                f"the output of shape {list(shapes[spec.name])} takes {size / 1e9:.1f} GB, "
+                f"more than {limit_name}",
+                where=f"output {spec.name}",
             )
 
 

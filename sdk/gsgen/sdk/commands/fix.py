@@ -79,7 +79,7 @@ def _document(result: "RepairResult", output: Path | None) -> dict[str, object]:
     return {
         "path": str(output) if output else None,
         "repairs": [
-            {"what": applied.description, "rule": applied.rule} for applied in result.repairs
+            {"description": applied.description, "rule": applied.rule} for applied in result.repairs
         ],
         "before": to_dict(result.before),
         "after": to_dict(result.after),

@@ -61,13 +61,13 @@ def root_translation_added(behaviour: Behaviour) -> Iterator[Violation]:
     """
     for base, probe, first, second in _pairs(behaviour, "root_translation"):
         name = behaviour.subject.inputs_of("root_translation")[0][0].name
-        told = (probe.inputs[name] - base.inputs[name]).astype(np.float64)
+        translation = (probe.inputs[name] - base.inputs[name]).astype(np.float64)
         moves = second - first
-        moved, length = moves.mean(axis=0), float(np.linalg.norm(told))
+        moved, length = moves.mean(axis=0), float(np.linalg.norm(translation))
         alike = np.abs(moves - moved).max() <= _ALIKE * max(length, float(np.abs(moved).max()))
-        if alike and length > 0 and np.linalg.norm(moved - told) > _AGREES * length:
+        if alike and length > 0 and np.linalg.norm(moved - translation) > _AGREES * length:
             factor = float(np.linalg.norm(moved)) / length
-            actual = f"a translation by {_vector(told)} moves all rows by {_vector(moved)}"
+            actual = f"a translation by {_vector(translation)} moves all rows by {_vector(moved)}"
             cause = (
                 "the translation is rotated, so it is added before the rotation"
                 if abs(factor - 1) <= _AGREES

@@ -64,7 +64,6 @@ FRAME: Final = _bytes(
         "near": ("f4", 40),
         "period": ("f4", 44),
         "size": ("2u4", 48),
-        "tiles": ("2u4", 56),
         "background": ("4f4", 64),
     },
 )
@@ -101,11 +100,6 @@ PAGE: Final = _bytes(
 """The bytes of ``struct Page`` in page.wgsl."""
 
 
-def tiles_of(camera: Camera) -> tuple[int, int]:
-    """Return the number of tiles across and down a camera's image."""
-    return -(-camera.width // TILE), -(-camera.height // TILE)
-
-
 def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[np.ndarray, ""]:
     """Return the ``Frame`` uniform of a camera; the background is multiplied by its alpha."""
     uniform = np.zeros((), FRAME)
@@ -117,7 +111,7 @@ def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[
     uniform["focal"], uniform["center"], uniform["origin"] = focal, center - origin, origin
     uniform["slope_low"] = -(center + margin) / focal
     uniform["slope_high"] = (size - center + margin) / focal
-    uniform["near"], uniform["size"], uniform["tiles"] = camera.near, size, tiles_of(camera)
+    uniform["near"], uniform["size"] = camera.near, size
     uniform["period"] = camera.period
     uniform["background"][:3] = background
     return uniform
@@ -193,6 +187,8 @@ class ProjectKernel:
         weighted: Whether Gaussians are blended by weighted sums.
         packed: Whether rows are packed by compact_rows.py.
         slot_rows: Rows of a slot, for pages of a pool; 0 for others.
+        tile: Edge of the tiles that are counted, in pixels.
+        records: Whether each splat is one record.
     """
 
     def __init__(
@@ -205,6 +201,8 @@ class ProjectKernel:
         weighted: bool = False,
         packed: bool = False,
         slot_rows: int = 0,
+        tile: int = TILE,
+        records: bool = False,
     ) -> None:
         name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
         self.kernel = Kernel(
@@ -213,6 +211,8 @@ class ProjectKernel:
             "project_pooled" if slot_rows else "project",
             ("uwwww", "urrr") if weighted else ("uwwwww", "urrur" if slot_rows else "urr"),
             THREADS=THREADS,
+            TILE=tile,
+            RECORDS=records,
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
             HALF_APPEARANCE=half,

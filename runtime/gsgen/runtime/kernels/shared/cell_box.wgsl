@@ -15,7 +15,7 @@ fn box_of(mean: vec2f, radius: f32, copy: u32) -> vec4u {
         middle.x += (f32(copy) - 1.0) * frame.period;
     }
     let extent = vec2f(half_width, radius);
-    let most = vec2f(frame.tiles);
+    let most = vec2f(image_tiles());
     let begin = clamp(floor((middle - extent) / f32(TILE)), vec2f(0.0), most);
     let end = clamp(floor((middle + extent + f32(TILE - 1u)) / f32(TILE)), begin, most);
     return vec4u(vec2u(begin), vec2u(end));

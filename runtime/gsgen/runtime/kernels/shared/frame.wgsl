@@ -9,11 +9,15 @@ struct Frame {
     near: f32,
     period: f32,         // of a panorama: pixels of a full turn
     size: vec2u,         // pixels
-    tiles: vec2u,
     background: vec4f,   // red, green, blue; alpha stays that of the splats
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
+
+// Return how many tiles the image has, across and down.
+fn image_tiles() -> vec2u {
+    return (frame.size + TILE - 1u) / TILE;
+}
 
 // The shorter horizontal distance: in a panorama it may cross the image's left and right edges.
 fn nearest(across: f32) -> f32 {

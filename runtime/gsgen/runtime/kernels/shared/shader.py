@@ -26,7 +26,9 @@ FINISHED = 0.01
 JACOBIAN_MARGIN = 0.3
 """Margin around the image, in half images, to which Jacobians are clamped (as in gsplat)."""
 TILE = 16
-"""Edge of a tile, in pixels."""
+"""Edge of a tile, in pixels: a weighted sum counts whole tiles of it (Liu et al. 2025)."""
+LARGE_TILE = 32
+"""Edge of the tiles of depth-sorted splats on GPUs, in pixels: fewer pairs to sort and read."""
 ABSENT = 0xFFFFFFFF
 """The sort key of a Gaussian that is not drawn, and the id of a pixel without Gaussians."""
 NOWHERE = 3.4e38
@@ -67,6 +69,7 @@ def source(name: str, **constants: int | float | bool) -> str:
         "NOWHERE": NOWHERE,
         "PANORAMA": False,
         "PACKED": False,
+        "RECORDS": False,
         "SPLAT_REACH": SPLAT_REACH,
         "CELL_REACH": CELL_REACH,
         "MIN_EIGENVALUE_GAP": MIN_EIGENVALUE_GAP,

@@ -44,8 +44,8 @@ fn outline(mean: vec2f, conic: vec3f, strength: f32, variance_yy: f32) -> Outlin
     // A pixel's centre is half a pixel from its edge.
     let first = ceil(result.mean.y - result.half_height - 0.5);
     let last = floor(result.mean.y + result.half_height - 0.5);
-    let begin = tile_at(first, frame.tiles.y);
-    result.rows = vec2u(begin, max(begin, tile_at(last + f32(TILE), frame.tiles.y)));
+    let begin = tile_at(first, image_tiles().y);
+    result.rows = vec2u(begin, max(begin, tile_at(last + f32(TILE), image_tiles().y)));
     return result;
 }
 
@@ -74,7 +74,7 @@ fn span(ellipse: Outline, row: u32, copy: u32) -> vec2u {
         left = max(left, -most);
         middle += (f32(copy) - 1.0) * frame.period;
     }
-    let begin = tile_at(ceil(middle + left - 0.5), frame.tiles.x);
-    let end = tile_at(floor(middle + right - 0.5) + f32(TILE), frame.tiles.x);
+    let begin = tile_at(ceil(middle + left - 0.5), image_tiles().x);
+    let end = tile_at(floor(middle + right - 0.5) + f32(TILE), image_tiles().x);
     return vec2u(begin, max(begin, end));
 }

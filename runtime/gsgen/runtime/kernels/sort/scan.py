@@ -1,6 +1,6 @@
 """Scan: replaces numbers on the GPU by the sums of all before them (prefix sums)."""
 
-__all__ = ["Scan", "scan_reference"]
+__all__ = ["MANY", "Scan", "scan_reference"]
 
 from functools import cache
 from typing import Final, final
@@ -12,6 +12,9 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+
+MANY: Final = 0x7FFFFFFF
+"""The largest sum: larger ones saturate."""
 
 _THREADS: Final = 256
 _RUN: Final = 8
@@ -102,4 +105,4 @@ class Scan:
 def scan_reference(numbers: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " n"]:
     """Return exclusive prefix sums, which saturate at 2³¹ − 1: the reference of ``scan.wgsl``."""
     before = np.cumsum(numbers, dtype=np.uint64) - numbers
-    return np.asarray(np.minimum(before, 0x7FFFFFFF), np.uint32)
+    return np.asarray(np.minimum(before, MANY), np.uint32)

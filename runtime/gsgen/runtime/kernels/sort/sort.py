@@ -2,7 +2,7 @@
 
 __all__ = ["KEY_BITS", "Columns", "RadixSort", "SortConfig", "cut_for", "sort_reference"]
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -13,8 +13,8 @@ from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.sizes import at_least
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Dispatch, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import ABSENT
-from gsgen.runtime.kernels.sort.scan import Scan
+from gsgen.runtime.kernels.shared.shader import ABSENT, LARGE_TILE, TILE
+from gsgen.runtime.kernels.sort.scan import MANY, Scan
 
 KEY_BITS: Final = 32
 """Bits of a depth key: positive floats sort like their bits."""
@@ -28,36 +28,45 @@ class Columns(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SortConfig:
-    """How a radix sort and the listing of tiles are divided among GPU invocations.
+    """How the sort, the listing of tiles and the blending are divided among GPU invocations.
 
     Attributes:
         threads: Invocations of a workgroup of the sort.
         run: Keys per invocation of the sort.
         digit_bits: Most bits that one pass sorts by.
         walk: Sorted splats per invocation of the binning.
+        tile: Edge of the tiles that splats are listed by, in pixels.
     """
 
     threads: int
     run: int
     digit_bits: int
     walk: int
+    tile: int
 
     @property
     def block(self) -> int:
         """The number of keys per workgroup of the radix sort."""
         return self.threads * self.run
 
+    @property
+    def staged(self) -> bool:
+        """Whether keys are ordered in workgroup memory: an invocation per digit is needed."""
+        return self.threads >= 1 << self.digit_bits
+
 
 def cut_for(device: Device) -> SortConfig:
-    """Return the sort settings of a device: many keys per invocation on a CPU, few on a GPU."""
-    return SortConfig(8, 512, 8, 64) if device.software else SortConfig(256, 16, 4, 4)
+    """Return the settings of a device: long runs per invocation on a CPU, large tiles on a GPU."""
+    if device.software:
+        return SortConfig(threads=8, run=512, digit_bits=8, walk=64, tile=TILE)
+    return SortConfig(threads=256, run=8, digit_bits=8, walk=4, tile=LARGE_TILE)
 
 
 @final
 class RadixSort:
-    """The radix sort ``sort.wgsl``, least significant digit first.
+    """A radix sort, least significant digit first: ``staged_sort.wgsl``, or ``sort.wgsl`` on CPUs.
 
     Args:
         device: Device of the kernels.
@@ -68,12 +77,16 @@ class RadixSort:
     def __init__(self, device: Device, cut: SortConfig, scan: Scan) -> None:
         self._device, self._cut, self._scan = device, cut, scan
         constants = {"THREADS": cut.threads, "RUN": cut.run, "DIGITS": 1 << cut.digit_bits}
-        self._count = Kernel(device, "sort", "count", ("urrrwww",), **constants)
-        self._scatter = Kernel(device, "sort", "scatter", ("urrrwww",), **constants)
+        shader, bindings = ("staged_sort", "urrrwwww") if cut.staged else ("sort", "urrrwww")
+        entries = ("count", "scatter", "scan_rows") if cut.staged else ("count", "scatter")
+        self._kernels = [
+            Kernel(device, shader, entry, (bindings,), **constants) for entry in entries
+        ]
 
     def histogram(self, capacity: int) -> Buffer:
         """Return a new histogram buffer for sorting up to ``capacity`` keys."""
-        size = 4 * (1 << self._cut.digit_bits) * self.blocks(capacity)
+        tables = 2 if self._cut.staged else 1
+        size = 4 * tables * (1 << self._cut.digit_bits) * self.blocks(capacity)
         return self._device.storage("histogram", size)
 
     def blocks(self, capacity: int) -> int:
@@ -108,39 +121,46 @@ class RadixSort:
         """
         passes = -(-bits // self._cut.digit_bits)
         width = -(-bits // passes)
+        totals = []
+        if self._cut.staged:
+            totals.append(self._device.storage("digit totals", 4 << self._cut.digit_bits))
         recorded: list[Step] = []
         for number in range(passes):
             digits = min(width, bits - number * width)
+            next_digits = max(0, min(width, bits - (number + 1) * width))
             first = number == 0 and compacting is not None
             now = Counts.GAUSSIANS if first else source
             dispatch: Dispatch = (counts, 4 * groups)
             if number == 0 and compacting is not None:
                 dispatch = (self.blocks(compacting), 1, 1)
-            uniform = self._device.uniform("digit", 16)
-            words = np.array([number * width, digits, now, first], np.uint32)
-            self._device.write(uniform, words)
+            words = [number * width, digits, now, first, next_digits, number % 2, 0, 0]
+            uniform = self._device.uniform("digit", 32)
+            self._device.write(uniform, np.array(words, np.uint32))
             before, after = columns[number % 2], columns[1 - number % 2]
             if first and first_keys is not None:
                 before = Columns(first_keys, first_keys)  # a compacting pass reads no values
-            resources = (uniform, counts, *before, histogram, *after)
-            scan = self._scan.steps(
-                counts,
-                histogram,
-                source=now,
-                block=self._cut.block,
-                rows=1 << digits,
-                total=source if first else None,
+            resources = (uniform, counts, *before, histogram, *after, *totals)
+            count, scatter, *rows = (
+                Step(kernel, (kernel.bind(*resources),), dispatch) for kernel in self._kernels
             )
-            recorded += [
-                Step(self._count, (self._count.bind(*resources),), dispatch),
-                *scan,
-                Step(self._scatter, (self._scatter.bind(*resources),), dispatch),
-            ]
+            if not self._cut.staged or number == 0:  # else the scatter before has counted
+                recorded.append(count)
+            recorded += [replace(step, groups=(1 << digits, 1, 1)) for step in rows]
+            if not self._cut.staged or first:
+                recorded += self._scan.steps(
+                    counts,
+                    totals[0] if self._cut.staged else histogram,
+                    source=now,
+                    block=MANY if self._cut.staged else self._cut.block,
+                    rows=1 << digits,
+                    total=source if first else None,
+                )
+            recorded.append(scatter)
         return recorded, passes % 2
 
 
 def sort_reference(keys: UInt32[np.ndarray, " n"], bits: int) -> UInt32[np.ndarray, " m"]:
-    """Return indices sorted by key, without ABSENT keys: the reference of ``sort.wgsl``."""
+    """Return indices sorted by key, without ABSENT keys: the twin of both sorts."""
     present = np.flatnonzero(keys != ABSENT)
     order = np.argsort(keys[present] & ((1 << bits) - 1), kind="stable")
     return present[order].astype(np.uint32)

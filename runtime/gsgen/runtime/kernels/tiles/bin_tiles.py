@@ -26,13 +26,28 @@ class BinTiles:
         walk: Splats per invocation.
         panorama: Whether the image is a panorama.
         cells: Whether to list the tiles of cells instead of splats.
+        tile: Edge of a tile, in pixels.
+        records: Whether each splat is one record.
     """
 
     def __init__(
-        self, device: Device, walk: int, *, panorama: bool = False, cells: bool = False
+        self,
+        device: Device,
+        walk: int,
+        *,
+        panorama: bool = False,
+        cells: bool = False,
+        tile: int = TILE,
+        records: bool = False,
     ) -> None:
         shader = "bin_cells" if cells else "bin_tiles"
-        constants = {"THREADS": WALK_THREADS, "RUN": walk, **COUNT_CONSTANTS}
+        constants = {
+            "THREADS": WALK_THREADS,
+            "RUN": walk,
+            "TILE": tile,
+            "RECORDS": records,
+            **COUNT_CONSTANTS,
+        }
         constants |= PANORAMA_CONSTANTS if panorama else {}
         self._measure, self._emit = (
             Kernel(device, shader, entry, (_BINDINGS[shader],), **constants)
@@ -59,6 +74,7 @@ def touched_reference(
     strength: float,
     size: tuple[int, int],
     period: float = 0.0,
+    tile: int = TILE,
 ) -> Bool[np.ndarray, "rows columns"]:
     """Return the mask of image tiles that have a pixel which a splat reaches.
 
@@ -68,13 +84,14 @@ def touched_reference(
         strength: Logarithm of the opacity over CULL_OPACITY.
         size: Width and height of the image, in pixels.
         period: Pixels of a full turn of a panorama; 0 for other images.
+        tile: Edge of a tile, in pixels.
     """
-    across, down = (-(-side // TILE) for side in size)
+    across, down = (-(-side // tile) for side in size)
     dx = np.arange(size[0]) + 0.5 - mean[0]
     if period:
         dx = dx - period * np.round(dx / period)
     dy = np.arange(size[1])[:, None] + 0.5 - mean[1]
     power = 0.5 * (conic[0] * dx**2 + conic[2] * dy**2) + conic[1] * dx * dy
-    reached = np.zeros((down * TILE, across * TILE), bool)
+    reached = np.zeros((down * tile, across * tile), bool)
     reached[: size[1], : size[0]] = power <= strength
-    return np.asarray(reached.reshape(down, TILE, across, TILE).any(axis=(1, 3)))
+    return np.asarray(reached.reshape(down, tile, across, tile).any(axis=(1, 3)))

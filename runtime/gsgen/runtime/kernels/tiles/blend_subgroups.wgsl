@@ -4,31 +4,10 @@
 // reads even if all lanes read the same address.
 
 //!include blend_tile
-//!include tile_span
+//!include cells_touched
 
-// Return a bit for each cell of a tile that a splat touches; all bits in a panorama, whose splats
-// may be drawn twice.
-fn cells_touched(tile: vec2u, shape: vec4f, weight: vec4f) -> u32 {
-    if (PANORAMA) {
-        return ~0u;
-    }
-    let ellipse = outline(shape.xy, vec3f(shape.zw, weight.x), weight.y, weight.w);
-    let first = vec2f(tile * TILE) + 0.5 - ellipse.mean;  // the first pixel's centre
-    var touched = 0u;
-    for (var band = 0u; band < QUADS; band++) {
-        let top = first.y + 4.0 * f32(band);
-        if (top <= ellipse.half_height && top + 3.0 >= -ellipse.half_height) {
-            let ends = extent(ellipse, vec2f(top, top + 3.0)) - first.x;
-            for (var side = 0u; side < COLUMNS; side++) {
-                let left = f32(side * LANES);
-                if (ends.x <= left + f32(LANES - 1u) && ends.y >= left) {
-                    touched |= 1u << (side * QUADS + band);
-                }
-            }
-        }
-    }
-    return touched;
-}
+const CELL_WIDTH = LANES;
+const CELL_HEIGHT = 4u;
 
 @compute @workgroup_size(TILE / COLUMNS, TILE / (4u * QUADS))
 fn blend(
@@ -40,8 +19,8 @@ fn blend(
     var open = ~0u;  // cells with a pixel that is not finished
     for (var first = range.x; first < range.y; first += LANES) {
         let own_id = pair_splats[min(first + lane, range.y - 1u)];
-        let own_shape = shapes[own_id];
-        let own_weight = weights[own_id];
+        let own_shape = shapes[shape_at(own_id)];
+        let own_weight = weights[weight_at(own_id)];
         let own_color = colors[own_id];
         let own_cells = open & cells_touched(tile.xy, own_shape, own_weight);
         let count = min(LANES, range.y - first);

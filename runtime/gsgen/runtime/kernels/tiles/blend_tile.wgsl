@@ -8,6 +8,7 @@
 
 //!include frame
 //!include blend_opacity
+//!include splat_record
 
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
 @group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
@@ -77,7 +78,7 @@ fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
     layer_LAYER_CELL = layer_cell(LAYERu, CELLu);
 //!end
 //!end
-    return ranges[tile.y * frame.tiles.x + tile.x];
+    return ranges[tile.y * image_tiles().x + tile.x];
 }
 
 // Return the logarithm of a splat's opacity over CULL_OPACITY at the pixels of a cell.

@@ -73,25 +73,43 @@ def workgroup_shape(
 
 @final
 class BlendTiles:
-    """Blends splats per tile: ``blend_tiles.wgsl``, or ``blend_subgroups.wgsl`` where faster.
+    """Blends splats per tile: ``blend_tiles.wgsl``, or one of two shaders where they are faster.
+
+    ``blend_subgroups.wgsl`` is for CPUs whose subgroups are as wide as half a tile, and
+    ``blend_staged.wgsl``, which reads splats through workgroup memory, for larger tiles.
 
     Args:
         device: Device of the kernel.
         pick: Whether to compute depths and ids instead of colours.
         panorama: Whether the image is a panorama.
         layers: Number of image layers among the splats.
+        tile: Edge of a tile, in pixels.
+        records: Whether each splat is one record.
     """
 
     def __init__(
-        self, device: Device, *, pick: bool, panorama: bool = False, layers: int = 0
+        self,
+        device: Device,
+        *,
+        pick: bool,
+        panorama: bool = False,
+        layers: int = 0,
+        tile: int = TILE,
+        records: bool = False,
     ) -> None:
         together, constants = workgroup_shape(device, layers, panorama=panorama)
+        shader = "blend_subgroups" if together else "blend_tiles"
+        if tile != TILE:
+            shader, together = "blend_staged", False
+            constants |= {"TILE": tile, "COLUMNS": 1, "QUADS": 1, "CELLS": 1, "LANES": 32}
+            constants["POLYNOMIAL"] = False
         self.kernel = Kernel(
             device,
-            "blend_subgroups" if together else "blend_tiles",
+            shader,
             "blend",
             ("urrrrrw", "rr") if layers else ("urrrrrw",),
             PICK=pick,
+            RECORDS=records,
             MASKED=together and not panorama,
             **constants,
         )

@@ -46,7 +46,7 @@ fn list_tiles(member: u32, row: u32, first: u32, end: u32, pair: u32) -> u32 {
     var next = pair;
     for (var column = first; column < end; column++) {
         if (next < capacity) {
-            pair_tiles[next] = row * frame.tiles.x + column;
+            pair_tiles[next] = row * image_tiles().x + column;
             pair_members[next] = member;
         }
         next += 1u;

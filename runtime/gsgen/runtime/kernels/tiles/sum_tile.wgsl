@@ -92,7 +92,7 @@ fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
 //!repeat PART PARTS
     part_PART = empty_part(PARTu);
 //!end
-    return ranges[tile.y * frame.tiles.x + tile.x];
+    return ranges[tile.y * image_tiles().x + tile.x];
 }
 
 // Step 2: store the light before a cell, and return the most light of any part.

@@ -1,0 +1,236 @@
+// Staged sort: one pass of a stable radix sort for GPUs, which orders keys in workgroup memory.
+//
+// A workgroup orders a block of THREADS × RUN keys by one digit in workgroup memory and writes them
+// from there, so that keys of one digit go to neighbouring addresses. The histogram has a row per
+// digit and a column per block. `count` fills it before the first pass. Later passes read no key
+// twice: `scatter` counts the next digit of each key in the column of the block that the key is
+// written to. `scan_rows` converts each row to sums, and clears the table of the next pass. No
+// workgroup waits for another, and the result does not depend on timing.
+
+//!include prefix_sums
+
+struct Digit {
+    shift: u32,
+    bits: u32,
+    source: u32,     // index of the count that holds the number of keys
+    first: u32,      // 1: values are the indices of the keys, ABSENT keys are dropped, and a scan
+                     // has converted `totals` to sums of all before them
+    next_bits: u32,  // of the next pass; 0 in the last pass
+    table: u32,      // half of the histogram that this pass reads; `scatter` fills the other one
+}
+
+@group(0) @binding(0) var<uniform> digit: Digit;
+@group(0) @binding(1) var<storage, read> counts: array<u32>;
+@group(0) @binding(2) var<storage, read> keys_in: array<u32>;
+@group(0) @binding(3) var<storage, read> values_in: array<u32>;
+@group(0) @binding(4) var<storage, read_write> histogram: array<atomic<u32>>;  // two tables
+@group(0) @binding(5) var<storage, read_write> keys_out: array<u32>;
+@group(0) @binding(6) var<storage, read_write> values_out: array<u32>;
+@group(0) @binding(7) var<storage, read_write> totals: array<u32>;  // keys of each digit
+
+const BLOCK = THREADS * RUN;
+const LANES = 32u;                            // bits of a mask
+const MASKS = (THREADS + LANES - 1u) / LANES; // masks of a digit, one for each 32 invocations
+const NOT_SORTED = ~0u;
+
+var<workgroup> words: array<atomic<u32>, max(BLOCK, DIGITS * MASKS)>;  // masks; then keys; then values
+var<workgroup> amounts: array<u32, DIGITS>;  // keys of the block, by digit
+var<workgroup> firsts: array<u32, DIGITS>;   // index in the block of a digit's first key
+var<workgroup> moves: array<u32, DIGITS>;    // what an index in the block lacks to the index in the output
+var<workgroup> sorted_keys: u32;
+
+fn digit_of(key: u32) -> u32 {
+    return (key >> digit.shift) & ((1u << digit.bits) - 1u);
+}
+
+fn is_sorted(key: u32, i: u32, total: u32) -> bool {
+    return i < total && (digit.first == 0u || key != ABSENT);
+}
+
+// Return the index of a digit's row in one of the two tables.
+fn row_of(table: u32, value: u32) -> u32 {
+    let columns = arrayLength(&histogram) / (2u * DIGITS);
+    return (table * DIGITS + value) * columns;
+}
+
+@compute @workgroup_size(THREADS)
+fn count(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    let total = counts[digit.source];
+    for (var d = local.x; d < DIGITS; d += THREADS) {
+        atomicStore(&words[d], 0u);
+    }
+    workgroupBarrier();
+    for (var round = 0u; round < RUN; round++) {
+        let i = group.x * BLOCK + round * THREADS + local.x;
+        if (i < total) {
+            let key = keys_in[i];
+            if (is_sorted(key, i, total)) {
+                atomicAdd(&words[digit_of(key)], 1u);
+            }
+        }
+    }
+    workgroupBarrier();
+    if (group.x < groups(total, BLOCK)) {
+        for (var d = local.x; d < (1u << digit.bits); d += THREADS) {
+            atomicStore(&histogram[row_of(digit.table, d) + group.x], atomicLoad(&words[d]));
+        }
+    }
+}
+
+// One workgroup per digit. Rows of few blocks are summed by one invocation, without barriers.
+@compute @workgroup_size(THREADS)
+fn scan_rows(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    let blocks = groups(counts[digit.source], BLOCK);
+    let row = row_of(digit.table, group.x);
+    let next_row = row_of(1u - digit.table, group.x);
+    let is_short = blocks <= SPAN;
+    let run = select(groups(blocks, THREADS), SPAN, is_short);
+    let start = min(local.x * run, blocks);
+    let end = min(start + run, blocks);
+    var before = 0u;
+    if (!is_short) {
+        var sum = 0u;
+        for (var i = start; i < end; i++) {
+            sum += atomicLoad(&histogram[row + i]);
+        }
+        before = sum_before(local.x, sum);
+    }
+    for (var i = start; i < end; i++) {
+        let amount = atomicLoad(&histogram[row + i]);
+        atomicStore(&histogram[row + i], before);
+        atomicStore(&histogram[next_row + i], 0u);
+        before += amount;
+    }
+    if (local.x == select(THREADS - 1u, 0u, is_short)) {
+        totals[group.x] = before;
+    }
+}
+
+// Return the rank of a key among those of its digit in the block, after all invocations have set
+// their bit in the masks of this round.
+fn rank_of(value: u32, thread: u32) -> u32 {
+    let last = value * MASKS + thread / LANES;
+    var rank = amounts[value];
+    for (var mask = value * MASKS; mask < last; mask++) {
+        rank += countOneBits(atomicLoad(&words[mask]));
+    }
+    return rank + countOneBits(atomicLoad(&words[last]) & ((1u << (thread % LANES)) - 1u));
+}
+
+// Add the keys of this round to the amounts of each digit, and clear the masks.
+fn add_round(thread: u32) {
+    for (var d = thread; d < DIGITS; d += THREADS) {
+        var amount = amounts[d];
+        for (var mask = d * MASKS; mask < (d + 1u) * MASKS; mask++) {
+            amount += countOneBits(atomicLoad(&words[mask]));
+            atomicStore(&words[mask], 0u);
+        }
+        amounts[d] = amount;
+    }
+}
+
+// Compute where the keys of each digit begin: in the block, and in the output. DIGITS <= THREADS.
+fn place_digits(block: u32, thread: u32) {
+    let is_digit = thread < (1u << digit.bits);
+    var amount = 0u;
+    var total = 0u;
+    if (is_digit) {
+        amount = amounts[thread];
+        total = totals[thread];
+    }
+    let first = sum_before(thread, amount);
+    if (thread == THREADS - 1u) {
+        sorted_keys = first + amount;
+    }
+    workgroupBarrier();
+    let sum = sum_before(thread, total);
+    if (is_digit) {
+        let before = select(sum, total, digit.first != 0u);
+        let start = before + atomicLoad(&histogram[row_of(digit.table, thread) + block]);
+        firsts[thread] = first;
+        moves[thread] = start - first;  // may wrap around, as the sum with an index then does
+    }
+    workgroupBarrier();
+}
+
+@compute @workgroup_size(THREADS)
+fn scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    let thread = local.x;
+    let start = group.x * BLOCK;
+    let total = counts[digit.source];
+    var keys: array<u32, RUN>;
+    var indices: array<u32, RUN>;  // of the keys: ranks, and then indices in the block
+    // Step 1: rank the keys of the block by their digits, THREADS keys a round.
+    for (var d = thread; d < DIGITS; d += THREADS) {
+        amounts[d] = 0u;
+    }
+    for (var mask = thread; mask < DIGITS * MASKS; mask += THREADS) {
+        atomicStore(&words[mask], 0u);
+    }
+    workgroupBarrier();
+    for (var round = 0u; round < RUN; round++) {
+        let i = start + round * THREADS + thread;
+        var key = ABSENT;
+        if (i < total) {
+            key = keys_in[i];
+        }
+        let is_present = is_sorted(key, i, total);
+        let value = digit_of(key);
+        if (is_present) {
+            atomicOr(&words[value * MASKS + thread / LANES], 1u << (thread % LANES));
+        }
+        workgroupBarrier();
+        keys[round] = key;
+        indices[round] = NOT_SORTED;
+        if (is_present) {
+            indices[round] = rank_of(value, thread);
+        }
+        workgroupBarrier();
+        add_round(thread);
+        workgroupBarrier();
+    }
+    // Step 2: find the first index of each digit, in the block and in the output.
+    place_digits(group.x, thread);
+    // Step 3: order the keys in workgroup memory.
+    for (var round = 0u; round < RUN; round++) {
+        if (indices[round] != NOT_SORTED) {
+            indices[round] += firsts[digit_of(keys[round])];
+            atomicStore(&words[indices[round]], keys[round]);
+        }
+    }
+    workgroupBarrier();
+    // Step 4: write them, and count the digits of the next pass.
+    var targets: array<u32, RUN>;
+    for (var round = 0u; round < RUN; round++) {
+        let index = round * THREADS + thread;
+        if (index < sorted_keys) {
+            let key = atomicLoad(&words[index]);
+            let to = index + moves[digit_of(key)];
+            targets[round] = to;
+            keys_out[to] = key;
+            if (digit.next_bits > 0u) {
+                let next = (key >> (digit.shift + digit.bits)) & ((1u << digit.next_bits) - 1u);
+                atomicAdd(&histogram[row_of(1u - digit.table, next) + to / BLOCK], 1u);
+            }
+        }
+    }
+    workgroupBarrier();
+    // Step 5: the values follow their keys.
+    for (var round = 0u; round < RUN; round++) {
+        if (indices[round] != NOT_SORTED) {
+            let i = start + round * THREADS + thread;
+            var value = i;
+            if (digit.first == 0u) {
+                value = values_in[i];
+            }
+            atomicStore(&words[indices[round]], value);
+        }
+    }
+    workgroupBarrier();
+    for (var round = 0u; round < RUN; round++) {
+        let index = round * THREADS + thread;
+        if (index < sorted_keys) {
+            values_out[targets[round]] = atomicLoad(&words[index]);
+        }
+    }
+}

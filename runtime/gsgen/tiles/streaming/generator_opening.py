@@ -1,0 +1,79 @@
+"""Opens the generators of neural tiles: digest, validation, and a worker that runs the model."""
+
+__all__ = ["GeneratorOpener", "ModelReader"]
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import final
+
+from gsgen.contract.validation.finding import Violation
+from gsgen.runtime.sources.generator_worker import GeneratorWorker
+from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.neural import NeuralTile
+from gsgen.tiles.neural_model import check_digest, check_neural_model
+from gsgen.tiles.tileset import Tile
+
+ModelReader = Callable[[NeuralTile], bytes]
+
+
+@final
+class GeneratorOpener:
+    """Opens the generators of neural tiles; a model that has conformed is not validated again.
+
+    Args:
+        tiles: Tiles of the tileset, by key.
+        read_model: Reads the model of a tile.
+    """
+
+    def __init__(self, tiles: Sequence[Tile], read_model: ModelReader) -> None:
+        self._tiles, self._read_model = tiles, read_model
+        self._conforming: set[int] = set()
+
+    def open(self, tile: int) -> tuple[GeneratorWorker, int]:
+        """Read, check and open the generator of a tile; return its worker and the model's bytes.
+
+        Raises:
+            TilesetInvalid: The model cannot be had, or breaks a promise of the tile.
+            GsgenError: ONNX Runtime cannot open the model.
+        """
+        entry = self._tiles[tile]
+        assert entry.neural is not None
+        data = self._read_model(entry.neural)
+        _raise_first(list(check_digest(data, entry.neural, "model")))
+        with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
+            path = Path(folder) / "model.onnx"
+            path.write_bytes(data)
+            if tile not in self._conforming:
+                _raise_first(list(check_neural_model(path, entry, entry.neural, "model")))
+                self._conforming.add(tile)
+            worker = GeneratorWorker(path, "cpu")
+        try:
+            _require_drawable(worker)
+        except TilesetInvalid:
+            worker.close()
+            raise
+        return worker, len(data)
+
+
+def _raise_first(violations: Sequence[Violation]) -> None:
+    if violations:
+        first = violations[0]
+        raise TilesetInvalid(first.actual, expected=first.expected, fault=Fault.NEURAL)
+
+
+def _require_drawable(worker: GeneratorWorker) -> None:
+    """Raise if a generator's Gaussians cannot be blended with those of other tiles."""
+    manifest = worker.manifest
+    assert manifest.outputs.appearance is not None  # the worker requires it
+    for name, actual, expected in (
+        ("blend", manifest.blend, "alpha"),
+        ("color_space", manifest.outputs.appearance.color_space, "srgb"),
+        ("antialias", manifest.antialias, "classic"),
+    ):
+        if actual != expected:
+            raise TilesetInvalid(
+                f"the manifest's {name} is {actual}",
+                expected=f"{expected}, as of all tiles",
+                fault=Fault.NEURAL,
+            )

@@ -1,0 +1,414 @@
+"""Runs the generators of neural tiles: the Gaussians of a run replace the tile's splats.
+
+Of the drawn neural tiles, the largest ones in view have a generator, at most as many as there are
+sessions. Each frame, in this order:
+
+1. Take the generators that were opened and the runs that ended.
+2. Close generators of tiles that are no longer among the largest.
+3. Open one more generator, while nothing else is missing: read the model, check its digest, and
+   validate it against the contract and the tile's declaration.
+4. Begin runs for tiles whose inputs changed, the longest waiting first, up to a rate.
+5. Return new rows of tiles, within the bytes that a frame may upload.
+
+A tile shows its own splats until its generator has run, and again when the generator is closed or
+breaks a promise: then a line names the tile, and the model is not run again.
+"""
+
+__all__ = ["NeuralTiles", "NeuralTilesOptions"]
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor
+from concurrent.futures import wait as wait_for
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.spec.roles import CAMERA_ROLES
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.sources.generator_worker import FrameDelta, GeneratorWorker
+from gsgen.runtime.sources.placed_source import local_camera
+from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
+from gsgen.tiles.selection.tile_tree import TileTree
+from gsgen.tiles.streaming.clock import Clock
+from gsgen.tiles.streaming.events import EventLog, NeuralEvents
+from gsgen.tiles.streaming.fetch import RETRY_AFTER
+from gsgen.tiles.streaming.generator_opening import GeneratorOpener, ModelReader
+from gsgen.tiles.streaming.generator_rows import tile_rows
+from gsgen.tiles.streaming.session_frame import TileArrival
+from gsgen.tiles.volumes import Box
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NeuralTilesOptions:
+    """The budgets of neural tiles.
+
+    Attributes:
+        sessions: Most generators that are open at once.
+        runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
+            for every run.
+        upload_budget: Bytes of arrivals and of new rows in a frame.
+    """
+
+    sessions: int
+    runs_per_second: float
+    upload_budget: int
+
+
+@final
+@dataclass(slots=True, eq=False, kw_only=True)
+class _Generator:
+    """An open generator of a tile.
+
+    Attributes:
+        worker: Runs the model on a thread.
+        pending: The run that was begun.
+        begun: Inputs of that run.
+        shown: Inputs of the run that ``result`` came of.
+        result: Latest rows, in the root frame.
+        last_run: Time of the last run's begin.
+        last_drawn: Time at which the tile was last drawn.
+    """
+
+    worker: GeneratorWorker
+    pending: "Future[FrameDelta] | None" = None
+    begun: object = None
+    shown: object = None
+    result: TileArrival | None = None
+    last_run: float = -np.inf
+    last_drawn: float = -np.inf
+    rows: np.ndarray | None = field(default=None, repr=False)
+    appearance: np.ndarray | None = field(default=None, repr=False)
+
+
+@final
+class NeuralTiles:
+    """The generators of a tileset's neural tiles, which run within budgets.
+
+    Attributes:
+        time_range: First and last time of all neural tiles; None without an input ``time``.
+        bytes: Bytes of models received.
+        runs: Number of runs that ended.
+
+    Args:
+        tree: The tiles.
+        read_model: Reads the model of a tile; called on a thread.
+        clock: Of the rate of runs.
+        options: The budgets.
+        sh_degree: Of the splat pool.
+        most_rows: Rows of the splat pool; a tile that declares more draws its splats.
+        report: Receives a line for each generator that cannot be run.
+        log: Receives events; None for none.
+    """
+
+    def __init__(
+        self,
+        tree: TileTree,
+        read_model: ModelReader,
+        clock: Clock,
+        options: NeuralTilesOptions,
+        *,
+        sh_degree: int,
+        most_rows: int,
+        report: Callable[[str], None],
+        log: EventLog | None = None,
+    ) -> None:
+        self._tree, self._read_model, self._clock = tree, read_model, clock
+        self._options, self._sh_degree = options, sh_degree
+        self._report, self._log = report, log
+        self._neural = {
+            index: tile.neural
+            for index, tile in enumerate(tree.tiles)
+            if tile.neural and tile.contents
+        }
+        for tile, neural in list(self._neural.items()):
+            if neural.splats_max > most_rows:
+                del self._neural[tile]
+                report(
+                    f"{neural.location}.splats_max: {neural.splats_max:,}; expected at most "
+                    f"{most_rows:,}, the budget of Gaussians; the tile's splats are drawn"
+                )
+        spans = [neural.time_range for neural in self._neural.values() if neural.time_range]
+        self.time_range = (
+            (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
+        )
+        self.bytes = self.runs = 0
+        self._contents: dict[int, TileArrival] = {}  # of resident neural tiles
+        self._in_pool: dict[int, TileArrival] = {}  # what the slots of each of them hold
+        self._open: dict[int, _Generator] = {}
+        self._loading: dict[int, Future[tuple[GeneratorWorker, int]]] = {}
+        self._retry_at: dict[int, float] = {}
+        self._unsettled: tuple[int, ...] = ()
+        self._tokens, self._token_time = 1.0, clock.now()
+        self._events = NeuralEvents()
+        self._opener = GeneratorOpener(tree.tiles, read_model)
+        self._loader = ThreadPoolExecutor(1, thread_name_prefix="gsgen neural tiles")
+
+    @property
+    def tiles(self) -> tuple[int, ...]:
+        """The tiles whose generators may run."""
+        return tuple(self._neural)
+
+    def splats_max(self, tile: int) -> int:
+        """Return the most Gaussians of a tile's generator, as declared."""
+        return self._neural[tile].splats_max
+
+    @property
+    def open_tiles(self) -> tuple[int, ...]:
+        """The tiles whose generators are open, in ascending order."""
+        return tuple(sorted(self._open))
+
+    @property
+    def unsettled(self) -> tuple[int, ...]:
+        """The tiles that do not show the Gaussians of the last frame's inputs yet."""
+        return self._unsettled
+
+    def arrive(self, arrival: TileArrival) -> None:
+        """Record the content of a tile that was copied into the splat pool."""
+        if arrival.tile in self._neural:
+            self._contents[arrival.tile] = self._in_pool[arrival.tile] = arrival
+
+    def evict(self, tile: int) -> None:
+        """Forget the content of a tile that left the splat pool."""
+        self._contents.pop(tile, None)
+        self._in_pool.pop(tile, None)
+
+    def frame(
+        self,
+        camera: Camera,
+        values: Mapping[str, object],
+        drawn: Sequence[int],
+        *,
+        uploaded: int,
+        is_complete: bool,
+    ) -> list[TileArrival]:
+        """Advance loads and runs; return the rows that replace those of tiles in the pool.
+
+        Args:
+            camera: In the root frame.
+            values: Input values by role, such as ``time``.
+            drawn: Keys of the drawn tiles.
+            uploaded: Bytes of arrivals in this frame; new rows get what the budget leaves, and
+                a tile that is larger than the budget is uploaded alone.
+            is_complete: Whether all splats that the camera needs are there, so that models may
+                be read.
+        """
+        time = self._clock.now()
+        self._collect(time)
+        tiles = self._largest(camera, [tile for tile in drawn if tile in self._contents], time)
+        inputs = {tile: self._inputs(tile, camera, values) for tile in tiles}
+        self._close_others(tiles, time)
+        if is_complete:
+            self._load(tiles)
+        self._run(inputs, camera, time)
+        updates = self._updates(uploaded)
+        self._unsettled = tuple(t for t in tiles if not self._is_settled(t, inputs[t]))
+        if self._log and self._events:
+            self._log.neural(time, self._events)
+        self._events = NeuralEvents()
+        return updates
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until a generator is open or a run ends, for a limited time."""
+        pending: list[Future[Any]] = [*self._loading.values()]
+        pending += [entry.pending for entry in self._open.values() if entry.pending]
+        if pending:
+            wait_for(pending, timeout=seconds, return_when=FIRST_COMPLETED)
+
+    def interrupt(self) -> None:
+        """Stop all pending runs, which then fail."""
+        for entry in self._open.values():
+            entry.worker.interrupt()
+
+    def close(self) -> None:
+        """Stop all runs, and release all generators."""
+        self.interrupt()
+        for load in self._loading.values():
+            load.cancel()
+        self._loader.shutdown(cancel_futures=True)
+        for load in self._loading.values():
+            if not load.cancelled() and load.exception() is None:
+                load.result()[0].close()
+        for entry in self._open.values():
+            entry.worker.close()
+        self._loading, self._open = {}, {}
+
+    # ---- 1. What ended
+
+    def _collect(self, time: float) -> None:
+        for tile, load in list(self._loading.items()):
+            if not load.done():
+                continue
+            del self._loading[tile]
+            try:
+                worker, size = load.result()
+            except GsgenError as error:
+                self._fail(tile, error, time)
+                continue
+            self.bytes += size
+            self._retry_at.pop(tile, None)
+            self._open[tile] = _Generator(worker=worker, last_drawn=time)
+            self._events.opened.append(tile)
+        for tile, entry in list(self._open.items()):
+            if entry.pending is None or not entry.pending.done():
+                continue
+            run, entry.pending = entry.pending, None
+            try:
+                self._take(tile, entry, run.result())
+            except GsgenError as error:
+                self._fail(tile, error, time)
+
+    def _take(self, tile: int, entry: _Generator, delta: FrameDelta) -> None:
+        """Convert the changed outputs of a run to rows of the pool."""
+        entry.rows = entry.rows if delta.rows is None else delta.rows
+        entry.appearance = entry.appearance if delta.appearance is None else delta.appearance
+        entry.shown = entry.begun
+        self.runs += 1
+        self._events.ran.append((tile, delta.count))
+        is_same = delta.rows is None and delta.appearance is None
+        if is_same and entry.result is not None and len(entry.result.rows) == delta.count:
+            return
+        assert entry.rows is not None
+        assert entry.appearance is not None
+        neural, tree = self._neural[tile], self._tree
+        if delta.count > neural.splats_max:
+            raise TilesetInvalid(
+                f"a run gives {delta.count:,} Gaussians",
+                expected=f"{neural.splats_max:,} or fewer, as declared",
+                fault=Fault.NEURAL,
+            )
+        appearance = entry.worker.manifest.outputs.appearance
+        assert appearance is not None  # the worker requires it
+        entry.result = tile_rows(
+            tile,
+            entry.rows[: delta.count],
+            entry.appearance[: delta.count],
+            space=appearance.space,
+            transform=tree.tiles[tile].transform,
+            box=Box(tree.center[tile], tree.half_axes[tile]),
+            sh_degree=self._sh_degree,
+        )
+
+    def _fail(self, tile: int, error: GsgenError, time: float) -> None:
+        """Fall back to the splats of a tile, and report why in one line that names the tile."""
+        self._release(tile)
+        may_pass = isinstance(error, StoreUnavailable)
+        self._retry_at[tile] = time + RETRY_AFTER if may_pass else np.inf
+        message = str(error).replace("\n", " ")
+        uri = self._neural[tile].uri
+        message = message if uri in message else f"{uri}: {message}"
+        line = f"{self._tree.tiles[tile].location}: {message}"
+        self._events.failed.append((tile, line))
+        self._report(f"{line}; the tile's splats are drawn")
+
+    def _release(self, tile: int) -> None:
+        entry = self._open.pop(tile, None)
+        if entry is not None:
+            entry.worker.interrupt()
+            self._loader.submit(entry.worker.close)  # waits for the end of its run
+            self._events.closed.append(tile)
+
+    # ---- 2. and 3. Which generators are open
+
+    def _largest(self, camera: Camera, tiles: Sequence[int], time: float) -> list[int]:
+        """Return the tiles that should have a generator: the largest ones in view."""
+        centers, axes = self._tree.center, self._tree.half_axes
+        size = {
+            tile: float(
+                np.linalg.norm(axes[tile])
+                / max(float(np.linalg.norm(centers[tile] - camera.eye)), 1e-9)
+            )
+            for tile in tiles
+            if self._retry_at.get(tile, -np.inf) <= time
+        }
+        return sorted(size, key=lambda tile: (-size[tile], tile))[: self._options.sessions]
+
+    def _close_others(self, tiles: Sequence[int], time: float) -> None:
+        """Close generators, the longest unused first, that the tiles of this frame need."""
+        for tile in tiles:
+            if tile in self._open:
+                self._open[tile].last_drawn = time
+        lack = sum(tile not in self._open and tile not in self._loading for tile in tiles)
+        lack -= self._options.sessions - len(self._open) - len(self._loading)
+        unused = sorted(
+            (tile for tile in self._open if tile not in tiles),
+            key=lambda tile: (self._open[tile].last_drawn, tile),
+        )
+        for tile in unused[: max(lack, 0)]:
+            self._release(tile)
+
+    def _load(self, tiles: Sequence[int]) -> None:
+        """Begin to open the generator of the largest tile without one; one at a time."""
+        for tile in tiles:
+            has_room = len(self._open) < self._options.sessions
+            if tile not in self._open and not self._loading and has_room:
+                self._loading[tile] = self._loader.submit(self._opener.open, tile)
+
+    # ---- 4. Runs
+
+    def _inputs(self, tile: int, camera: Camera, values: Mapping[str, object]) -> object:
+        """Return a key of the inputs of a tile's generator in this frame."""
+        roles = self._neural[tile].inputs
+        lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+        seen = (camera.view.tobytes(), *lens) if set(roles) & set(CAMERA_ROLES) else None
+        return seen, self._time(tile, values)
+
+    def _time(self, tile: int, values: Mapping[str, object]) -> float | None:
+        """Return the time of a tile's generator, within the tile's range; None without one."""
+        span = self._neural[tile].time_range
+        if span is None:
+            return None
+        value = float(np.asarray(values.get("time", span[0])).reshape(-1)[0])
+        return min(max(value, span[0]), span[1])
+
+    def _run(self, inputs: Mapping[int, object], camera: Camera, time: float) -> None:
+        """Begin runs of generators whose inputs changed."""
+        rate = self._options.runs_per_second
+        if np.isfinite(rate):
+            self._tokens += rate * (time - self._token_time)
+            self._tokens = min(self._tokens, float(max(self._options.sessions, 1)))
+        else:
+            self._tokens = np.inf
+        self._token_time = time
+        ready = [
+            tile
+            for tile, key in inputs.items()
+            if (entry := self._open.get(tile)) and entry.pending is None and entry.shown != key
+        ]
+        for tile in sorted(ready, key=lambda tile: (self._open[tile].last_run, tile)):
+            if self._tokens < 1:
+                break
+            self._tokens -= 1
+            entry, key = self._open[tile], inputs[tile]
+            moment = key[1] if isinstance(key, tuple) else None
+            entry.begun, entry.last_run = key, time
+            entry.pending = entry.worker.start(
+                local_camera(camera, self._tree.tiles[tile].transform),
+                {} if moment is None else {"time": moment},
+            )
+
+    # ---- 5. Uploads
+
+    def _expected(self, tile: int) -> TileArrival:
+        """Return the rows that a tile's slots should hold: of its generator, or of its content."""
+        entry = self._open.get(tile)
+        return self._contents[tile] if entry is None or entry.result is None else entry.result
+
+    def _updates(self, uploaded: int) -> list[TileArrival]:
+        """Return rows for slots that hold others, within the upload budget."""
+        updates: list[TileArrival] = []
+        for tile in sorted(self._in_pool):
+            rows = self._expected(tile)
+            fits = uploaded + rows.upload_bytes <= self._options.upload_budget or uploaded == 0
+            if self._in_pool[tile] is not rows and fits:
+                updates.append(rows)
+                self._in_pool[tile] = rows
+                uploaded += rows.upload_bytes
+        return updates
+
+    def _is_settled(self, tile: int, inputs: object) -> bool:
+        entry = self._open.get(tile)
+        is_current = entry is not None and entry.shown == inputs
+        return is_current and self._in_pool[tile] is self._expected(tile)
