@@ -58,8 +58,9 @@ from gsgen.sdk.exporting.parity_diagnosis import Suspects
 from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
 from gsgen.sdk.exporting.sh_degrees import HALF_RGB
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
-from gsgen.sdk.exporting.trace_hazards import Watch
-from gsgen.sdk.exporting.tracing import trace_generator
+from gsgen.sdk.exporting.tracing.autocast import float32_arithmetic
+from gsgen.sdk.exporting.tracing.hazards import Watch
+from gsgen.sdk.exporting.tracing.trace import trace_generator
 from gsgen.sdk.exporting.verification import check_memory, check_parity
 from gsgen.sdk.float16.convert_model import Float16Result, float16_manifest, to_float16
 from gsgen.sdk.parity import Parity
@@ -185,7 +186,8 @@ def export(
         pictures=pictures,
         compared=_BOUNDS_PROBES if verify == "full" else _QUICK_PROBES,
     )
-    with padded_harmonics(generator, half=options.dtype == "float16", target=target) as notes:
+    half = options.dtype == "float16"
+    with padded_harmonics(generator, half=half, target=target) as notes, float32_arithmetic(notes):
         exported = _export(generator, path, options, settings, progress)
         return replace(exported, notes=tuple(notes))
 
@@ -320,6 +322,7 @@ def _describe(
         draft = replace(draft, outputs=replace(draft.outputs, cells=cells))
     if not generator.inputs:
         return _Description(draft, first_runs, first_probes[0], watch)
+<<<<<<< HEAD
     # Cameras orbit the bounds, so they are placed a second time, around the measured bounds.
     placed = EagerRuns(generator, _probes(draft))
     references = first_runs if placed.has_inputs_of(first_runs) else placed
@@ -328,6 +331,14 @@ def _describe(
     last = len(references) - 1
     compared = references.select(np.linspace(1, last, options.compared).round().astype(int))
     zeros = references.select([0])
+=======
+    # Cameras orbit the bounds, so probes are placed a second time, around the measured bounds.
+    references = EagerRuns(generator, _probes(draft, count=options.probes))
+    measured = [first_runs, references]
+    if options.probes < _PROBES["full"]:  # bounds need as many probes as the validator takes
+        measured.append(EagerRuns(generator, _probes(draft, count=_PROBES["full"])))
+    manifest = replace(draft, bounds=measure_bounds(chain(*measured)))
+>>>>>>> 286e6e457da1b69294c1bc9e00dfecf9685bdbe9
     far = EagerRuns(generator, tuple(_far_probes(manifest)))
     return _Description(manifest, zeros + compared + far, references.probes[1], watch)
 

@@ -23,7 +23,7 @@ _HOLES = 0.05
 # statistic lies in the narrower range that scenes without holes and without blur have.
 _SMALL, _LARGE, _HUGE = 0.12, 0.8, 2.5
 _USUAL = (0.25, 0.6)
-# Gaussians that follow their neighbours are no dust: below the first, a mistake is undone up to the
+# Gaussians that follow their neighbours are not dust: below the first, a mistake is undone up to the
 # second.
 _SPARSE, _DENSE = 0.1, 2.2
 # A square root makes discs and needles, whose shortest axis is below a tenth of the longest, about
