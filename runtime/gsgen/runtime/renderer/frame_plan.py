@@ -1,6 +1,6 @@
 """The frame plan: all GPU buffers and dispatches of a frame, recorded once and reused."""
 
-__all__ = ["Placed", "Plan"]
+__all__ = ["Placed", "Plan", "frame_counts"]
 
 from collections.abc import Sequence
 from typing import final
@@ -31,7 +31,7 @@ from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import Columns
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
-from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
@@ -105,14 +105,11 @@ class Plan:
         n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
-        self._splats = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
+        self._records = kernels.records(n)
+        self._projected, self._splats = self._splat_arrays(n)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
-        self.inputs = {
-            "frame": self._frame,
-            "bare frame": self._bare_frame,
-            "pages": self._slots,
-            "counts": self._counts,
-        }
+        self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
+        self.inputs |= {"pages": self._slots, "counts": self._counts}
         self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
         # Weighted sets become a layer, which the hardware's blending does not support.
@@ -142,7 +139,10 @@ class Plan:
             self.buffers |= self._weighted.buffers
             self.images |= self._weighted.images
             self.stages |= self._weighted.stages
-        if not alone:
+            self.clears += self._weighted.clears
+        if alone and self._weighted is not None:
+            self.inputs |= self._weighted.inputs
+        else:
             self.stages |= self._record(placed, outputs, quads=quads)
         self._held = {"counts": self._counts}
         if self._weighted is not None:
@@ -152,6 +152,14 @@ class Plan:
     def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
         self.buffers[name] = self._device.storage(name, size, extra=extra)
         return self.buffers[name]
+
+    def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
+        """Allocate the splats; return the buffers for the projection, and for the other kernels."""
+        if not self._records:
+            arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
+            return arrays, arrays
+        records = self._storage("shapes", RECORD * n)
+        return [records, self._storage("weights", 0)], [records, records]
 
     def _cleared(self, placed: Sequence[Placed]) -> list[tuple[Buffer, int, int | None]]:
         """Return the buffers that are cleared before a frame, with offset and size in bytes."""
@@ -217,7 +225,7 @@ class Plan:
         return list(self._meshes.layers)
 
     def _draw_quads(self, order: Buffer, colors: Buffer) -> QuadsStep:
-        kernel = self._kernels.quads(self._meshes is not None, self._panorama)
+        kernel = self._kernels.quads(self._meshes is not None, self._panorama, self._records)
         size = kernel.row_bytes(self._size[0]) * self._size[1]
         self.images["color"] = self._storage("color image", size)
         resources = (self._frame, self._counts, order, *self._splats, colors)
@@ -234,14 +242,14 @@ class Plan:
         self, placed: Sequence[Placed], keys: Buffer, colors: Buffer, lows: Buffer
     ) -> list[Step]:
         recorded = []
-        outputs = (self._frame, keys, *self._splats, colors, lows)
+        outputs = (self._frame, keys, *self._projected, colors, lows)
         for slot, (_, page) in enumerate(placed):
             slot_rows = _slot_rows(page)
             if slot_rows:
                 cull = self._kernels.cull_slots(slot_rows, self._panorama)
                 recorded.append(cull.step(self._frame, keys, lows, self._slots, slot, page))
             kernel = self._kernels.project(
-                page.half, page.stride, self._panorama, page.packed, slot_rows
+                page.half, page.stride, self._panorama, page.packed, slot_rows, self._records
             )
             recorded.append(kernel.step(outputs, self._slots, slot, page))
         return recorded
@@ -268,7 +276,7 @@ class Plan:
     def _bin(self, order: Buffer, colors: Buffer, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
         run_pairs = self._storage("run pairs", 4 * -(-self._gaussians // walk))
-        measure, emit = self._kernels.bin(self._panorama).steps(
+        measure, emit = self._kernels.bin(self._panorama, self._records).steps(
             self._counts,
             (self._frame, self._counts, order, colors, run_pairs, *pairs, *self._splats),
         )
@@ -297,7 +305,8 @@ class Plan:
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
-        kernel = self._kernels.blend(pick, self._panorama, layers.count if layers else 0)
+        count = layers.count if layers else 0
+        kernel = self._kernels.blend(pick, self._panorama, count, self._records)
         among = None
         if layers is not None:
             layer_colors = layers.normals if name == "normal" else layers.colors
@@ -314,6 +323,7 @@ class Plan:
         only: Sequence[str] | None = None,
         clock: StageClock | None = None,
         fetch: bool = True,
+        staging: Staging | None = None,
     ) -> None:
         """Write the uniforms of a frame, and submit its GPU commands.
 
@@ -325,6 +335,7 @@ class Plan:
             only: Stages to run; all if None.
             clock: Measures the GPU time of each stage.
             fetch: Whether :meth:`collect` will read images, too.
+            staging: From :meth:`counts_staging`: receives the counts in place of :meth:`collect`.
         """
         device = self._device
         if self._weighted is not None:
@@ -353,8 +364,6 @@ class Plan:
             clock.begin()
         for buffer, offset, size in self.clears:
             encoder.clear_buffer(buffer, offset, size)
-        if self._weighted is not None:
-            self._weighted.clear(encoder)
         if self._meshes is not None:
             stamps = clock.around("meshes") if clock else None
             self._meshes.encode(encoder, background, stamps)
@@ -366,8 +375,12 @@ class Plan:
             self._quads.encode(encoder, background, stamps)
         if clock is not None:
             clock.encode(encoder)
-        self._staging.encode(encoder, None if fetch else self._held)
+        (staging or self._staging).encode(encoder, None if fetch else self._held)
         device.submit(encoder)
+
+    def counts_staging(self) -> Staging:
+        """Return a new staging buffer for the frame's counts."""
+        return Staging(self._device, self._held)
 
     def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Wait for the frame; return its counters and each image as [height, width, 4] words.
@@ -381,9 +394,7 @@ class Plan:
         names = [*self._held, *(self.images if fetch else ())]
         words_by_name = self._staging.read(dict.fromkeys(names, np.uint32))
         parts = [words_by_name.pop(name) for name in self._held]
-        for part in parts:
-            self._require_walked(int(part[Counts.VISIBLE]))
-        counts = _together(parts)
+        counts = frame_counts(self._device, self._kernels, parts)
         width, height = self._size
         images = {
             # Rows of a copied texture are padded.
@@ -395,16 +406,6 @@ class Plan:
             known = ids != ABSENT
             ids[known] = self._origins[ids[known]]
         return counts, images
-
-    def _require_walked(self, visible: int) -> None:
-        """Raise if more splats are drawn than one GPU dispatch can assign to tiles."""
-        most = MOST_GROUPS * WALK_THREADS * self._kernels.cut.walk
-        if visible > most:
-            raise CapacityExceeded(
-                f"the scene has {visible:,} splats in the image; {self._device.name} draws at most {most:,}",
-                where="scene",
-                hint="Draw fewer Gaussians, or a smaller part of the scene.",
-            )
 
 
 def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
@@ -432,9 +433,24 @@ def _sorted(placed: Sequence[Placed]) -> list[Placed]:
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]
 
 
-def _together(counts: Sequence[UInt32[np.ndarray, " n"]]) -> UInt32[np.ndarray, " n"]:
-    """Add up the frame counters of sorted and weighted splats; pair capacities stay separate."""
+def frame_counts(
+    device: Device, kernels: Kernels, counts: Sequence[UInt32[np.ndarray, " n"]]
+) -> UInt32[np.ndarray, " n"]:
+    """Add up the frame counters of sorted and weighted splats; pair capacities stay separate.
+
+    Raises:
+        CapacityExceeded: More splats are drawn than one GPU dispatch can assign to tiles.
+    """
+    most = MOST_GROUPS * WALK_THREADS * kernels.cut.walk
+    for part in counts:
+        if (visible := int(part[Counts.VISIBLE])) > most:
+            raise CapacityExceeded(
+                f"the scene has {visible:,} splats in the image; {device.name} draws at most {most:,}",
+                where="scene",
+                hint="Draw fewer Gaussians, or a smaller part of the scene.",
+            )
     total = np.asarray(np.sum(counts, axis=0), np.uint32)
+    total[Counts.PAIR_CAPACITY] = counts[0][Counts.PAIR_CAPACITY]
     total[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + total[Counts.DRAWN]
     total[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)
     return total
