@@ -1,18 +1,29 @@
-"""Which processes are measured: test workers, and commands that a test of the command line runs.
+"""Which code is measured: tests of the contract, and commands that they run.
 
-Measuring costs every process a tenth of a second at its start. The thousand children that ONNX
-Runtime runs in are not measured, but for those of the command line's own tests.
+Measuring makes Python half as fast again, and costs every process a tenth of a second at its
+start. Other rooms' tests are not measured, nor are the thousand children that ONNX Runtime runs
+in, but for those of the command line's own tests.
 """
 
 import os
+import sys
+import threading
+from collections.abc import Generator, Iterator
+from unittest.mock import patch
 
 import pytest
 
+from gsgen.contract.probing import sandbox
+from support.forked_sandbox import run_forked
 from support.reports.corpus_line import corpus_line
 
 _ON = {name: value for name, value in os.environ.items() if name.startswith("COVERAGE_PROCESS")}
 
 os.environ["GSGEN_NO_CACHE"] = "1"  # no test keeps what it measured of a driver
+
+
+# The folders whose tests cover the contract, which has a least share of lines.
+_MEASURED = {"cli", "conformance", "contract"}
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -21,11 +32,37 @@ def pytest_configure(config: pytest.Config) -> None:
             os.environ.pop(name, None)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Pause the measurement of lines during tests that are not the contract's."""
+    folder = item.path.relative_to(item.config.rootpath / "tests").parts[0]
+    if folder in _MEASURED:
+        return (yield)
+    traces = sys.gettrace(), threading.gettrace()
+    sys.settrace(None)
+    threading.settrace(None)  # type: ignore[arg-type]
+    try:
+        return (yield)
+    finally:
+        sys.settrace(traces[0])
+        threading.settrace(traces[1])  # type: ignore[arg-type]
+
+
 @pytest.fixture(autouse=True)
 def _measured(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if request.node.path.name in ("test_validate.py", "test_other_commands.py", "test_diff.py"):
         for name, value in _ON.items():
             monkeypatch.setenv(name, value)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _sandbox_children(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fork the sandbox's processes, but in the tests of the sandbox itself."""
+    if sys.platform != "linux" or request.path.name == "test_sandbox.py":
+        yield
+        return
+    with patch.object(sandbox, "_run_child", run_forked):
+        yield
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -1,5 +1,6 @@
 """Single modules of the browser client, by vectors that Python computes."""
 
+import json
 import math
 import random
 import re
@@ -12,7 +13,7 @@ from gsgen.runtime.kernels.project.project import FRAME, PAGE, frame_uniform, pa
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Box, SplatSet
 from gsgen.runtime.web.formulas import evaluate
-from gsgen.runtime.web.plans import plans_document
+from gsgen.runtime.web.plans import written_plans
 from support.rendering.splat_scenes import cloud, turned
 from support.web.pages import CLIENT, WebSite, unpacked
 from support.web.scenes import camera_of, set_of
@@ -43,8 +44,18 @@ OPERATORS = {"add", "sub", "mul", "floor_div", "ceil_div", "mod", "neg", "abs", 
 def test_formulas_have_the_values_of_python(site: WebSite) -> None:
     """Every formula of the plans at random sizes, and every operator at random operands."""
     rng = random.Random(0)
-    names = ("width", "height", "pairs", "gaussians", "pages", "capacity", "slot")
-    document = plans_document()
+    names = (
+        "width",
+        "height",
+        "pairs",
+        "gaussians",
+        "pages",
+        "capacity",
+        "slot",
+        "cells",
+        "set_cells",
+    )
+    document = json.loads(written_plans())
     formulas = [
         formula
         for table in ("buffers", "binds", "steps", "plans")
@@ -136,7 +147,7 @@ def same_fields(actual: np.ndarray, expected: np.ndarray, dtype: np.dtype[np.voi
 
 def test_no_kernel_is_written_in_javascript() -> None:
     """Stages, kernels, buffers and workgroup sizes stand in plans.json alone."""
-    document = plans_document()
+    document = json.loads(written_plans())
     names = {stage for plan in document["plans"] for stage in plan["stages"]}
     names |= {row["label"] for row in document["modules"]}
     names |= {row["entry"] for row in document["pipelines"]}
@@ -190,5 +201,5 @@ def test_a_camera_that_looks_along_up_is_the_same(site: WebSite) -> None:
 
 def test_a_plan_that_no_guard_allows_is_an_error(site: WebSite) -> None:
     with pytest.raises(Exception, match="no frame plan draws color at 70000×70000"):
-        site.call("choose", {"outputs": ["color"], "panorama": False, "deep": False},
+        site.call("choose", {"outputs": ["color"], "panorama": False, "deep": False, "weighted": False},
                   {"width": 70_000, "height": 70_000})  # fmt: skip

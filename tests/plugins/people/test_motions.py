@@ -154,3 +154,20 @@ def test_a_missing_motion_says_what_is_wanted(tmp_path: Path) -> None:
         read_motion(tmp_path / "nowhere.npz", 24)
     with pytest.raises(CheckpointInvalid, match=r"no \.npz, \.npy or \.json"):
         read_motion(tmp_path, 24)
+
+
+@pytest.mark.parametrize(
+    ("rotation", "up"), [((0, 0, 0), "+y"), ((np.pi / 2, 0, 0.2), "+z"), ((np.pi, 0, 0), "-y")]
+)
+def test_the_upward_axis_is_that_of_upright_bodies(
+    rotation: tuple[float, float, float], up: str, tmp_path: Path
+) -> None:
+    """AMASS recordings have z up; a person estimated from a video has the camera's axes, y down."""
+    path = write_motion(tmp_path / "a.npz")
+    with np.load(path) as read:
+        arrays = dict(read)
+    arrays["poses"][:, :3] = rotation
+    np.savez(path, **arrays)
+    assert read_motion(path, 24).up == up
+    np.savez(path, poses=np.zeros((4, 72)), Rh=np.tile(rotation, (4, 1)), Th=np.zeros((4, 3)))
+    assert read_motion(path, 24).up == up

@@ -26,6 +26,30 @@ def test_the_picture_is_the_same(device: Device, variant: str) -> None:
         np.testing.assert_array_equal(seen.ids[firm], wanted.ids[firm])
 
 
+def gpu_like(device: Device) -> Device:
+    """Return the device as one that no CPU computes for."""
+    other = Device(device.raw)
+    other.subgroups = other.software = False
+    return other
+
+
+def test_a_gpus_picture_is_the_same_twice_and_without_records(device: Device) -> None:
+    """Splats stand in arrays of their own where a binding is too small for records."""
+    scene, camera = SCENES["many"]()
+    records, arrays = (Renderer(gpu_like(device), rasteriser="tiles") for _ in range(2))
+    arrays._kernels.records = lambda gaussians: False
+    drawn = [renderer.render(scene, camera).rgba for renderer in (records, records, arrays)]
+    np.testing.assert_array_equal(drawn[0], drawn[1])
+    np.testing.assert_array_equal(drawn[0], drawn[2])
+
+
+def test_quads_read_records(device: Device) -> None:
+    scene, camera = SCENES["many"]()
+    records, arrays = (Renderer(one, rasteriser="quads") for one in (gpu_like(device), device))
+    drawn = [renderer.render(scene, camera).rgba for renderer in (records, arrays)]
+    np.testing.assert_array_equal(drawn[0], drawn[1])
+
+
 def test_subgroups_are_measured_where_there_are_any(device: Device) -> None:
     assert lanes(device) in ((0,) if not device.subgroups else (1, 2, 4, 8))
     without = Device(device.raw)

@@ -50,9 +50,11 @@ class Reading:
     """Evaluates a plan of the document: bytes of buffers, and steps, at given sizes."""
 
     def __init__(self, document: dict[str, Any], plan: dict[str, Any], sizes: dict[str, int],
-                 kinds: list[Appearance], capacities: list[int]) -> None:  # fmt: skip
+                 kinds: list[Appearance], capacities: list[int],
+                 cells: list[int] | None = None) -> None:  # fmt: skip
         self.document, self.plan, self.sizes = document, plan, sizes
         self.kinds, self.capacities = kinds, capacities
+        self.cells = [0] * len(kinds) if cells is None else cells
 
     def buffer(self, row: int) -> tuple[str, int, int, bytes]:
         entry = self.document["buffers"][row]
@@ -74,9 +76,18 @@ class Reading:
     def _each(self, entry: int | dict[str, int]) -> list[Any]:
         if isinstance(entry, int):
             return [self._step(entry, {})]
+        if "set" in entry:
+            return [
+                self._step(entry["set"], {"slot": slot, "set_cells": count})
+                for slot, count in enumerate(self.cells)
+            ]
         return [
-            self._step(entry[kind_name(kind)], {"slot": slot, "capacity": capacity})
-            for slot, (kind, capacity) in enumerate(zip(self.kinds, self.capacities, strict=True))
+            self._step(
+                entry[kind_name(kind)], {"slot": slot, "capacity": capacity, "set_cells": cells}
+            )
+            for slot, (kind, capacity, cells) in enumerate(
+                zip(self.kinds, self.capacities, self.cells, strict=True)
+            )
         ]
 
     def _step(self, row: int, page: dict[str, int]) -> Any:
@@ -107,6 +118,7 @@ def described(plan: Plan, pages: list[Page]) -> dict[str, list[Any]]:
     slots: dict[Any, tuple[str, int]] = {}
     for slot, page in enumerate(pages):
         slots |= {page.rows: ("rows", slot), page.appearance: ("appearance", slot)}
+        slots |= {page.cells: ("cells", slot)}
 
     def buffer_of(buffer: Any) -> Any:
         return buffer.label, buffer.size, buffer.usage, buffer.data.get(0, b"")
@@ -135,10 +147,10 @@ def described(plan: Plan, pages: list[Page]) -> dict[str, list[Any]]:
 
 def fresh_plan(
     outputs: list[str], sizes: dict[str, int], kinds: list[Appearance], capacities: list[int],
-    *, panorama: bool, deep: bool,
+    cells: list[int] | None = None, *, panorama: bool, deep: bool,
 ) -> tuple[Plan, list[Page]]:  # fmt: skip
     device = Device(RecordingDevice())
-    placed = recorded_pages(device, kinds, capacities)
+    placed = recorded_pages(kinds, capacities, cells)
     plan = Plan(
         device,
         Kernels(device, one_shape=True),
@@ -152,25 +164,28 @@ def fresh_plan(
     return plan, [page for _, page in placed]
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(32))
 def test_formulas_give_the_buffers_and_dispatches_of_python(
     seed: int, document: dict[str, Any]
 ) -> None:
     rng = random.Random(seed)
-    panorama, deep = bool(seed & 1), bool(seed & 2)
+    panorama, deep, weighted = bool(seed & 1), bool(seed & 2), seed >= 16
     outputs = [["color"], ["depth"], ["normal"], ["color", "depth"]][seed // 4 % 4]
     kinds = rng.choices(APPEARANCES, k=rng.randint(1, 6))
     capacities = [rng.choice([1, 2, 63, 64, 65, rng.randint(1, 1 << 18)]) for _ in kinds]
+    cells = [-(-capacity // 5) for capacity in capacities] if weighted else None
     sizes = {
         "width": rng.choice([1, 16, 17, rng.randint(1, 4096)]),
         "height": rng.choice([1, 16, 17, rng.randint(1, 4096)]),
         "pairs": rng.choice([1, 4096, rng.randint(1, 1 << 26)]),
         "gaussians": sum(capacities),
         "pages": len(kinds),
+        "cells": sum(cells or []),
     }
-    chosen = choose(document, sizes, outputs=outputs, panorama=panorama, deep=deep)
-    plan, pages = fresh_plan(outputs, sizes, kinds, capacities, panorama=panorama, deep=deep)
-    reading = Reading(document, chosen, sizes, kinds, capacities)
+    shape = {"panorama": panorama, "deep": deep}
+    chosen = choose(document, sizes, outputs=outputs, weighted=weighted, **shape)
+    plan, pages = fresh_plan(outputs, sizes, kinds, capacities, cells, **shape)
+    reading = Reading(document, chosen, sizes, kinds, capacities, cells)
     assert reading.steps() == described(plan, pages)
     for name, row in chosen["images"].items():
         assert reading.buffer(row)[1] == plan.images[name].size

@@ -2,6 +2,7 @@
 
 __all__ = ["MotionPlayback"]
 
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -50,6 +51,7 @@ class MotionPlayback(GaussianGenerator):
         self.avatar, self.actors, self.frames = avatar, actors, len(motion)
         self.inputs = (time or inputs.time(frames=len(motion), fps=motion.fps),)
         self.spacing = spacing
+        self.space = replace(avatar.space, up=motion.up)
         for role, table in _tables(actors, motion).items():
             self.register_buffer(f"table_{role}", torch.from_numpy(table))
 

@@ -18,11 +18,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
+from gsgen.reference_plugins.bodies.rest_pose import rodrigues
 from gsgen.reference_plugins.loading.array_archives import read_npz
 from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
@@ -36,6 +37,8 @@ _JSON = {
     "root_pose": 3, "body_pose": 63, "jaw_pose": 3, "leye_pose": 3, "reye_pose": 3,
     "lhand_pose": 45, "rhand_pose": 45,
 }  # fmt: skip
+UpAxis: TypeAlias = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+_UP_AXES: tuple[tuple[UpAxis, UpAxis], ...] = (("+x", "-x"), ("+y", "-y"), ("+z", "-z"))
 _KNOWN = (*("poses", "trans", "mocap_framerate", "mocap_frame_rate"), *("R", "Rh", "Th", "shapes"))
 
 
@@ -54,6 +57,14 @@ class Motion:
     # expression coefficients, if the file has them
     expression: Float[np.ndarray, "t e"] | None = None
     fps: float | None = None  # frames per second, if the file has it
+
+    @property
+    def up(self) -> UpAxis:
+        """The upward axis of the world that a body moves in: where its y axis points on average."""
+        turns = rodrigues(self.pose[:, 0])
+        spine = (turns if self.turn is None else self.turn @ turns)[:, :, 1].mean(axis=0)
+        axis = int(np.abs(spine).argmax())
+        return _UP_AXES[axis][int(spine[axis] < 0)]
 
     def __len__(self) -> int:
         return len(self.pose)

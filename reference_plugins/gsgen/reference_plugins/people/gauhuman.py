@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from gsgen.contract.spec.manifest import Space
 from gsgen.reference_plugins.bodies import rest_pose
 from gsgen.reference_plugins.bodies.actors import ActorInputs, Rotation
 from gsgen.reference_plugins.bodies.body_models import Body
@@ -40,6 +41,7 @@ class GauHuman(GaussianGenerator):
     """A GauHuman avatar, or several copies of it, whose poses are inputs of the model."""
 
     family = "avatar"
+    space = Space(up="+y")
 
     vertex: Tensor
     opacity: Tensor

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from gsgen.contract.spec.manifest import Space
 from gsgen.reference_plugins.bodies import rest_pose
 from gsgen.reference_plugins.bodies.actors import ActorInputs
 from gsgen.reference_plugins.bodies.rotations import nearest_rotation, rotation_matrices
@@ -43,6 +44,7 @@ class LHM(GaussianGenerator):
     """An LHM avatar, or several copies of it, whose SMPL-X poses are inputs of the model."""
 
     family = "avatar"
+    space = Space(up="+y")
 
     joints: Tensor
     opacity: Tensor

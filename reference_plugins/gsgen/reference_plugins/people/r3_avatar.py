@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from gsgen.contract.spec.manifest import Space
 from gsgen.reference_plugins.bodies import rest_pose
 from gsgen.reference_plugins.bodies.actors import ActorInputs, Rotation
 from gsgen.reference_plugins.bodies.pose_blendshapes import PoseBlendshapes
@@ -40,6 +41,7 @@ class R3Avatar(GaussianGenerator):
     """An R3-Avatar, or several copies of it; poses and training frames are inputs of the model."""
 
     family = "avatar"
+    space = Space(up="+y")
 
     position: Tensor
     big: Tensor

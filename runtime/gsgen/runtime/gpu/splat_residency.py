@@ -1,6 +1,7 @@
 """Keeps the Gaussians of each splat set in GPU buffers, split into pages that can be bound."""
 
 __all__ = [
+    "GPU_PAGE_ROWS",
     "PAGE_ROWS",
     "PAGE_SLOTS",
     "SLOT_BYTES",
@@ -31,6 +32,9 @@ from gsgen.runtime.scene.splat_pool import SplatPool
 
 PAGE_ROWS: Final = 1 << 18
 """Gaussians of a page: float32 SH of degree 3 take 48 of the 128 MiB that every device binds."""
+
+GPU_PAGE_ROWS: Final = 2 * PAGE_ROWS
+"""Gaussians of a page on a GPU, where each dispatch waits for the one before."""
 
 SLOT_BYTES: Final = 96
 """Bytes of a row of the slot table, ``struct Slot`` in slots.wgsl."""
@@ -211,8 +215,10 @@ class Residency:
     """
 
     def __init__(
-        self, device: Device, page_rows: int = PAGE_ROWS, *, compact: bool = False
+        self, device: Device, page_rows: int | None = None, *, compact: bool = False
     ) -> None:
+        if page_rows is None:
+            page_rows = PAGE_ROWS if device.software else GPU_PAGE_ROWS
         self._compact = compact
         self._device = device
         self._page_rows = page_rows

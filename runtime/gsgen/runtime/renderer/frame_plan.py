@@ -31,7 +31,7 @@ from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import Columns
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
-from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
@@ -105,14 +105,11 @@ class Plan:
         n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
-        self._splats = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
+        self._records = kernels.records(n)
+        self._projected, self._splats = self._splat_arrays(n)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
-        self.inputs = {
-            "frame": self._frame,
-            "bare frame": self._bare_frame,
-            "pages": self._slots,
-            "counts": self._counts,
-        }
+        self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
+        self.inputs |= {"pages": self._slots, "counts": self._counts}
         self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
         # Weighted sets become a layer, which the hardware's blending does not support.
@@ -142,7 +139,10 @@ class Plan:
             self.buffers |= self._weighted.buffers
             self.images |= self._weighted.images
             self.stages |= self._weighted.stages
-        if not alone:
+            self.clears += self._weighted.clears
+        if alone and self._weighted is not None:
+            self.inputs |= self._weighted.inputs
+        else:
             self.stages |= self._record(placed, outputs, quads=quads)
         self._held = {"counts": self._counts}
         if self._weighted is not None:
@@ -152,6 +152,14 @@ class Plan:
     def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
         self.buffers[name] = self._device.storage(name, size, extra=extra)
         return self.buffers[name]
+
+    def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
+        """Allocate the splats; return the buffers for the projection, and for the other kernels."""
+        if not self._records:
+            arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
+            return arrays, arrays
+        records = self._storage("shapes", RECORD * n)
+        return [records, self._storage("weights", 0)], [records, records]
 
     def _cleared(self, placed: Sequence[Placed]) -> list[tuple[Buffer, int, int | None]]:
         """Return the buffers that are cleared before a frame, with offset and size in bytes."""
@@ -217,7 +225,7 @@ class Plan:
         return list(self._meshes.layers)
 
     def _draw_quads(self, order: Buffer, colors: Buffer) -> QuadsStep:
-        kernel = self._kernels.quads(self._meshes is not None, self._panorama)
+        kernel = self._kernels.quads(self._meshes is not None, self._panorama, self._records)
         size = kernel.row_bytes(self._size[0]) * self._size[1]
         self.images["color"] = self._storage("color image", size)
         resources = (self._frame, self._counts, order, *self._splats, colors)
@@ -234,14 +242,14 @@ class Plan:
         self, placed: Sequence[Placed], keys: Buffer, colors: Buffer, lows: Buffer
     ) -> list[Step]:
         recorded = []
-        outputs = (self._frame, keys, *self._splats, colors, lows)
+        outputs = (self._frame, keys, *self._projected, colors, lows)
         for slot, (_, page) in enumerate(placed):
             slot_rows = _slot_rows(page)
             if slot_rows:
                 cull = self._kernels.cull_slots(slot_rows, self._panorama)
                 recorded.append(cull.step(self._frame, keys, lows, self._slots, slot, page))
             kernel = self._kernels.project(
-                page.half, page.stride, self._panorama, page.packed, slot_rows
+                page.half, page.stride, self._panorama, page.packed, slot_rows, self._records
             )
             recorded.append(kernel.step(outputs, self._slots, slot, page))
         return recorded
@@ -268,7 +276,7 @@ class Plan:
     def _bin(self, order: Buffer, colors: Buffer, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
         run_pairs = self._storage("run pairs", 4 * -(-self._gaussians // walk))
-        measure, emit = self._kernels.bin(self._panorama).steps(
+        measure, emit = self._kernels.bin(self._panorama, self._records).steps(
             self._counts,
             (self._frame, self._counts, order, colors, run_pairs, *pairs, *self._splats),
         )
@@ -297,7 +305,8 @@ class Plan:
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
-        kernel = self._kernels.blend(pick, self._panorama, layers.count if layers else 0)
+        count = layers.count if layers else 0
+        kernel = self._kernels.blend(pick, self._panorama, count, self._records)
         among = None
         if layers is not None:
             layer_colors = layers.normals if name == "normal" else layers.colors
@@ -353,8 +362,6 @@ class Plan:
             clock.begin()
         for buffer, offset, size in self.clears:
             encoder.clear_buffer(buffer, offset, size)
-        if self._weighted is not None:
-            self._weighted.clear(encoder)
         if self._meshes is not None:
             stamps = clock.around("meshes") if clock else None
             self._meshes.encode(encoder, background, stamps)

@@ -1,9 +1,9 @@
 """The rendering kernels of a device, each compiled when a frame plan first needs it."""
 
-__all__ = ["Kernels"]
+__all__ = ["RECORD", "Kernels"]
 
 from functools import cache
-from typing import final
+from typing import Final, final
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project.cull_slots import CullSlots
@@ -11,6 +11,8 @@ from gsgen.runtime.kernels.project.normals import NormalsKernel
 from gsgen.runtime.kernels.project.project import ProjectKernel
 from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes
 from gsgen.runtime.kernels.raster.draw_quads import DrawQuads
+from gsgen.runtime.kernels.shared.kernel import VEC4
+from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import RadixSort, cut_for
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS, BinTiles
@@ -18,6 +20,9 @@ from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK, TileRanges
 from gsgen.runtime.renderer.depth_sort import DepthOrder
 from gsgen.runtime.renderer.weighted_plan import WeightedKernels
+
+RECORD: Final = 2 * VEC4
+"""Bytes of a splat that is one record; its colour is elsewhere."""
 
 
 @final
@@ -32,6 +37,7 @@ class Kernels:
 
     def __init__(self, device: Device, *, one_shape: bool = False) -> None:
         self.cut, self._one_shape = cut_for(device), one_shape
+        self._largest_binding = device.largest_binding
         self.scan = Scan(
             device,
             self.cut.block,
@@ -41,16 +47,23 @@ class Kernels:
         )
         self.sort = RadixSort(device, self.cut, self.scan)
         self.bin = cache(
-            lambda panorama: BinTiles(device, self.cut.walk, panorama=panorama, tile=self.cut.tile)
+            lambda panorama, records: BinTiles(
+                device, self.cut.walk, panorama=panorama, tile=self.cut.tile, records=records
+            )
         )
         self.ranges = TileRanges(device)
         self.blend = cache(
-            lambda pick, panorama, layers: BlendTiles(
-                device, pick=pick, panorama=panorama, layers=layers, tile=self.cut.tile
+            lambda pick, panorama, layers, records: BlendTiles(
+                device,
+                pick=pick,
+                panorama=panorama,
+                layers=layers,
+                tile=self.cut.tile,
+                records=records,
             )
         )
         self.project = cache(
-            lambda half, words, panorama, packed, slot_rows: ProjectKernel(
+            lambda half, words, panorama, packed, slot_rows, records: ProjectKernel(
                 device,
                 words,
                 half=half,
@@ -58,6 +71,7 @@ class Kernels:
                 packed=packed,
                 slot_rows=slot_rows,
                 tile=self.cut.tile,
+                records=records,
             )
         )
         self.cull_slots = cache(
@@ -68,12 +82,21 @@ class Kernels:
         )
         self.order = DepthOrder(device, self.cut, self.sort)
         self.weighted = cache(
-            lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.order, self.ranges)
+            lambda: WeightedKernels(
+                device, self.cut, self.scan, self.sort, self.order, self.ranges, self.tile_bits
+            )
         )
         self.quads = cache(
-            lambda tested, panorama: DrawQuads(device, tested=tested, panorama=panorama)
+            lambda tested, panorama, records: DrawQuads(
+                device, tested=tested, panorama=panorama, records=records
+            )
         )
         self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
+
+    def records(self, gaussians: int) -> bool:
+        """Return whether each splat is one record: on GPUs, where a binding holds them all."""
+        is_possible = self.cut.tile != TILE and not self._one_shape
+        return is_possible and RECORD * gaussians <= self._largest_binding
 
     def tile_bits(self, last: int) -> int:
         """Return the number of key bits that sort tile indices; whole digits if ``one_shape``."""

@@ -15,7 +15,7 @@ from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, MemoryFull
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.mesh_residency import MeshResidency
-from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, Residency, bytes_of
+from gsgen.runtime.gpu.splat_residency import Residency, bytes_of
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4
@@ -73,7 +73,8 @@ class Renderer:
         compact: Whether SH and colours are float16, and covariances take 16 bytes: 128 instead of
             232 bytes per Gaussian of degree 3, 40 instead of 56 for RGB; pictures differ by less
             than 1e-3, or 4e-3 where a threshold is met.
-        page_rows: Most Gaussians of one dispatch and one binding.
+        page_rows: Most Gaussians of one dispatch and one binding; by default 262,144, and twice
+            as many on GPUs.
         published: Whether weighted sums count backgrounds as the method's own renderer does
             (Liu et al. 2025): the background keeps its whole weight in the numerator. Such
             pictures compare with that renderer's, but cannot be composed with others.
@@ -91,7 +92,7 @@ class Renderer:
         *,
         rasteriser: RasteriserOption = "auto",
         compact: bool = False,
-        page_rows: int = PAGE_ROWS,
+        page_rows: int | None = None,
         published: bool = False,
     ) -> None:
         self._published, self._compact = published, compact

@@ -6,15 +6,16 @@ needs neither sort keys nor pairs of its own.
 
 __all__ = ["WeightedKernels", "WeightedPart"]
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from typing import final
 
 import numpy as np
 from jaxtyping import Shaped
 
+from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.handles import Buffer, Encoder
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.normals import NormalsKernel
 from gsgen.runtime.kernels.project.project import PAGE, ProjectKernel, page_uniform
@@ -46,6 +47,7 @@ class WeightedKernels:
         sort: The radix sort.
         order: The depth sort.
         ranges: The tile ranges.
+        tile_bits: Returns the number of key bits that sort tile indices up to a given one.
     """
 
     def __init__(
@@ -56,7 +58,9 @@ class WeightedKernels:
         sort: RadixSort,
         order: DepthOrder,
         ranges: TileRanges,
+        tile_bits: Callable[[int], int],
     ) -> None:
+        self.tile_bits = tile_bits
         self.cut, self.scan, self.sort = cut, scan, sort
         self.order, self.ranges = order, ranges
         self.project = cache(
@@ -96,6 +100,8 @@ class WeightedPart:
         buffers: Buffers of the part, by name.
         images: Image buffers, by output; empty if the result is a layer.
         counts: Counts of cells, of their pairs and of drawn Gaussians.
+        inputs: The uniforms that :meth:`write` writes, and the counts, by name.
+        clears: Buffers whose bytes are zero at the start of a frame, as in a plan.
     """
 
     def __init__(
@@ -121,12 +127,17 @@ class WeightedPart:
         self.buffers: dict[str, Buffer] = {}
         self.images: dict[str, Buffer] = {}
         self._pair_capacity = pair_capacity
-        self._cells = sum(_cells(splat_set) for splat_set, _ in _sets(placed))
+        self._cells = sum(_cells(page) for _, page in _sets(placed))
         self.counts = self._storage("counts of cells", counting.BYTES, extra="INDIRECT")
         device.write(self.counts, counting.initial(self._cells, pair_capacity))
         self._ranges = self._storage("ranges of cells", 8 * self._tiles[0] * self._tiles[1])
         self._slots = device.uniform("pages with cells", PAGE.itemsize * len(placed))
         self._cell_slots = device.uniform("sets of cells", PAGE.itemsize * len(placed))
+        self.inputs = {"pages": self._slots, "sets": self._cell_slots, "counts": self.counts}
+        self.clears: list[tuple[Buffer, int, int | None]] = [
+            (self._ranges, 0, None),
+            (self.counts, 4 * Counts.DRAWN, 12),  # to UNSORTED
+        ]
         self.stages = self._record(placed, outputs)
 
     def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
@@ -187,8 +198,8 @@ class WeightedPart:
     ) -> list[Step]:
         kernel, bound = self._kernels.cells(self._panorama), (self._frame, *outputs)
         return [
-            kernel.step(bound, self._cell_slots, slot, page.cells, _cells(splat_set))
-            for slot, (splat_set, page) in enumerate(_sets(placed))
+            kernel.step(bound, self._cell_slots, slot, page.cells, _cells(page))
+            for slot, (_, page) in enumerate(_sets(placed))
         ]
 
     def _normals(
@@ -224,7 +235,7 @@ class WeightedPart:
             self.counts,
             self._kernels.sort.histogram(self._pair_capacity),
             pairs,
-            bits=max(1, last.bit_length()),
+            bits=self._kernels.tile_bits(last),
             source=Counts.PAIRS,
             groups=Counts.SORT_PAIRS_GROUPS,
         )
@@ -243,11 +254,6 @@ class WeightedPart:
         kernel = self._kernels.blend(pick, self._panorama, self._published, 0)
         return kernel.step(self._tiles, (frame, *resources, self.images[name]))
 
-    def clear(self, encoder: Encoder) -> None:
-        """Encode the clearing of the tile ranges and frame counters of cells."""
-        encoder.clear_buffer(self._ranges)
-        encoder.clear_buffer(self.counts, 4 * Counts.DRAWN, 12)  # to UNSORTED
-
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
         """Write the uniforms of a frame for the GPU pages of weighted splat sets and for cells."""
         slots, base = np.zeros(len(placed), PAGE), 0
@@ -255,10 +261,10 @@ class WeightedPart:
         for slot, (splat_set, page) in enumerate(placed):
             if page.first == 0:
                 live = -(-splat_set.data.count // splat_set.data.per_cell)
-                uniform = page_uniform(splat_set, camera, cell_base, _cells(splat_set), live)
+                uniform = page_uniform(splat_set, camera, cell_base, _cells(page), live)
                 cell_slots[number] = _weighing(uniform, splat_set)
                 cell_slots[number]["first_gaussian"] = base
-                cell_base, number = cell_base + _cells(splat_set), number + 1
+                cell_base, number = cell_base + _cells(page), number + 1
             live = min(max(splat_set.data.count - page.first, 0), page.capacity)
             uniform = page_uniform(splat_set, camera, base, page.capacity, live)
             slots[slot] = _weighing(uniform, splat_set)
@@ -273,8 +279,9 @@ def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, P
     return ((splat_set, page) for splat_set, page in placed if page.first == 0)
 
 
-def _cells(splat_set: SplatSet) -> int:
-    return 0 if splat_set.data.cells is None else len(splat_set.data.cells)
+def _cells(page: Page) -> int:
+    """Return the number of cells of a page's set; buffers are padded by less than a cell."""
+    return 0 if page.cells is None else page.cells.size // (4 * layout.ROW)
 
 
 def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:

@@ -167,7 +167,10 @@ def tree_of(value: int) -> Tree:
 
 
 def _simple(name: str, left: Tree, right: Tree) -> Tree:
-    """Return a binary operation of two size formulas, without neutral operands (+ 0, × 1)."""
+    """Return a binary operation of two size formulas, without neutral operands (+ 0, × 1).
+
+    A product that is divided by its first factor is the second factor.
+    """
     if name == "add" and left == 0:
         return right
     if name in ("add", "sub") and right == 0:
@@ -176,4 +179,6 @@ def _simple(name: str, left: Tree, right: Tree) -> Tree:
         return right
     if name in ("mul", "floor_div", "ceil_div") and right == 1:
         return left
+    if name == "floor_div" and isinstance(left, list) and left[:2] == ["mul", right]:
+        return left[2]
     return [name, left, right]

@@ -19,7 +19,7 @@ from gsgen.runtime.web.recording_device import (
     RecordedPipeline,
 )
 
-_FOLLOWED: Final = ("gaussians", "pairs")
+_FOLLOWED: Final = ("gaussians", "pairs", "cells")
 """Sizes that plans write into buffers."""
 
 
@@ -72,10 +72,15 @@ class _PlanWriter:
         self._tables, self._recorded = tables, recorded
         self._labels: dict[str, int] = {}
         self._buffers: dict[RecordedBuffer, int | str] = {}
-        self._kinds = {}
+        self._kinds, self._sets = {}, {}
+        inputs = recorded.plan.inputs
+        self._page_uniforms = [inputs[name] for name in ("pages", "sets") if name in inputs]
         for slot, page in enumerate(recorded.pages):
             self._kinds[page.rows] = slot
             self._buffers |= {page.rows: "rows", page.appearance: "appearance"}
+            if page.cells is not None:
+                self._buffers[page.cells] = "cells"
+                self._sets[page.cells] = slot
 
     def plan(self) -> dict[str, Any]:
         """Return the recorded frame plan as a JSON object."""
@@ -86,6 +91,7 @@ class _PlanWriter:
             "outputs": list(shape.outputs),
             "panorama": shape.panorama,
             "deep": shape.deep,
+            "weighted": shape.weighted,
             "guards": [self._tree(guard) for guard in recorded.guards],
             "clears": [
                 [self._buffer(buffer), offset, size] for buffer, offset, size in plan.clears
@@ -96,7 +102,10 @@ class _PlanWriter:
         }
 
     def _steps(self, steps: list[Step]) -> list[int | dict[str, int]]:
-        """Return the row indices of a stage's steps; steps repeated per GPU page are a mapping."""
+        """Return the row indices of a stage's steps.
+
+        Steps repeated per GPU page are a mapping by the page's kind; those per set, by ``set``.
+        """
         result: list[int | dict[str, int]] = []
         pages = len(self._recorded.pages)
         position = 0
@@ -111,7 +120,11 @@ class _PlanWriter:
             rows = [self._step(step, slot) for slot, step in enumerate(run)]
             # The last page is like the first: what differs are sizes that formulas name.
             assert rows[-1] == rows[0], "steps of two pages of one kind differ"
-            result.append({self._kind(slot): row for slot, row in enumerate(rows[:-1])})
+            if self._binds(steps[position], self._kinds):
+                result.append({self._kind(slot): row for slot, row in enumerate(rows[:-1])})
+            else:
+                assert len(set(rows)) == 1, "steps of two sets differ"
+                result.append({"set": rows[0]})
             position += pages
         return result
 
@@ -121,10 +134,14 @@ class _PlanWriter:
 
     def _slot(self, step: Step) -> int | None:
         """Return the index of the GPU page that a step reads; None if it reads no page."""
-        entries = [entry for bind in step.binds for entry in bind.entries]
-        slots = {self._kinds[buffer] for buffer, _, _ in entries if buffer in self._kinds}
+        slots = self._binds(step, self._kinds) or self._binds(step, self._sets)
         assert len(slots) < 2, "a step reads several pages"
         return slots.pop() if slots else None
+
+    def _binds(self, step: Step, slots: Mapping[RecordedBuffer, int]) -> set[int]:
+        """Return the slots of those buffers of a mapping that a step binds."""
+        entries = [entry for bind in step.binds for entry in bind.entries]
+        return {slots[buffer] for buffer, _, _ in entries if buffer in slots}
 
     def _step(self, step: Step, slot: int | None) -> int:
         row: dict[str, Any] = {
@@ -141,7 +158,7 @@ class _PlanWriter:
     def _bind(self, bind: RecordedBind, slot: int | None) -> int:
         entries = []
         for buffer, offset, size in bind.entries:
-            if slot is not None and buffer is self._recorded.plan.inputs["pages"]:
+            if slot is not None and buffer in self._page_uniforms:
                 assert (offset, size) == (PAGE.itemsize * slot, PAGE.itemsize)
                 offset = Formula(offset, ["mul", PAGE.itemsize, "slot"], [])
             row = self._buffer(buffer)
@@ -165,7 +182,7 @@ class _PlanWriter:
         return self._buffers[buffer]
 
     def _size(self, buffer: RecordedBuffer) -> Tree:
-        if buffer is self._recorded.plan.inputs["pages"]:
+        if buffer in self._page_uniforms:
             assert buffer.size == PAGE.itemsize * len(self._recorded.pages)
             return ["mul", PAGE.itemsize, "pages"]
         return self._tree(tree_of(buffer.size))
@@ -185,9 +202,14 @@ class _PlanWriter:
         return data | ({"sizes": sizes} if sizes else {})
 
     def _tree(self, tree: Tree, slot: int | None = None) -> Tree:
-        """Rename the sizes in a formula for the browser client: ``gaussians`` and ``capacity``."""
-        result = replaced(tree, self._recorded.gaussians, "gaussians")
-        return result if slot is None else replaced(result, f"capacity {slot}", "capacity")
+        """Rename the sizes in a formula for the browser client, such as ``gaussians`` and ``capacity``."""
+        for name, total in self._recorded.totals.items():
+            tree = replaced(tree, total, name)
+        if slot is None:
+            return tree
+        return replaced(
+            replaced(tree, f"capacity {slot}", "capacity"), f"cells {slot}", "set_cells"
+        )
 
 
 def module_row(tables: PlanTables, module: RecordedModule) -> dict[str, Any]:

@@ -37,12 +37,18 @@ _OUTPUTS: Final[tuple[tuple[Output, ...], ...]] = (
     ("normal",),
     ("color", "depth"),
 )
-_SIZES: Final = (512, 8192)
-"""Sides of the largest square images whose tiles are sorted in one pass and in two."""
+_SIZES: Final = {False: (512, 8192), True: (256, 4096)}
+"""Sides of the largest square images whose tiles are sorted in one pass and in two.
+
+Weighted sums have smaller tiles.
+"""
+
+_BOTH: Final = (False, True)
 
 SHAPES: Final = tuple(
-    Shape(outputs=outputs, panorama=panorama, deep=deep, size=(side, side))
-    for outputs, panorama, deep, side in product(_OUTPUTS, (False, True), (False, True), _SIZES)
+    Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
+    for outputs, weighted, panorama, deep in product(_OUTPUTS, _BOTH, _BOTH, _BOTH)
+    for side in _SIZES[weighted]
 )
 """The shapes of all plans; of equal plans the one for smaller images comes first."""
 

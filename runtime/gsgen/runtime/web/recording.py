@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from gsgen.contract.spec.layout import ROW
+from gsgen.contract.spec.manifest import WeightedSum
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Page, stride
 from gsgen.runtime.renderer.frame_plan import Placed, Plan
@@ -16,7 +17,7 @@ from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.web.formulas import Formula, Tree
+from gsgen.runtime.web.formulas import Formula, Tree, tree_of
 from gsgen.runtime.web.recording_device import RecordedBuffer, RecordingDevice
 
 
@@ -53,12 +54,14 @@ class Shape:
         outputs: The images that it draws.
         panorama: Whether it draws panoramas.
         deep: Whether its depth sort is deep.
+        weighted: Whether it draws sets by weighted-sum rendering instead of sorting Gaussians.
         size: Width and height of an image that needs the plan's passes of the tile sort.
     """
 
     outputs: tuple[Output, ...]
     panorama: bool = False
     deep: bool = False
+    weighted: bool = False
     size: tuple[int, int] = (64, 64)
 
 
@@ -73,7 +76,7 @@ class RecordedPlan:
         pages: Its pages: one for each appearance, and one more like the first.
         guards: Conditions on the sizes under which the plan has these steps.
         sizes: The recorded value of each size of the plan.
-        gaussians: The formula of the number of Gaussians, a sum over pages.
+        totals: The formula of each sum over pages, by name: of ``gaussians``, and of ``cells``.
     """
 
     shape: Shape
@@ -81,12 +84,13 @@ class RecordedPlan:
     pages: tuple[Page, ...]
     guards: list[Tree]
     sizes: dict[str, int]
-    gaussians: Tree
+    totals: dict[str, Tree]
 
 
 # No number that a plan writes equals these, or a sum of capacities, by chance.
 _PAIRS: Final = 1_610_612_741
 _CAPACITY: Final = 1_000_003
+_CELLS: Final = 500_009
 
 
 def record(shape: Shape) -> RecordedPlan:
@@ -95,11 +99,15 @@ def record(shape: Shape) -> RecordedPlan:
     names = {"width": shape.size[0], "height": shape.size[1], "pairs": _PAIRS}
     width, height, pairs = (Formula(value, name, guards) for name, value in names.items())
     kinds = (*APPEARANCES, APPEARANCES[0])
-    capacities = [
-        Formula(_CAPACITY + 7_919 * slot, f"capacity {slot}", guards) for slot in range(len(kinds))
-    ]
+    lengths = {
+        name: [
+            Formula(first + 7_919 * slot, f"{name} {slot}", guards) for slot in range(len(kinds))
+        ]
+        for name, first in (("capacity", _CAPACITY), ("cells", _CELLS))
+    }
     device = Device(RecordingDevice())
-    placed = recorded_pages(device, kinds, capacities)
+    cells = lengths["cells"] if shape.weighted else None
+    placed = recorded_pages(kinds, lengths["capacity"], cells)
     plan = Plan(
         device,
         Kernels(device, one_shape=True),
@@ -110,26 +118,33 @@ def record(shape: Shape) -> RecordedPlan:
         panorama=shape.panorama,
         deep=shape.deep,
     )
-    gaussians = sum(capacities)
-    assert isinstance(gaussians, Formula)
+    totals = {"gaussians": sum(lengths["capacity"]), "cells": sum(lengths["cells"])}
     return RecordedPlan(
         shape=shape,
         plan=plan,
         pages=tuple(page for _, page in placed),
         guards=guards,
-        sizes=names | {"gaussians": int(gaussians)},
-        gaussians=gaussians.tree,
+        sizes=names | {name: int(total) for name, total in totals.items()},
+        totals={name: tree_of(total) for name, total in totals.items()},
     )
 
 
 def recorded_pages(
-    device: Device, kinds: Sequence[Appearance], capacities: Sequence[int]
+    kinds: Sequence[Appearance], capacities: Sequence[int], cells: Sequence[int] | None = None
 ) -> list[Placed]:
-    """Return an empty GPU page per appearance format and capacity, each with its own splat set."""
-    empty = SplatData(np.zeros((0, ROW), np.float32), np.zeros((0, 3), np.float32), "rgb")
+    """Return an empty GPU page per appearance format and capacity, each with its own splat set.
+
+    Args:
+        kinds: The format of each page's appearance.
+        capacities: The number of rows of each page.
+        cells: The number of cells of each set, for weighted-sum rendering.
+    """
+    rows = np.zeros((0, ROW), np.float32)
+    empty = SplatData(rows, np.zeros((0, 3), np.float32), "rgb", cells=rows)
+    splat_set = SplatSet(empty, weighted=None if cells is None else WeightedSum(background=1))
     return [
         (
-            SplatSet(empty),
+            splat_set,
             Page(
                 first=0,
                 capacity=capacity,
@@ -137,9 +152,10 @@ def recorded_pages(
                 appearance=_page_buffer("appearance", (16 * kind.stride or 8) * capacity),
                 half=kind.half,
                 stride=kind.stride,
+                cells=None if cells is None else RecordedBuffer("cells", 4 * ROW * cells[slot], 0),
             ),
         )
-        for kind, capacity in zip(kinds, capacities, strict=True)
+        for slot, (kind, capacity) in enumerate(zip(kinds, capacities, strict=True))
     ]
 
 

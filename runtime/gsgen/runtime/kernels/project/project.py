@@ -188,6 +188,7 @@ class ProjectKernel:
         packed: Whether rows are packed by compact_rows.py.
         slot_rows: Rows of a slot, for pages of a pool; 0 for others.
         tile: Edge of the tiles that are counted, in pixels.
+        records: Whether each splat is one record.
     """
 
     def __init__(
@@ -201,6 +202,7 @@ class ProjectKernel:
         packed: bool = False,
         slot_rows: int = 0,
         tile: int = TILE,
+        records: bool = False,
     ) -> None:
         name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
         self.kernel = Kernel(
@@ -210,6 +212,7 @@ class ProjectKernel:
             ("uwwww", "urrr") if weighted else ("uwwwww", "urrur" if slot_rows else "urr"),
             THREADS=THREADS,
             TILE=tile,
+            RECORDS=records,
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
             HALF_APPEARANCE=half,

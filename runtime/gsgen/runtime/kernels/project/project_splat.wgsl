@@ -1,6 +1,7 @@
 // Compute and write the splat of a Gaussian whose depth and opacity are known. Comparisons are
 // phrased so that NaN is dropped.
 
+//!include splat_record
 //!include tile_span
 //!include flatten
 //!include circle
@@ -93,8 +94,13 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
         let radius = circle(scaled, flat.determinant, flat.unit, SPLAT_REACH);
         extent = min(radius * radius, LARGEST);
     }
-    shapes[index] = vec4f(flat.mean, conic.xy);
-    weights[index] = vec4f(conic.z, strength, depth, extent);
+    shapes[shape_at(index)] = vec4f(flat.mean, conic.xy);
+    let weight = vec4f(conic.z, strength, depth, extent);
+    if (RECORDS) {
+        shapes[weight_at(index)] = weight;
+    } else {
+        weights[index] = weight;
+    }
     colors[index] = vec4f(max(color, vec3f(0.0)), f32(tiles));
     return bitcast<u32>(depth);
 }

@@ -94,9 +94,12 @@ class DrawQuads:
         device: A device that can blend 32-bit floats.
         tested: Whether meshes may hide splats.
         panorama: Whether the image is a panorama.
+        records: Whether each splat is one record.
     """
 
-    def __init__(self, device: Device, *, tested: bool = False, panorama: bool = False) -> None:
+    def __init__(
+        self, device: Device, *, tested: bool = False, panorama: bool = False, records: bool = False
+    ) -> None:
         self._device = device
         raw = self._raw = device.raw
         kinds = ["uniform"] + ["read-only-storage"] * 5
@@ -110,6 +113,7 @@ class DrawQuads:
             code=source(
                 "draw_quads",
                 TESTED=tested,
+                RECORDS=records,
                 **COUNT_CONSTANTS,
                 **(PANORAMA_CONSTANTS if panorama else {}),
             ),

@@ -7,6 +7,7 @@
 // one strip, whose joints have no area.
 
 //!include frame
+//!include splat_record
 
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;
@@ -42,11 +43,11 @@ fn corner_of(@builtin(vertex_index) vertex: u32, @builtin(instance_index) instan
     let numbers = corner_and_copy(vertex);
     let corner = numbers.x;
     let id = order[counts[VISIBLE] - 1u - instance];
-    var shape = shapes[id];
+    var shape = shapes[shape_at(id)];
     if (PANORAMA) {
         shape.x += (f32(numbers.y) - 1.0) * frame.period;
     }
-    let weight = weights[id];
+    let weight = weights[weight_at(id)];
     // The covariance, from its yy and the conic.
     let yy = weight.w;
     let xy = -shape.w / shape.z * yy;

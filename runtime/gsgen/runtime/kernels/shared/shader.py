@@ -69,6 +69,7 @@ def source(name: str, **constants: int | float | bool) -> str:
         "NOWHERE": NOWHERE,
         "PANORAMA": False,
         "PACKED": False,
+        "RECORDS": False,
         "SPLAT_REACH": SPLAT_REACH,
         "CELL_REACH": CELL_REACH,
         "MIN_EIGENVALUE_GAP": MIN_EIGENVALUE_GAP,

@@ -27,6 +27,7 @@ class BinTiles:
         panorama: Whether the image is a panorama.
         cells: Whether to list the tiles of cells instead of splats.
         tile: Edge of a tile, in pixels.
+        records: Whether each splat is one record.
     """
 
     def __init__(
@@ -37,9 +38,16 @@ class BinTiles:
         panorama: bool = False,
         cells: bool = False,
         tile: int = TILE,
+        records: bool = False,
     ) -> None:
         shader = "bin_cells" if cells else "bin_tiles"
-        constants = {"THREADS": WALK_THREADS, "RUN": walk, "TILE": tile, **COUNT_CONSTANTS}
+        constants = {
+            "THREADS": WALK_THREADS,
+            "RUN": walk,
+            "TILE": tile,
+            "RECORDS": records,
+            **COUNT_CONSTANTS,
+        }
         constants |= PANORAMA_CONSTANTS if panorama else {}
         self._measure, self._emit = (
             Kernel(device, shader, entry, (_BINDINGS[shader],), **constants)

@@ -1,6 +1,7 @@
 // Bin: list the tiles that each splat touches, nearest splat first.
 
 //!include runs
+//!include splat_record
 //!include tile_span
 
 @group(0) @binding(7) var<storage, read> shapes: array<vec4f>;
@@ -12,8 +13,8 @@ fn emit(@builtin(global_invocation_id) invocation: vec3u) {
     var pair = run.pair;
     for (var rank = run.first; rank < run.end; rank++) {
         let id = order[rank];
-        let shape = shapes[id];
-        let weight = weights[id];
+        let shape = shapes[shape_at(id)];
+        let weight = weights[weight_at(id)];
         let ellipse = outline(shape.xy, vec3f(shape.zw, weight.x), weight.y, weight.w);
         for (var row = ellipse.rows.x; row < ellipse.rows.y; row++) {
             var listed = 0u;  // an earlier copy has listed the columns before this one

@@ -33,8 +33,8 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_index) th
         let pair = first + thread;
         if (pair < range.y) {
             let id = pair_splats[pair];
-            let shape = shapes[id];
-            let weight = weights[id];
+            let shape = shapes[shape_at(id)];
+            let weight = weights[weight_at(id)];
             batch_ids[thread] = id;
             batch_cells[thread] = open_before & cells_touched(tile.xy, shape, weight);
             batch_shapes[thread] = shape;

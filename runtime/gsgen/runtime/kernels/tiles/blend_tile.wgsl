@@ -8,6 +8,7 @@
 
 //!include frame
 //!include blend_opacity
+//!include splat_record
 
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
 @group(0) @binding(2) var<storage, read> pair_splats: array<u32>;

@@ -84,6 +84,7 @@ class BlendTiles:
         panorama: Whether the image is a panorama.
         layers: Number of image layers among the splats.
         tile: Edge of a tile, in pixels.
+        records: Whether each splat is one record.
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class BlendTiles:
         panorama: bool = False,
         layers: int = 0,
         tile: int = TILE,
+        records: bool = False,
     ) -> None:
         together, constants = workgroup_shape(device, layers, panorama=panorama)
         shader = "blend_subgroups" if together else "blend_tiles"
@@ -107,6 +109,7 @@ class BlendTiles:
             "blend",
             ("urrrrrw", "rr") if layers else ("urrrrrw",),
             PICK=pick,
+            RECORDS=records,
             MASKED=together and not panorama,
             **constants,
         )

@@ -29,6 +29,10 @@ class GeneratorBuffers {
     this.antialias = manifest.antialias ?? "classic";
     this.isLinear = manifest.outputs.appearance.color_space === "linear";
     this.degree = null;
+    const { cells } = manifest.outputs;
+    /** Weights of sums cell by cell; null if Gaussians are sorted. */
+    this.weighted =
+      manifest.blend === "wsr" ? { ...manifest.weighted_sum, perCell: cells.per_cell } : null;
     /** @type {GPUBuffer | null} */
     this.liveCounts = null;
     this._commands = [];
@@ -41,12 +45,13 @@ class GeneratorBuffers {
    * @param {Record<string, any>} outputs Tensors by name.
    */
   async bind(outputs) {
-    const { gaussians, appearance, count } = this._manifest.outputs;
-    const tensors = [gaussians, appearance, count].map((spec) => spec && outputs[spec.name]);
+    const { gaussians, appearance, count, cells } = this._manifest.outputs;
+    const specs = [gaussians, appearance, count, this.weighted && cells];
+    const tensors = specs.map((spec) => spec && outputs[spec.name]);
     const buffers = tensors.map((tensor) => tensor?.gpuBuffer);
     if (this._last?.every((buffer, i) => buffer === buffers[i])) return false;
     this.destroy();
-    const [rows, colors, live] = tensors;
+    const [rows, colors, live, cellRows] = tensors;
     const { plans } = this._kernels;
     const channels = colors.dims[1];
     this.degree = degreeOf(channels, appearance.space);
@@ -56,6 +61,10 @@ class GeneratorBuffers {
       this._bindable("appearance", colors),
     ]);
     this.pages = pagesOf(plans, storage, bound[0], bound[1], this.capacity);
+    if (cellRows) {
+      const own = { cells: await this._bindable("rows", cellRows), setCells: cellRows.dims[0] };
+      for (const page of this.pages) Object.assign(page, own);
+    }
     if (live) await this._countLive(live);
     this._last = buffers;
     return true;
@@ -68,12 +77,12 @@ class GeneratorBuffers {
       (row) => row.target === target && row.dtype === type && row.columns === dims[1],
     );
     if (!entry) return gpuBuffer;
-    const size = Math.ceil((4 * entry.words * this.capacity) / 16) * 16;
+    const size = Math.ceil((4 * entry.words * dims[0]) / 16) * 16;
     const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_SRC;
     const buffer = device.createBuffer({ label: `repacked ${target}`, size, usage });
     this._own.push(buffer);
     const bytes = Math.ceil((dims[0] * dims[1] * (type === "float16" ? 2 : 4)) / 4) * 4;
-    await this._add(entry, { buffer: gpuBuffer, size: bytes }, { buffer });
+    await this._add(entry, dims[0], { buffer: gpuBuffer, size: bytes }, { buffer });
     return buffer;
   }
 
@@ -84,17 +93,17 @@ class GeneratorBuffers {
     this.liveCounts = device.createBuffer({ label: "live rows", size, usage });
     this._own.push(this.liveCounts);
     const source = { buffer: tensor.gpuBuffer, size: 4 };
-    await this._add(plans.generators.live_counts, source, { buffer: this.liveCounts });
+    await this._add(plans.generators.live_counts, 1, source, { buffer: this.liveCounts });
   }
 
-  async _add({ pipeline, groups }, ...resources) {
+  async _add({ pipeline, groups }, capacity, ...resources) {
     const { plans, device } = this._kernels;
     const layout = this._kernels.layout(plans.pipelines[pipeline].groups[0]);
     const entries = resources.map((resource, binding) => ({ binding, resource }));
     this._commands.push({
       pipeline: await this._kernels.pipeline(pipeline),
       group: device.createBindGroup({ layout, entries }),
-      counts: groups.map((count) => evaluate(count, { capacity: this.capacity })),
+      counts: groups.map((count) => evaluate(count, { capacity })),
     });
   }
 
@@ -127,9 +136,6 @@ function requireDrawable(manifest, name) {
   const { gaussians, appearance } = manifest.outputs ?? {};
   if (!gaussians || !appearance) {
     fail("declares no gaussians or no appearance, expected both", "gsgen validate MODEL", "GM002");
-  }
-  if (manifest.blend === "wsr") {
-    fail("is drawn by weighted sums, which pages do not draw yet", "gsgen render MODEL -o film.mp4");
   }
   const required = manifest.extensions_required ?? [];
   if (required.length) fail(`requires extensions: ${required}`, "Ask its author for a copy without.");

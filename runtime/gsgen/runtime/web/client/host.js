@@ -19,17 +19,24 @@ const BINDING_TYPES = { u: "uniform", r: "read-only-storage", w: "storage" };
  * @property {number} rowsOffset Bytes before the page's first row.
  * @property {GPUBuffer} appearance
  * @property {number} appearanceOffset
+ * @property {number} firstRow The page's first row in its set.
+ * @property {GPUBuffer} [cells] The cells of its set, for weighted sums.
+ * @property {number} [setCells]
  */
 /**
  * @typedef {object} Drawing
  * @property {string[]} outputs
  * @property {boolean} panorama
  * @property {boolean} deep
+ * @property {boolean} weighted
  * @property {number} width
  * @property {number} height
  * @property {number} pairs Most pairs of a splat and a tile.
  * @property {Page[]} pages
  */
+
+/** Return the first page of each set. @param {Page[]} pages */
+const setsOf = (pages) => pages.filter((page) => page.firstRow === 0);
 
 /** The compiled kernels of a device. */
 export class KernelCache {
@@ -123,6 +130,7 @@ export class PlanHost {
       pairs: drawing.pairs,
       pages: drawing.pages.length,
       gaussians: drawing.pages.reduce((sum, page) => sum + page.capacity, 0),
+      cells: setsOf(drawing.pages).reduce((sum, page) => sum + (page.setCells ?? 0), 0),
     };
     const plan = choosePlan(this.plans, drawing, sizes);
     const stages = Object.entries(plan.stages).map(([label, entries]) => ({
@@ -140,7 +148,7 @@ export class PlanHost {
     this._passes = stages.map(({ label, steps }) => ({
       label,
       steps: steps.map(({ step, page, slot }) => {
-        const all = { ...sizes, slot, capacity: page ? page.capacity : 0 };
+        const all = { ...sizes, slot, capacity: page?.capacity ?? 0, set_cells: page?.setCells ?? 0 };
         return {
           pipeline: pipelines.get(step.pipeline),
           groups: step.binds.map((row) => this._group(row, page, slot, all, used)),
@@ -154,10 +162,13 @@ export class PlanHost {
     this.sizes = sizes;
   }
 
-  /** Return the steps of a stage's entry: one, or one of each page. */
+  /** Return the steps of a stage's entry: one, or one of each page or set. */
   _stepsOf(entry, pages) {
     if (typeof entry === "number") return [{ step: this.plans.steps[entry], page: null, slot: 0 }];
-    return pages.map((page, slot) => ({ step: this.plans.steps[entry[page.kind]], page, slot }));
+    const repeated = "set" in entry ? setsOf(pages) : pages;
+    return repeated.map((page, slot) => {
+      return { step: this.plans.steps[entry.set ?? entry[page.kind]], page, slot };
+    });
   }
 
   /** Make the buffers whose size changed, and release those that no step binds. */
@@ -217,7 +228,7 @@ export class PlanHost {
     used.add(key);
     const { kinds, entries } = this.plans.binds[row];
     const resources = entries.map(([name, offset, size]) => {
-      const first = typeof name === "string" ? page[`${name}Offset`] : 0;
+      const first = typeof name === "string" ? (page[`${name}Offset`] ?? 0) : 0;
       const buffer = typeof name === "string" ? page[name] : this._buffer(name);
       const bytes = size === null ? buffer.size : evaluate(size, sizes);
       return { buffer, offset: first + evaluate(offset, sizes), size: bytes };

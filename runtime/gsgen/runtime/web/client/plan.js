@@ -14,6 +14,7 @@ import { GsgenError } from "./errors.js";
  * @property {string[]} outputs The images that it draws.
  * @property {boolean} panorama
  * @property {boolean} deep Whether depths are sorted by two keys.
+ * @property {boolean} weighted Whether Gaussians are summed cell by cell.
  * @property {Formula[]} guards Conditions under which the plan has these steps.
  * @property {[number, number, number | null][]} clears Buffer, offset and size of cleared bytes.
  * @property {Record<string, (number | Record<string, number>)[]>} stages
@@ -61,7 +62,7 @@ export function evaluate(formula, sizes) {
 /**
  * Return the first plan of a shape whose guards hold for the sizes.
  * @param {PlanDocument} plans
- * @param {{outputs: string[], panorama: boolean, deep: boolean}} shape
+ * @param {{outputs: string[], panorama: boolean, deep: boolean, weighted: boolean}} shape
  * @param {Sizes} sizes
  * @returns {Plan}
  */
@@ -70,8 +71,7 @@ export function choosePlan(plans, shape, sizes) {
   const found = plans.plans.find(
     (plan) =>
       plan.outputs.join() === outputs &&
-      plan.panorama === shape.panorama &&
-      plan.deep === shape.deep &&
+      ["panorama", "deep", "weighted"].every((name) => plan[name] === shape[name]) &&
       plan.guards.every((guard) => evaluate(guard, sizes)),
   );
   if (!found) {

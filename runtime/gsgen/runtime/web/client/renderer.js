@@ -17,6 +17,16 @@ const READERS = 2; // copies of the counts that may be in flight
  * @property {{low: number[], high: number[]} | null} [clip]
  */
 
+/** Return the cells of each set as the pages of a uniform. */
+function cellSets(placed) {
+  let first = 0;
+  return placed.filter(({ firstRow }) => firstRow === 0).map(({ set, base, setCells }) => {
+    first += setCells;
+    const counts = { capacity: setCells, count: setCells };
+    return { set, base: first - setCells, ...counts, firstRow: 0, firstGaussian: base };
+  });
+}
+
 /** Draws one scene; several renderers may share the kernels of a device. */
 export class Renderer {
   /**
@@ -62,6 +72,9 @@ export class Renderer {
     if (placed.length) {
       queue.writeBuffer(host.input("pages"), 0, pageUniforms(plans, placed, camera));
     }
+    if ("sets" in host.plan.inputs) {
+      queue.writeBuffer(host.input("sets"), 0, pageUniforms(plans, cellSets(placed), camera));
+    }
     const encoder = device.createCommandEncoder({ label: "frame" });
     for (const { buffers } of this._sets) buffers.encode?.(encoder);
     placed.forEach(({ liveCounts, page }, slot) => {
@@ -94,25 +107,24 @@ export class Renderer {
     const { width, height } = camera;
     const panorama = camera.kind === "panorama";
     const [deep, pairs] = [this._deep, this._pairs];
+    const weighted = this._sets.some(({ buffers }) => buffers.weighted);
     const key = JSON.stringify([outputs, panorama, deep, width, height, pairs, this._version]);
     if (key === this._key) return;
     this._key = "";
     const pages = this._sets.flatMap((set) => set.buffers.pages);
-    await this.host.configure({ outputs, panorama, deep, width, height, pairs, pages });
+    await this.host.configure({ outputs, panorama, deep, weighted, width, height, pairs, pages });
     this._key = key;
   }
 
   _placed() {
     let base = 0;
     return this._sets.flatMap(({ buffers, ...own }) => {
-      const set = { degree: buffers.degree, antialias: buffers.antialias, ...own };
-      let first = 0;
-      return buffers.pages.map(({ capacity }, number) => {
-        const count = Math.min(Math.max(buffers.count - first, 0), capacity);
-        const { liveCounts } = buffers;
-        const placed = { set, base, capacity, count, liveCounts, page: number };
+      const { degree, antialias, weighted, liveCounts } = buffers;
+      const set = { degree, antialias, weighted, ...own };
+      return buffers.pages.map(({ capacity, firstRow, setCells }, page) => {
+        const count = Math.min(Math.max(buffers.count - firstRow, 0), capacity);
+        const placed = { set, base, capacity, count, liveCounts, page, firstRow, setCells };
         base += capacity;
-        first += capacity;
         return placed;
       });
     });

@@ -61,6 +61,7 @@ export function pagesOf(plans, storage, rows, appearance, capacity) {
       rowsOffset: first * ROW_BYTES,
       appearance,
       appearanceOffset: first * storage.bytes,
+      firstRow: first,
     });
   }
   return pages;

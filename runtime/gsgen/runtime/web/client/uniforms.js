@@ -5,7 +5,7 @@
  */
 
 import { eyeOf, periodOf } from "./camera.js";
-import { linearPart, product, relativeStretch, solve, times, transposed } from "./matrices.js";
+import { cross, dot, linearPart, product, relativeStretch, solve, times, transposed } from "./matrices.js";
 
 const INFINITE_BOX = { low: [-Infinity, -Infinity, -Infinity], high: [Infinity, Infinity, Infinity] };
 
@@ -17,8 +17,13 @@ const INFINITE_BOX = { low: [-Infinity, -Infinity, -Infinity], high: [Infinity, 
  * @property {number} [opacityScale]
  * @property {"classic" | "mip"} [antialias]
  * @property {{low: number[], high: number[]} | null} [clip]
+ * @property {{perCell: number, opacity_divisor: number, background: number,
+ *     depth_range?: number | null} | null} [weighted] Weights of sums cell by cell.
  */
-/** @typedef {{set: SplatSet, base: number, capacity: number, count: number}} PlacedPage */
+/**
+ * @typedef {{set: SplatSet, base: number, capacity: number, count: number, firstRow?: number,
+ *     firstGaussian?: number}} PlacedPage
+ */
 
 /** Writes fields of a uniform by their name. */
 class UniformWriter {
@@ -85,7 +90,7 @@ export function pageUniforms(plans, pages, camera) {
   const uniform = new UniformWriter(plans.uniforms.page, pages.length);
   const turn = linearPart(camera.view);
   const worldEye = eyeOf(camera);
-  pages.forEach(({ set, base, capacity, count }, index) => {
+  pages.forEach(({ set, base, capacity, count, firstRow = 0, firstGaussian = 0 }, index) => {
     const write = (name, values) => uniform.set(name, values, index);
     const { transform } = set;
     const linear = linearPart(transform);
@@ -110,6 +115,16 @@ export function pageUniforms(plans, pages, camera) {
     write("base", base);
     write("capacity", capacity);
     write("count", count);
+    if (!set.weighted) return;
+    const { perCell, opacity_divisor: divisor, background, depth_range: range } = set.weighted;
+    // The depth range is a length of the set's own space.
+    const volume = dot(linear.slice(0, 3), cross(linear.slice(3, 6), linear.slice(6)));
+    write("per_cell", perCell);
+    write("first_row", firstRow);
+    write("first_gaussian", firstGaussian);
+    write("inverse_range", range ? 1 / (range * Math.cbrt(Math.abs(volume))) : 0);
+    write("inverse_divisor", 1 / divisor);
+    write("behind", background);
   });
   return uniform.bytes;
 }

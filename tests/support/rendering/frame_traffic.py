@@ -1,0 +1,173 @@
+"""Counts the bytes and dispatches of a frame from its recorded plan, without a GPU.
+
+    PYTHONPATH=tests .venv/bin/python -m support.rendering.frame_traffic
+
+The rules: a pass moves each element of an array that it walks once; an element that is read by its
+index moves a sector of 32 bytes, the least that GPUs read; atomic additions move the bytes of their
+table once in each direction, since it fits the cache. Numbers of splats and pairs are assumptions,
+those of ``design/gpu.md``: two thirds of the Gaussians are visible, with three 16-pixel tiles each.
+"""
+
+import json
+import math
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.splat_residency import GPU_PAGE_ROWS
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.kernel import Step
+from gsgen.runtime.kernels.shared.shader import TILE
+from gsgen.runtime.renderer.frame_plan import Plan
+from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.web.recording import APPEARANCES, recorded_pages
+from gsgen.runtime.web.recording_device import RecordingDevice
+
+SECTOR = 32
+ROW = 40
+HARMONICS = 192
+DEGREE_3 = next(kind for kind in APPEARANCES if kind.channels == 48 and not kind.half)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Workload:
+    """A frame: Gaussians of degree 3, and how many splats and pairs of small tiles they make."""
+
+    gaussians: int = 6_060_000
+    visible: int = 4_000_000
+    small_pairs: int = 12_000_000
+    size: tuple[int, int] = (1920, 1080)
+
+    def pairs(self, tile: int) -> int:
+        """Return the pairs with tiles of ``tile`` pixels, of square splats at random places."""
+        width = TILE * (math.sqrt(self.small_pairs / self.visible) - 1)
+        return round(self.visible * (1 + width / tile) ** 2)
+
+    def tiles(self, tile: int) -> int:
+        return -(-self.size[0] // tile) * -(-self.size[1] // tile)
+
+
+def recorded_plan(workload: Workload) -> tuple[Plan, Kernels]:
+    """Return the plan of a frame on a GPU whose bindings have any size."""
+    device = Device(RecordingDevice())
+    kernels = Kernels(device)
+    n = workload.gaussians
+    capacities = [min(GPU_PAGE_ROWS, n - first) for first in range(0, n, GPU_PAGE_ROWS)]
+    placed = recorded_pages(device, [DEGREE_3] * len(capacities), capacities)
+    pairs = workload.pairs(kernels.cut.tile)
+    return Plan(device, kernels, placed, workload.size, frozenset({"color"}), pairs), kernels
+
+
+def digit_words(step: Step) -> dict[str, int]:
+    """Return what the uniform of a step of the sort says."""
+    uniform: Any = step.binds[0].entries[0][0]
+    names = ("shift", "bits", "source", "first", "next_bits")
+    words = np.frombuffer(uniform.data[0], np.uint32)
+    return dict(zip(names, words.tolist(), strict=False))
+
+
+def sort_bytes(step: Step, workload: Workload, pairs: int, block: int) -> int:
+    """Return the bytes of a step of the sort."""
+    digit = digit_words(step)
+    numbers = {Counts.GAUSSIANS: workload.gaussians, Counts.VISIBLE: workload.visible}
+    keys = numbers.get(Counts(digit["source"]), pairs)
+    table = 4 * -(-keys // block) << digit["bits"]
+    if step.kernel.label == "count":
+        return 4 * keys + table
+    if step.kernel.label == "scan_rows":
+        return 3 * table  # read, written, and the next one cleared
+    written = workload.visible if digit["first"] else keys
+    values = 0 if digit["first"] else 4 * keys
+    next_table = 4 * -(-written // block) << digit["next_bits"] if digit["next_bits"] else 0
+    return 4 * keys + values + 8 * written + table + 2 * next_table
+
+
+def stage_bytes(workload: Workload) -> dict[str, int]:
+    """Return the bytes of each stage of a recorded frame."""
+    plan, kernels = recorded_plan(workload)
+    pairs, visible = workload.pairs(kernels.cut.tile), workload.visible
+    pixels, tiles = math.prod(workload.size), workload.tiles(kernels.cut.tile)
+    runs = visible // kernels.cut.walk
+    splat = SECTOR if kernels.records(workload.gaussians) else 2 * SECTOR
+    project = workload.gaussians * (ROW + 8) + visible * (HARMONICS + 48)
+    sizes = {
+        "project": project // len(plan.stages["project"]),
+        "scan": 0,  # hundreds of numbers
+        "order_ties": 4 * visible,
+        "measure": visible * (4 + SECTOR) + 4 * runs,
+        "reduce": 4 * runs,
+        "spread": 8 * runs,
+        "emit": visible * (4 + splat) + 4 * runs + 8 * pairs,
+        "mark": 4 * pairs + 8 * tiles,
+        "blend": pairs * (4 + splat + SECTOR) + 8 * tiles + 16 * pixels,
+    }
+    return {
+        name: sum(
+            sizes[step.kernel.label]
+            if step.kernel.label in sizes
+            else sort_bytes(step, workload, pairs, kernels.cut.block)
+            for step in steps
+        )
+        for name, steps in plan.stages.items()
+    }
+
+
+def earlier_bytes(workload: Workload) -> dict[str, int]:
+    """Return the bytes of each stage by the same rules, with the kernels of before November 23.
+
+    They sorted four bits a pass, read keys three times a pass, had tiles of 16 pixels, and three
+    arrays of vectors.
+    """
+    n, visible, pairs = workload.gaussians, workload.visible, workload.small_pairs
+    runs = visible // 4
+    grouping = -(-(workload.tiles(TILE) - 1).bit_length() // 4)
+    return {
+        "project": n * (ROW + 8) + visible * (HARMONICS + 48),
+        "sort": 12 * n + 8 * visible + 7 * 24 * visible + 4 * visible,
+        "bin": visible * (4 + SECTOR) + 20 * runs + visible * (4 + 2 * SECTOR) + 8 * pairs,
+        "group": grouping * 24 * pairs + 4 * pairs + 8 * workload.tiles(TILE),
+        "blend": pairs * (4 + 3 * SECTOR) + 8 * workload.tiles(TILE)
+        + 16 * math.prod(workload.size),
+    }  # fmt: skip
+
+
+EARLIER_DISPATCHES = 92
+"""As recorded from the commit c1ef8800: 24 + 41 + 5 + 21 + 1."""
+
+
+def dispatches(workload: Workload) -> dict[str, int]:
+    """Return the number of dispatches of each stage."""
+    return {name: len(steps) for name, steps in recorded_plan(workload)[0].stages.items()}
+
+
+def key_reads(workload: Workload) -> dict[str, list[int]]:
+    """Return how often each pass of the two sorts reads its keys."""
+    plan, _ = recorded_plan(workload)
+    reads = {}
+    for name in ("sort", "group"):
+        steps = [step for step in plan.stages[name] if step.kernel.label in ("count", "scatter")]
+        passes = Counter(digit_words(step)["shift"] for step in steps)
+        reads[name] = [passes[shift] for shift in sorted(passes)]
+    return reads
+
+
+def table(workload: Workload) -> dict[str, Any]:
+    """Return the counted figures of a frame, before and now."""
+    now, earlier, steps = stage_bytes(workload), earlier_bytes(workload), dispatches(workload)
+    return {
+        "MB": {name: [earlier[name] / 1e6, size / 1e6] for name, size in now.items()},
+        "share of the bytes": sum(now.values()) / sum(earlier.values()),
+        "dispatches": steps | {"sum": sum(steps.values()), "earlier": EARLIER_DISPATCHES},
+        "reads of keys in each pass": key_reads(workload),
+        "pairs": {
+            size: workload.pairs(size) for size in (TILE, recorded_plan(workload)[1].cut.tile)
+        },
+    }
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(table(Workload()), indent=2) + "\n")
