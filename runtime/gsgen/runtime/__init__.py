@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.gpu.device import Device
     from gsgen.runtime.playback.image_tiling import post_process
     from gsgen.runtime.playback.player import FrameRequest, GeneratorPlayer, Player
+    from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.renderer.renderer import Renderer
     from gsgen.runtime.scene.camera import Camera
     from gsgen.runtime.scene.frame import NOTHING, Frame
@@ -45,6 +46,7 @@ __all__ = [
     "MeshData",
     "Player",
     "PooledSet",
+    "PostProcessor",
     "Renderer",
     "Scene",
     "SceneInvalid",

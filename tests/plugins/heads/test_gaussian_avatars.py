@@ -32,6 +32,18 @@ def test_gaussians_follow_their_triangles(seed: int, teeth: bool, tmp_path: Path
         assert_like(*eager(generator, pose, expression, shift), expected)
 
 
+def test_thin_triangles_keep_their_shape_far_from_the_origin(tmp_path: Path) -> None:
+    read = read_gaussian_avatars(write_gaussian_avatar(tmp_path, rings=40))
+    generator, rng = GaussianAvatars(read), np.random.default_rng(4)
+    pose, expression, shift = (
+        rng.normal(size=shape).astype(np.float32) for shape in ((5, 3), 10, 3)
+    )
+    near, far = (eager(generator, pose, expression, move)[0] for move in (0 * shift, 50 * shift))
+    np.testing.assert_array_equal(near[:, 4:], far[:, 4:])
+    rounding = np.spacing(np.abs(far[:, :3]))
+    assert (np.abs(near[:, :3] + 50 * shift - far[:, :3]) <= 2 * rounding).all()
+
+
 def test_teeth_are_those_of_the_method() -> None:
     case = shared("data/checkpoints/gavatars_teeth")
     read = read_gaussian_avatars(case / "ckpt")

@@ -11,8 +11,8 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
 from gsgen.reference_plugins.images import stylise_plugin as command
-from gsgen.reference_plugins.images.image_sizes import read_size
 from gsgen.reference_plugins.images.stylise import Stylise, StyliseOptions
+from gsgen.reference_plugins.loading.image_sizes import read_size
 from gsgen.reference_plugins.synthetic import write_stylise
 from gsgen.sdk.exporting.post_process_exporter import ExportedImage, export_post_process
 from support.models.captured import assert_captured

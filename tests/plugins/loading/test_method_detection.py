@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
+from gsgen.reference_plugins.loading.folder import last_iteration
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
+from gsgen.reference_plugins.synthetic import HexPlaneOptions, write_hexplane
 from gsgen.sdk.plugins.plugin import installed_plugins
 from support.checkpoints.method_runs import METHODS
 
@@ -55,3 +57,15 @@ def test_a_resume_file_of_gauhuman_is_not_taken_for_one_of_r3(runs: dict[str, Pa
     assert read_gauhuman(run).nets is not None
     with pytest.raises(CheckpointInvalid, match="cannot be read"):
         read_r3(run, dataset="zju")
+
+
+def test_the_last_iteration_is_that_of_the_highest_number(tmp_path: Path) -> None:
+    run = write_hexplane(tmp_path / "run", HexPlaneOptions(count=3))
+    (files,) = (run / "point_cloud").iterdir()
+    files.rename(files.with_name("iteration_10000"))  # as text, 7000 is the larger one
+    (run / "point_cloud/iteration_7000").mkdir()
+    (run / "point_cloud/iteration_x").mkdir()
+    with pytest.raises(CheckpointInvalid, match="is a checkpoint of 4DGaussians"):
+        read_r3(run, dataset="zju")
+    assert last_iteration(run).name == "iteration_10000"
+    assert last_iteration(tmp_path) == tmp_path

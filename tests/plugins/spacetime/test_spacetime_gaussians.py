@@ -93,6 +93,7 @@ def test_the_full_model_is_refused_until_someone_asks_for_the_approximation(
     with pytest.raises(NotInCheckpoint, match="decoded in each pixel") as caught:
         plugin.build(full)
     assert "--decode per-splat" in caught.value.hint
+    assert "--decode features" in caught.value.hint
     plugin.build(full, decode="per-splat")
     assert "warning: colours are approximate" in capsys.readouterr().err
     lite = write_spacetime(tmp_path / "lite", count=3)

@@ -101,3 +101,14 @@ def judge(case: str, model: Path) -> list[tuple[bool, dict[str, float]]]:
         dtype = "f16" if rows.dtype == np.float16 else "f32"
         results.append(tool.check(case, index, rows, color, dtype, target))
     return results
+
+
+def assert_margin(case: str, model: Path) -> None:
+    """Demand that a model agrees with every golden frame three times better than is asked."""
+    output_type = onnx.load(model).graph.output[0].type.tensor_type.elem_type
+    dtype = "f16" if output_type == onnx.TensorProto.FLOAT16 else "f32"
+    allowed = {"leak": 1 / 512, "tail_opacity": 1 / 512, **acceptance().TOL[dtype]}
+    for index, (agrees, errors) in enumerate(judge(case, model)):
+        assert agrees, (index, errors)
+        for field, error in errors.items():
+            assert error <= allowed[field] / MARGIN, (index, field, error)

@@ -5,15 +5,14 @@ __all__ = ["PLUGIN"]
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.deformation.sc_gs_plugin import is_sc_gs
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
-    Fps,
-    Frames,
     Iteration,
-    Loop,
     note,
     report_checkpoint,
+    with_time_options,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -30,19 +29,12 @@ _PUBLICATION = Publication(
 )
 
 
-def build(
-    checkpoint: Checkpoint,
-    iteration: Iteration = None,
-    frames: Frames = None,
-    fps: Fps = None,
-    *,
-    loop: Loop = False,
-) -> "Deformable3DGS":
+@with_time_options
+def build(checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input) -> "Deformable3DGS":
     """Read a checkpoint of Deformable-3D-Gaussians, and return its generator."""
     from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
     from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
     from gsgen.reference_plugins.loading.provenance import producer_of
-    from gsgen.sdk import inputs
 
     read = read_deformation(checkpoint, iteration)
     report_checkpoint(read.describe(), read.run.cfg)
@@ -50,7 +42,6 @@ def build(
         note(f"note: {read.run.cfg.path} is missing; the variant follows from the network's shapes")
     if read.operations > _HIGH_OPERATIONS:
         note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")
-    time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     generator = Deformable3DGS(read.canonical, read.net, time)
     generator.producer = producer_of(_PUBLICATION.code, read.run)
     return generator

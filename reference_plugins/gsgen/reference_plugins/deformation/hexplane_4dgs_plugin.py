@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
-    Fps,
-    Frames,
     Iteration,
-    Loop,
     note,
     report_checkpoint,
+    with_time_options,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -36,26 +35,19 @@ _PUBLICATION = Publication(
 )
 
 
+@with_time_options
 def build(
-    checkpoint: Checkpoint,
-    iteration: Iteration = None,
-    frames: Frames = None,
-    fps: Fps = None,
-    *,
-    loop: Loop = False,
-    bake: _Bake = "auto",
+    checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input, bake: _Bake = "auto"
 ) -> "HexPlane4DGS":
     """Read a checkpoint of 4DGaussians, report its contents, and return its generator."""
     from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
     from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
     from gsgen.reference_plugins.loading.provenance import producer_of
-    from gsgen.sdk import inputs
 
     read = read_hexplanes(checkpoint, iteration)
     report_checkpoint(read.describe(), read.run.cfg)
     if read.flags.mask == "empty_voxel":
         note("warning: empty_voxel was never compared with the original code")
-    time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     generator = HexPlane4DGS(read.canonical, read.nets, read.flags, time, bake=bake)
     generator.producer = producer_of(_PUBLICATION.code, read.run)
     return generator

@@ -5,15 +5,14 @@ __all__ = ["PLUGIN", "is_sc_gs"]
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
-    Fps,
-    Frames,
     Iteration,
-    Loop,
     note,
     report_checkpoint,
+    with_time_options,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -28,25 +27,17 @@ _PUBLICATION = Publication(
 )
 
 
-def build(
-    checkpoint: Checkpoint,
-    iteration: Iteration = None,
-    frames: Frames = None,
-    fps: Fps = None,
-    *,
-    loop: Loop = False,
-) -> "ScGs":
+@with_time_options
+def build(checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input) -> "ScGs":
     """Read a checkpoint of SC-GS, report its contents, and return its generator."""
     from gsgen.reference_plugins.deformation.sc_gs import ScGs
     from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs
     from gsgen.reference_plugins.loading.provenance import producer_of
-    from gsgen.sdk import inputs
 
     read = read_sc_gs(checkpoint, iteration)
     report_checkpoint(read.describe(), read.run.cfg)
     if read.run.cfg.flag("d_rot_as_rotmat"):
         note("warning: d_rot_as_rotmat=True is honoured as in training; render.py ignores it")
-    time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     generator = ScGs(read, time)
     generator.producer = producer_of(_PUBLICATION.code, read.run)
     return generator

@@ -109,7 +109,9 @@ class GaussianAvatars(GaussianGenerator):
         root_translation: Float[Tensor, "3"],
     ) -> Gaussians:
         """Return the Gaussians of the head for given expression, pose and root translation."""
-        frames, centres = self._triangles(self._vertices(pose, expression, root_translation))
+        # Edges are differences of vertices: these keep more digits before the head is translated.
+        frames, centres = self._triangles(self._vertices(pose, expression))
+        centres = centres + root_translation.reshape(1, 3)
         frame = frames.index_select(0, self.binding)
         moved = (frame * self.position[:, None, :]).sum(dim=2)
         return Gaussians(
@@ -119,14 +121,14 @@ class GaussianAvatars(GaussianGenerator):
             sh=self.sh,
         )
 
-    def _vertices(self, pose: Tensor, expression: Tensor, shift: Tensor) -> Float[Tensor, "u 3"]:
-        """Return the vertices of FLAME (Li et al. 2017), by blendshapes and linear skinning."""
+    def _vertices(self, pose: Tensor, expression: Tensor) -> Float[Tensor, "u 3"]:
+        """Return FLAME's vertices before translation, by blendshapes and linear skinning."""
         row = expression.reshape(1, -1)
         joints = self.joints + (row @ self.joint_dirs).reshape(-1, 3)
         turns = rotation_matrices(pose[None])[0]
         feature = (turns[1:] - self.unit).reshape(1, -1)
         added = row @ self.expression_dirs + feature @ self.pose_dirs
-        transforms = skinning_transforms(turns, joints, self.parents, shift)
+        transforms = skinning_transforms(turns, joints, self.parents)
         return skin(self.rest + added.reshape(-1, 3), self.weights, transforms)[0]
 
     def _triangles(

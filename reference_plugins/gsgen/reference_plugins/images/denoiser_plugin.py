@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.reference_plugins.images.image_sizes import read_size
+from gsgen.reference_plugins.loading.image_sizes import read_size
 from gsgen.reference_plugins.loading.options import note
 from gsgen.sdk.plugins.plugin import Demo, Plugin
 

@@ -1,6 +1,6 @@
 """Finds the folders and files of a training run."""
 
-__all__ = ["find_iteration", "likely_folders", "required_file", "within_run"]
+__all__ = ["find_iteration", "last_iteration", "likely_folders", "required_file", "within_run"]
 
 import re
 from collections.abc import Callable, Iterator
@@ -77,6 +77,13 @@ def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Pat
             f"has no iteration {number}", where=str(parent), hint=f"There are: {known}."
         )
     return number, iterations[number]
+
+
+def last_iteration(folder: Path) -> Path:
+    """Return the last iteration's folder of a training run, or the run's folder without any."""
+    parent = folder / _CLOUD
+    iterations = _iterations(parent) if parent.is_dir() else {}
+    return iterations[max(iterations)] if iterations else folder
 
 
 def likely_folders(folder: Path, is_right: Callable[[Path], bool]) -> str:

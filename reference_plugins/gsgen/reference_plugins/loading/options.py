@@ -1,14 +1,16 @@
 """Command-line options and console messages that several plugins share."""
 
 __all__ = [
-    "AppearanceId", "Checkpoint", "CullOption", "Fps", "Frames", "Iteration", "Loop", "MaxAnchors",
-    "note", "report_checkpoint", "warn_unsupported",
+    "AppearanceId", "Checkpoint", "CullOption", "Fps", "Iteration", "Loop", "MaxAnchors", "note",
+    "report_checkpoint", "warn_unsupported", "with_time_options",
 ]  # fmt: skip
 
+import functools
+import inspect
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
@@ -45,15 +47,49 @@ MaxAnchors = Annotated[
         min=1,
     ),
 ]
-Frames = Annotated[
-    int | None, typer.Option(help="Distinct moments that training saw, for the manifest.", min=1)
-]
 Fps = Annotated[
     float | None, typer.Option(help="Frames a second at natural speed, for the manifest.", min=0.01)
 ]
 Loop = Annotated[
     bool, typer.Option("--loop", help="The motion repeats: its end continues at its start.")
 ]
+
+_Frames = Annotated[
+    int | None, typer.Option(help="Distinct moments that training saw, for the manifest.", min=1)
+]
+_TIME_OPTIONS: dict[str, tuple[Any, Any]] = {
+    "frames": (_Frames, None), "fps": (Fps, None), "loop": (Loop, False),
+}  # fmt: skip
+_T = TypeVar("_T")
+
+
+def with_time_options(build: Callable[..., _T]) -> Callable[..., _T]:
+    """Replace a plugin's parameter ``time`` by the options --frames, --fps and --loop.
+
+    ``time`` is the declaration of the input for the time, with the values of these options.
+    """
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(build).parameters.values():
+        if parameter.name != "time":
+            parameters.append(parameter)
+            continue
+        parameters += [
+            inspect.Parameter(name, parameter.kind, default=default, annotation=annotation)
+            for name, (annotation, default) in _TIME_OPTIONS.items()
+        ]
+
+    @functools.wraps(build)
+    def with_options(
+        *values: Any, frames: _Frames = None, fps: Fps = None, loop: Loop = False, **options: Any
+    ) -> _T:
+        from gsgen.sdk import inputs
+
+        time = inputs.time(frames=frames, fps=fps, loop=loop or None)
+        return build(*values, time=time, **options)
+
+    # typer reads the options from the signature.
+    with_options.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return with_options
 
 
 def note(text: str) -> None:

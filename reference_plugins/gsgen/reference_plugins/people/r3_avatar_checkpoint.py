@@ -22,7 +22,7 @@ from gsgen.reference_plugins.bodies.pose_networks import PoseNets, read_pose_net
 from gsgen.reference_plugins.loading.canonical import Canonical
 from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint
-from gsgen.reference_plugins.loading.folder import likely_folders, within_run
+from gsgen.reference_plugins.loading.folder import last_iteration, likely_folders, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
 from gsgen.reference_plugins.loading.states import (
     Layer,
@@ -151,7 +151,7 @@ def _checkpoint_file(folder: Path, iteration: int | None) -> Path:
     matches = ((_FILE.fullmatch(child.name), child) for child in folder.iterdir())
     files = {int(match[1]): child for match, child in matches if match}
     if not files:
-        refuse_other_method("r3-avatar", folder, _last_iteration_folder(folder))
+        refuse_other_method("r3-avatar", folder, last_iteration(folder))
         hint = "Give the folder of a training run: only chkpntN.pth holds the planes."
         hint = likely_folders(folder, lambda candidate: any(candidate.glob("chkpnt*.pth"))) or hint
         raise CheckpointInvalid("holds no chkpntN.pth", where=str(folder), hint=hint)
@@ -161,12 +161,6 @@ def _checkpoint_file(folder: Path, iteration: int | None) -> Path:
         message = f"has no iteration {number}"
         raise NotInCheckpoint(message, where=str(folder), hint=f"The iterations are {known}.")
     return files[number]
-
-
-def _last_iteration_folder(folder: Path) -> Path:
-    """Return the last iteration folder of a training run, or the run's folder if it has none."""
-    iteration_folders = (folder / "point_cloud").glob("iteration_*")
-    return max(iteration_folders, default=folder)
 
 
 def guess_dataset(cfg: CfgArgs) -> str:

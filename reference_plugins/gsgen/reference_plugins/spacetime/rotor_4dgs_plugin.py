@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
-    Fps,
-    Frames,
     Iteration,
-    Loop,
     note,
     report_checkpoint,
+    with_time_options,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -52,29 +51,26 @@ _PUBLICATION = Publication(
 )
 
 
+@with_time_options
 def build(
     checkpoint: Checkpoint,
     config: _Config = None,
     time_duration: _TimeDuration = None,
     iteration: Iteration = None,
-    frames: Frames = None,
-    fps: Fps = None,
     *,
-    loop: Loop = False,
+    time: Input,
     color: _Color = "sh",
 ) -> "Rotor4DGS":
     """Read a checkpoint of rotor 4DGS, report its contents, and return its generator."""
     from gsgen.reference_plugins.loading.provenance import producer_of
     from gsgen.reference_plugins.spacetime.rotor_4dgs import Rotor4DGS
     from gsgen.reference_plugins.spacetime.rotor_checkpoint import read_rotor
-    from gsgen.sdk import inputs
 
     read = read_rotor(checkpoint, iteration)
     report_checkpoint(read.describe(), read.run.cfg)
     duration = _duration(read.run, config, time_duration)
     if read.has_environment:
         note("warning: the learnt background (env_map) is not of Gaussians, and is left out")
-    time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     prefilter = read.run.cfg.number("prefilter_var", -1.0)
     generator = Rotor4DGS(read.splats, duration, time, prefilter=prefilter, color=color)
     generator.producer = producer_of(_PUBLICATION.code, read.run, [read.path])

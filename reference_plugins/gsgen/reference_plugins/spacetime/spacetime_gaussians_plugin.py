@@ -2,36 +2,41 @@
 
 __all__ = ["PLUGIN"]
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
-    Fps,
-    Frames,
     Iteration,
-    Loop,
     note,
     report_checkpoint,
+    with_time_options,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
-    from gsgen.reference_plugins.spacetime.spacetime_gaussians import SpacetimeGaussians
+    from gsgen.reference_plugins.spacetime.spacetime_checkpoint import SpacetimeCheckpoint
+    from gsgen.sdk import GaussianGenerator, PostProcess
 
 _Checkpoint = Annotated[
     Path,
     typer.Option("--checkpoint", help="Folder that training wrote, or a PLY.", show_default=False),
 ]
 _Decode = Annotated[
-    Literal["per-splat"] | None,
+    Literal["per-splat", "features", "decoder"] | None,
     typer.Option(
-        help="Decode the features of the full model for each Gaussian; the method does so for each "
-        "pixel, so colours are approximate.",
+        help="What to export of the full model, which decodes features in each pixel: features, a "
+        "generator that emits them; decoder, the post-process model that decodes them; or "
+        "per-splat, a generator that decodes them for each Gaussian, with approximate colours.",
         show_default="none, for the lite model",
     ),
+]
+_Size = Annotated[
+    str, typer.Option(help="Image size of --decode decoder, as HEIGHTxWIDTH: 360x640.")
 ]
 _PUBLICATION = Publication(
     paper="Li et al. 2024",
@@ -41,41 +46,77 @@ _PUBLICATION = Publication(
 )
 
 
+@with_time_options
 def build(
     checkpoint: _Checkpoint,
     iteration: Iteration = None,
-    frames: Frames = None,
-    fps: Fps = None,
     *,
-    loop: Loop = False,
+    time: Input,
     decode: _Decode = None,
-) -> "SpacetimeGaussians":
-    """Read a checkpoint of SpacetimeGaussians, report its contents, and return its generator."""
-    from gsgen.reference_plugins.loading.errors import NotInCheckpoint
+    size: _Size = "360x640",
+) -> "GaussianGenerator | PostProcess":
+    """Read a checkpoint of SpacetimeGaussians, report its contents, and return its model."""
     from gsgen.reference_plugins.loading.provenance import producer_of
     from gsgen.reference_plugins.spacetime.spacetime_checkpoint import read_spacetime
-    from gsgen.reference_plugins.spacetime.spacetime_gaussians import SpacetimeGaussians
-    from gsgen.sdk import inputs
 
     read = read_spacetime(checkpoint, iteration)
     report_checkpoint(read.describe(), read.run.cfg)
-    if read.decoder is None and decode is not None:
-        message = "is a lite model, whose colours need no decoder"
-        raise NotInCheckpoint(message, where=str(read.cloud), hint="Leave out --decode.")
-    if read.decoder is not None and decode is None:
-        message = "is a full model, whose features are blended and then decoded in each pixel"
-        hint = "Give --decode per-splat, which decodes each Gaussian by itself: an approximation."
-        raise NotInCheckpoint(message, where=str(read.cloud), hint=hint)
-    if decode is not None:
-        note("warning: colours are approximate where Gaussians blend: the method decodes pixels")
     duration = read.run.cfg.integer("duration", 0)
-    time = inputs.time(frames=frames or duration or None, fps=fps, loop=loop or None)
-    generator = SpacetimeGaussians(read.splats, read.decoder, time)
-    if generator.color_range is not None:
-        low, high = generator.color_range
-        note(f"note: colours from {low:g} to {high:g} are blended as they are, like the method's")
-    generator.producer = producer_of(_PUBLICATION.code, read.run, read.files)
-    return generator
+    time = replace(time, frames=time.frames or duration or None)
+    model = _model(read, time, decode, size)
+    model.producer = producer_of(_PUBLICATION.code, read.run, read.files)
+    return model
+
+
+def _model(
+    read: "SpacetimeCheckpoint", time: Input, decode: str | None, size: str
+) -> "GaussianGenerator | PostProcess":
+    """Return the model that --decode names; raise if the checkpoint is of another variant."""
+    from gsgen.reference_plugins.loading.errors import NotInCheckpoint
+    from gsgen.reference_plugins.spacetime.feature_decoding import (
+        FeaturePasses,
+        FeatureScale,
+        PixelDecoder,
+    )
+    from gsgen.reference_plugins.spacetime.spacetime_gaussians import SpacetimeGaussians
+
+    if read.decoder is None:
+        if decode is not None:
+            message = "is a lite model, whose colours need no decoder"
+            raise NotInCheckpoint(message, where=str(read.cloud), hint="Leave out --decode.")
+        generator = SpacetimeGaussians(read.splats, None, time)
+        if generator.color_range is not None:
+            low, high = generator.color_range
+            note(f"note: colours from {low:g} to {high:g} are blended as the method blends them")
+        return generator
+    match decode:
+        case "per-splat":
+            note(
+                "warning: colours are approximate where Gaussians blend: the method decodes pixels"
+            )
+            return SpacetimeGaussians(read.splats, read.decoder, time)
+        case "features":
+            note("note: the colours are features, which the model of --decode decoder decodes")
+            return FeaturePasses(read.splats, time)
+        case "decoder":
+            return PixelDecoder(read.decoder, FeatureScale.of(read.splats), _sides(size))
+    message = "is a full model, whose features are blended and then decoded in each pixel"
+    hint = (
+        "Give --decode features and --decode decoder, a model each, or --decode per-splat, which "
+        "decodes each Gaussian by itself: an approximation."
+    )
+    raise NotInCheckpoint(message, where=str(read.cloud), hint=hint)
+
+
+def _sides(size: str) -> tuple[int, int]:
+    from gsgen.contract.errors import ConfigInvalid
+    from gsgen.reference_plugins.loading.image_sizes import read_size
+
+    sides = read_size(size)
+    if sides is None:
+        hint = "The model has a ray for each pixel: give the size as 360x640."
+        raise ConfigInvalid("any is not a size of --decode decoder", where="--size", hint=hint)
+    return sides
 
 
 def _write_demo(folder: Path) -> list[str]:
@@ -91,7 +132,7 @@ PLUGIN = Plugin(
     summary="Gaussians that move along polynomials, each for a part of the time.",
     reads="Reads a PLY with motion, or DIR/cfg_args and DIR/point_cloud/iteration_N: "
     "point_cloud.ply, and point_cloud.pt of the full model.",
-    inputs=("time", "view"),
+    inputs=("time", "view", "control"),
     publication=_PUBLICATION,
     recognises=lambda run, iteration: "trbf_center" in point_columns(iteration),
     demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),

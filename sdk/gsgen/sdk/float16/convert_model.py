@@ -49,6 +49,8 @@ from gsgen.sdk.rewriting.rewrite import prepare, tidy
 _BUDGET = 200
 # Share of the tolerance for storing weights in 16 bits: if nodes are searched, too, and if not.
 _SHARE_OF_WEIGHTS, _SHARE_WITHOUT_NODES = 0.5, 0.6
+# Share of that error for small tables, if nodes are not searched: their bytes hardly count.
+_SHARE_OF_SMALL = 0.1
 # Share of the tolerance for the search, from one attempt to the next: the error that real kernels
 # add to the measured rounding is known only at the end.
 _SHARES = (1.0, 0.5, 0.25)
@@ -257,7 +259,8 @@ class _Search:
         # Tables come first: their size decides the size of the file and of the download.
         progress(f"measuring which of {len(measure.weights)} weights may be float16")
         portion = share * (_SHARE_OF_WEIGHTS if self._arithmetic else _SHARE_WITHOUT_NODES)
-        tables = choose_tables(measure, self._budget, portion)
+        small = portion if self._arithmetic else _SHARE_OF_SMALL * portion
+        tables = choose_tables(measure, self._budget, portion, small)
         progress(f"measuring which of {len(nodes)} nodes may round to float16")
         measure.stored = tables.quantized
         free = [

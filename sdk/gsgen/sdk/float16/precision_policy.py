@@ -40,12 +40,15 @@ class RetainedFloat32:
     excess: float = 0.0
 
 
-def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
+def choose_tables(
+    measure: ErrorProbe, budget: int, allowed: float, allowed_with_small: float
+) -> Search:
     """Choose weight tables to store in 16 bits, large ones first, within the allowed error.
 
     A table whose even steps are too coarse is tried as float16, which rounds small numbers less.
 
-    ``allowed`` is the largest share of the tolerance.
+    ``allowed`` is the largest share of the tolerance, ``allowed_with_small`` the one up to which
+    tables of fewer than ``LEAST_ELEMENTS`` are stored so, too: few bytes depend on them.
     """
     # Step 1: large tables, each in the form that is closer.
     measure.model.store_unstepped(())
@@ -72,7 +75,7 @@ def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
         small,
         lambda added: measure.of_weights([*stored, *added]),
         budget=budget - measured,
-        allowed=allowed,
+        allowed=allowed_with_small,
     )
     return Search(
         stored | second.quantized,

@@ -1,0 +1,63 @@
+"""The motion of SpacetimeGaussians: polynomials, and opacity that rises and falls once.
+
+Li et al. 2024, "Spacetime Gaussian Feature Splatting for Real-Time Dynamic View Synthesis",
+equations 5 to 8: with dt = t − μ the centre is x + Σ bₖ dtᵏ, the rotation q + dt ω, and the
+opacity σ(o) exp(−(dt/s)²).
+"""
+
+__all__ = ["MovingSplats"]
+
+from abc import ABC
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from gsgen.reference_plugins.spacetime.spacetime_checkpoint import SpacetimeSplats
+from gsgen.reference_plugins.tensors.planes import covariance_planes, planes_of, stacked
+from gsgen.sdk import GaussianGenerator
+
+# 1 / duration is at most this, so that its square, times a squared time, is finite in float32.
+_MAX_RATE = 1e15
+
+
+class MovingSplats(GaussianGenerator, ABC):
+    """Base class of generators whose Gaussians move as those of SpacetimeGaussians."""
+
+    family = "4d"
+    count_semantics = "upper-bound"
+
+    position: Tensor
+    motion: Tensor
+    rotation: Tensor
+    omega: Tensor
+    scale: Tensor
+    opacity: Tensor
+    temporal_centre: Tensor
+    rate: Tensor
+    features: Tensor
+
+    def __init__(self, splats: SpacetimeSplats) -> None:
+        super().__init__()
+        for name in ("position", "rotation", "omega", "temporal_centre", "features"):
+            self.register_buffer(name, getattr(splats, name))
+        self.register_buffer("motion", splats.motion.flatten(1))
+        self.register_buffer("scale", torch.exp(splats.log_scale))
+        self.register_buffer("opacity", torch.sigmoid(splats.logit_opacity))
+        rate = torch.exp(-splats.log_duration.double()).clamp(max=_MAX_RATE)
+        self.register_buffer("rate", rate.float())
+
+    def moved(self, time: Float[Tensor, "1"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return dt, centres, opacities and upper triangles of covariances at a time, in rows."""
+        dt = time.reshape(1, 1) - self.temporal_centre
+        first, second, third = (self.motion[:, i : i + 3] for i in (0, 3, 6))
+        position = self.position + dt * (first + dt * (second + dt * third))
+        distance = dt * self.rate
+        opacity = self.opacity * torch.exp(-(distance * distance))
+        row = dt.reshape(1, -1)
+        rotation = [
+            start + row * change
+            for start, change in zip(planes_of(self.rotation), planes_of(self.omega), strict=True)
+        ]
+        covariance = stacked(covariance_planes(planes_of(self.scale), rotation))
+        return dt, position, opacity, covariance
