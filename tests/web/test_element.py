@@ -1,9 +1,7 @@
 """The element `<gsgen-model>` in pages: served by the commands' server, and opened from disk."""
 
 import json
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,8 @@ from gsgen.formats import write_ply, write_spz
 from gsgen.reference_plugins.synthetic.knot import torus_knot
 from gsgen.runtime.web.pages import ModelView, single_file_page
 from gsgen.runtime.web.serving import ModelServer
-from support.web.pages import WebSite
+from support.web.pages import WebSite, running
+from support.web.steady_frames import steady_frames
 
 _ELEMENT = "document.querySelector('gsgen-model')"
 
@@ -25,18 +24,6 @@ def knot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("knot") / "knot.spz"
     write_spz(path, torus_knot(600, degree=1))
     return path
-
-
-@contextmanager
-def running(server: ModelServer) -> Iterator[str]:
-    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
-    thread.start()
-    try:
-        yield server.address
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
 
 
 @pytest.fixture
@@ -168,47 +155,15 @@ def test_a_lost_device_is_opened_again(page: Any, knot: Path) -> None:
         assert errors_of(page) == []
 
 
-def test_steady_frames_make_no_gpu_objects_and_keep_no_memory(page: Any, knot: Path) -> None:
-    """Of 200 frames of a moving camera, only encoders, passes and command buffers are made.
-
-    No frame waits for an earlier one, so that several are in flight.
-    """
-    profiler = page.context.new_cdp_session(page)
-
-    def heap_bytes() -> int:
-        profiler.send("HeapProfiler.collectGarbage")
-        return int(profiler.send("Runtime.getHeapUsage")["usedSize"])
-
-    page.set_viewport_size({"width": 200, "height": 120})
+def test_steady_frames_make_no_gpu_objects_and_wait_for_none(page: Any, knot: Path) -> None:
+    """Of 12 frames of a moving camera, only encoders, passes and command buffers are made."""
     with running(ModelServer([knot], ModelView(), ort=None)) as address:
         page.goto(address)
         wait(page)
-        page.wait_for_timeout(500)
-        heap = heap_bytes()
-        made, in_flight = page.evaluate(
-            f"""async () => {{
-              const model = {_ELEMENT};
-              const device = model._renderer.device;
-              const made = {{}};
-              for (const name of Object.getOwnPropertyNames(GPUDevice.prototype)) {{
-                if (!name.startsWith("create") || name === "createCommandEncoder") continue;
-                const own = device[name].bind(device);
-                device[name] = (...rest) => {{ made[name] = (made[name] ?? 0) + 1; return own(...rest); }};
-              }}
-              let [finished, most] = [0, 0];
-              for (let frame = 1; frame <= 200; frame++) {{
-                model._orbit.orbit(0.01, 0);
-                await model._draw(performance.now());
-                most = Math.max(most, frame - finished);
-                const done = device.queue.onSubmittedWorkDone().then(() => finished++);
-                if (frame % 10 === 0) await done;
-              }}
-              return [made, most];
-            }}"""
-        )
-        assert made == {}
-        assert in_flight >= 2
-        assert heap_bytes() - heap < 1 << 20
+        result = steady_frames(page, 12)
+        assert result.made == {}
+        assert result.in_flight >= 2
+        assert result.heap_growth < 1 << 20
 
 
 def test_a_dropped_file_is_judged(page: Any, knot: Path, tmp_path: Path) -> None:
