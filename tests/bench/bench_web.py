@@ -11,7 +11,7 @@ from gsgen.runtime.web.serving import ModelServer
 from support.web import pages
 from support.web.steady_frames import steady_frames
 
-GAUSSIANS = 20_000  # of degree 3: one megabyte as SPZ
+GAUSSIANS = 75_000  # of degree 3: one megabyte as SPZ
 FRAMES = 200
 
 
