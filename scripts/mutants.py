@@ -12,6 +12,7 @@ import difflib
 import json
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -152,17 +153,29 @@ def _diff(before: str, after: str) -> str:
 
 
 def tests_of(path: Path, root: Path) -> list[str]:
-    """Return the test files of a module: those with its name first, then those that import it."""
+    """Return the test files of a module: of its name, then that import it, then of its subject."""
     dotted = ".".join(path.with_suffix("").parts[1:])
     files = sorted((root / "tests").rglob("test_*.py"))
     named = [file for file in files if file.stem.removeprefix("test_") == path.stem]
     importing = [file for file in files if dotted in file.read_text("utf-8")]
     # The folders of tests are those of the code, without the import root.
-    mirrored = [
-        file for file in files if file.parent.parts[-1] == path.parent.name and file not in named
-    ]
-    selected = list(dict.fromkeys([*named, *importing, *mirrored]))[:MOST_TEST_FILES]
+    module_words = _words(path)
+    shared = {file: len(module_words & _words(file.relative_to(root))) for file in files}
+    related = [file for file in sorted(files, key=lambda file: -shared[file]) if shared[file]]
+    selected = list(dict.fromkeys([*named, *importing, *related]))[:MOST_TEST_FILES]
     return [file.relative_to(root).as_posix() for file in selected]
+
+
+def _words(path: Path) -> set[str]:
+    """Return the words of a path's folders and name, without those that all paths have."""
+    words = {word.removesuffix("s") for word in re.split(r"[/_]", path.with_suffix("").as_posix())}
+    return words - {
+        "",
+        "gsgen",
+        "test",
+        "init",
+        *(package.removesuffix("s") for package in PACKAGES),
+    }
 
 
 def evaluate(mutant: Mutant, tests: tuple[str, ...], copy: Path) -> str:
