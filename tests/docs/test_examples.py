@@ -14,7 +14,7 @@ from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.validator import validate
 from gsgen.sdk import Gaussians, math
 from gsgen.sdk.commands.export import app
-from gsgen.sdk.exporting.trace_hazards import _DESCRIPTIONS_AND_HINTS
+from gsgen.sdk.exporting.tracing.hazards import _DESCRIPTIONS_AND_HINTS
 from support.reports.pages import DOCS
 
 PAGE = DOCS / "guides" / "export-your-method.md"

@@ -39,6 +39,7 @@ def test_a_file_on_a_server_is_read(address: str, tmp_path: Path) -> None:
 def test_a_file_on_a_server_is_converted(address: str, tmp_path: Path) -> None:
     ran = gsgen_here("convert", f"{address}/a.ply", tmp_path / "b.ply")
     assert ran.code == 0, ran.err
+    assert "ply, 0.00 MiB\n" in ran.out  # the size of what was written alone
     np.testing.assert_array_equal(open_splats(tmp_path / "b.ply").position, scene(20, 1).position)
 
 

@@ -21,6 +21,7 @@ from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.stores.zip_store import INDEX_NAME, ZipStore
 from gsgen.tiles.validation.sketches import explicit_sketch, implicit_sketch
+from support.commands import gsgen_here
 
 BODY = bytes(np.random.default_rng(0).integers(0, 256, 100_000, dtype=np.uint8))
 
@@ -114,6 +115,23 @@ def test_a_tileset_is_the_same_from_every_store(tmp_path: Path, make) -> None:
     with served(path.parent) as address:
         found = read_leaves(f"{address}tileset.json")
     assert np.array_equal(found.position, leaves.position)
+
+
+def test_the_command_packs_a_folder(tmp_path: Path) -> None:
+    path = tmp_path / "town" / "tileset.json"
+    path.parent.mkdir()
+    explicit_sketch().write(path)
+    archive = tmp_path / "town.3tz"
+    done = gsgen_here("tiles", "pack", path.parent, "-o", archive)
+    assert done.code == 0, done.err
+    files = [file for file in path.parent.rglob("*") if file.is_file()]
+    assert f"town.3tz: {len(files)} files" in done.out
+    assert np.array_equal(read_leaves(archive).position, read_leaves(path).position)
+    empty = gsgen_here("tiles", "pack", tmp_path, "-o", archive)
+    assert (empty.code, "no tileset.json" in empty.err) == (4, True)
+    refused = gsgen_here("tiles", "pack", path.parent, "-o", tmp_path / "none" / "x.3tz")
+    assert refused.code == 2
+    assert "Traceback" not in refused.err
 
 
 def test_an_archive_is_always_the_same_and_indexed(folder: Path, tmp_path: Path) -> None:

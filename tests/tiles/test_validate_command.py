@@ -12,6 +12,7 @@ from gsgen.contract.validation.waivers import Waiver
 from gsgen.tiles.stores.archive_writing import write_archive
 from gsgen.tiles.validation.sketches import explicit_sketch
 from support.commands import gsgen_here
+from support.tiles.serving import served
 
 
 @pytest.fixture
@@ -57,6 +58,13 @@ def test_what_cannot_be_judged_ends_with_four(name: str, data, tmp_path: Path) -
     assert done.code == 4
     assert name in done.err
     assert "Traceback" not in done.err
+
+
+def test_an_address_is_named_as_it_was_typed(good: Path) -> None:
+    with served(good.parent) as address:
+        done = gsgen_here("validate", f"{address}tileset.json")
+    assert done.code == 0, done.out
+    assert f"{address}tileset.json: tileset" in done.out
 
 
 @pytest.mark.parametrize("format", ["text", "json", "sarif", "junit", "markdown", "github"])

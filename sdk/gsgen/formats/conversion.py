@@ -12,7 +12,7 @@ import numpy as np
 from gsgen.formats.codecs import CODECS, Codec, Content
 from gsgen.formats.editing.filters import rows_of
 from gsgen.formats.loss import Difference, differences
-from gsgen.formats.open import open_splats
+from gsgen.formats.open import find_tiled_reader, open_splats
 from gsgen.formats.packed import splats_of_rows
 from gsgen.formats.ply.ply import write_ply
 from gsgen.formats.shared.errors import NotSupported, ValueInvalid
@@ -40,7 +40,8 @@ class Conversion:
         format: The name of the target's format.
         count: The number of splats or points that were written.
         degree: The SH degrees of the source and the target; None for points.
-        sizes: The sizes of the sources together and of the target, in bytes.
+        sizes: The sizes of the sources together and of the target, in bytes. That of the sources
+            is 0 if one of them is a tileset or an address.
         lost: The dropped properties, in words.
         differences: The error of each kept quantity; empty for points.
         compared: Whether the written file was compared; not above ``MAX_COMPARED``.
@@ -127,7 +128,7 @@ def convert(
         format=codec.name,
         count=len(reduced),
         degree=degree,
-        sizes=(sum(map(_bytes_of, sources)), written_bytes(target)),
+        sizes=(_total_bytes(sources), written_bytes(target)),
         lost=lost,
         differences=entries,
         compared=is_compared,
@@ -163,8 +164,9 @@ def merged(parts: Sequence[Splats]) -> Splats:
     return joined(parts)
 
 
-def _bytes_of(path: FilePath) -> int:
-    return written_bytes(path) if Path(path).is_file() else 0
+def _total_bytes(paths: Sequence[FilePath]) -> int:
+    is_known = all(Path(path).is_file() and find_tiled_reader(path) is None for path in paths)
+    return sum(map(written_bytes, paths)) if is_known else 0
 
 
 def _points_refused(path: FilePath, expected: str) -> NotSupported:
@@ -181,7 +183,7 @@ def _convert_points(
 ) -> Conversion:
     if codec.name != "ply":
         raise _points_refused(source, f"splats, which {codec.title} needs")
-    sizes = _bytes_of(source)
+    size = _total_bytes([source])
     make_folder(target)
     write_ply(target, points)
     return Conversion(
@@ -190,7 +192,7 @@ def _convert_points(
         format=codec.name,
         count=len(points),
         degree=None,
-        sizes=(sizes, written_bytes(target)),
+        sizes=(size, written_bytes(target)),
         lost=(),
         differences=(),
     )

@@ -25,6 +25,15 @@ class SplatReader(Protocol):
         ...
 
 
+def find_tiled_reader(path: FilePath) -> SplatReader | None:
+    """Return the plug-in that reads ``path`` as a set of files, such as a tileset."""
+    for point in registered_entry_points("gsgen.splat_readers"):
+        reader: SplatReader = point.load()
+        if reader.recognises(path):
+            return reader
+    return None
+
+
 def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointCloud | PackedRows:
     """Read a splat file of any supported format, detected from its content.
 
@@ -45,10 +54,9 @@ def open_splats(path: FilePath, *, drop_invalid: bool = False) -> Splats | Point
         FormatError: The file cannot be read; the subclass names the cause.
         InputUnreadable: A file of the tileset is missing or invalid.
     """
-    for point in registered_entry_points("gsgen.splat_readers"):
-        reader: SplatReader = point.load()
-        if reader.recognises(path):
-            return reader.read_leaves(path)
+    tiled_reader = find_tiled_reader(path)
+    if tiled_reader is not None:
+        return tiled_reader.read_leaves(path)
     with contents(path) as data:
         codec, first = recognised(path, data), bytes(data[:5])
     codec = codec or codec_of_suffix(path)

@@ -41,6 +41,7 @@ CALLS = [
     ["convert", CLOUD, "{}/wolke→.ply"],
     ["tiles", "build", CLOUD, "-o", "{}/kacheln→", "--engine", "serial"],
     ["tiles", "info", "{}/kacheln→"],
+    ["tiles", "pack", "{}/kacheln→", "-o", "{}/kacheln→.3tz"],
     ["tiles", "plan", "{}/problem→.json"],
     ["tiles", "serve", ABSENT],
     ["tiles", "simulate", "{}/kacheln→", "--path", ABSENT, "--network", ABSENT],

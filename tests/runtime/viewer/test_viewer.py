@@ -304,6 +304,26 @@ def test_a_lost_device_is_opened_again(cloud: SplatData) -> None:
     assert not np.array_equal(hand.look(), before)  # and it is drawn there
 
 
+def test_a_gpu_is_not_waited_for(cloud: SplatData, painter: SurfaceRenderer) -> None:
+    device = Device(painter.renderer.device.raw)
+    device.software = False
+    gpu = SurfaceRenderer(lambda: device, rasteriser="tiles")
+    hand = Hand(LivePlayback(sources_of(cloud)), gpu)
+    hand.press("w")
+    for _ in range(20):  # the first ones are coarser, and each size begins with a wait
+        hand.look(0.3)
+        if gpu.renderer.late:
+            break
+    rows = dict(hand.viewer._overlay.statistics.rows)
+    assert rows["counts"].startswith("2 frames late, waited ")
+    hand.send("key_up", key="w", modifiers=())
+    last = [hand.bare() for _ in range(3)][-1]
+    assert not gpu.renderer.late
+    other = Hand(LivePlayback(sources_of(cloud)), painter)
+    other.viewer.controls = hand.viewer.controls
+    assert np.abs(other.bare().astype(int) - last).max() <= 1
+
+
 def test_too_much_for_the_memory_is_told(still: Hand) -> None:
     still.canvas.set_logical_size(400, 300)
     with memory_of(1 << 20):

@@ -11,7 +11,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs
 from gsgen.sdk import ExportFailed, GeneratorInvalid, ParityFailed, export
 from gsgen.sdk.exporting.eager_reference import EagerRuns
 from gsgen.sdk.exporting.parity_diagnosis import Suspects, diagnose
-from gsgen.sdk.exporting.trace_hazards import Watch
+from gsgen.sdk.exporting.tracing.hazards import Watch
 from gsgen.sdk.parity import ModelOutput
 from support.models import hazards
 from support.models.generators import Drift, Growing, Lit, Skinned

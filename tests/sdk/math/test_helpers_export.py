@@ -25,6 +25,7 @@ def seeded(*shape: int, seed: int = 0) -> torch.Tensor:
 # What each helper is called with: x [N, 6], view and projection [4, 4], time [1].
 Call = Callable[[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor], torch.Tensor]
 PLANES = [seeded(3, 4 + i, 5 + i, seed=i) for i in range(6)]
+TABLES = [seeded(64, 2), seeded(32, 2)]
 CALLS: dict[str, Call] = {
     "safe_normalize": lambda x, v, p, t: math.safe_normalize(x[:, :3] * t),
     "quaternion_to_matrix": lambda x, v, p, t: math.quaternion_to_matrix(x[:, :4]),
@@ -52,6 +53,8 @@ CALLS: dict[str, Call] = {
         PLANES[0], x[:, :2], align_corners=False, padding="zeros"
     ),
     "tri_plane": lambda x, v, p, t: math.tri_plane(PLANES[:3], x[:, :3]),
+    "hash_grid": lambda x, v, p, t: math.hash_grid(TABLES, x[:, :3].sigmoid(), (3, 9)),
+    "inverse_3x3": lambda x, v, p, t: math.inverse_3x3(v[:3, :3] + 3 * torch.eye(3)),
     "hex_plane": lambda x, v, p, t: math.hex_plane(PLANES, x[:, :3], t),
     "skinning_transforms": lambda x, v, p, t: math.skinning_transforms(
         math.axis_angle_to_matrix(x[:JOINTS, :3]), x[:JOINTS, 3:], PARENTS, x[0, :3]

@@ -10,7 +10,7 @@ from gsgen.contract.spec.manifest import Bounds, GeneratorManifest
 from gsgen.sdk import GaussianGenerator
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
 from gsgen.sdk.exporting.exporter import _manifest, _probes
-from gsgen.sdk.exporting.tracing import trace_generator
+from gsgen.sdk.exporting.tracing.trace import trace_generator
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ def recorded_plan(workload: Workload) -> tuple[Plan, Kernels]:
     kernels = Kernels(device)
     n = workload.gaussians
     capacities = [min(GPU_PAGE_ROWS, n - first) for first in range(0, n, GPU_PAGE_ROWS)]
-    placed = recorded_pages(device, [DEGREE_3] * len(capacities), capacities)
+    placed = recorded_pages([DEGREE_3] * len(capacities), capacities)
     pairs = workload.pairs(kernels.cut.tile)
     return Plan(device, kernels, placed, workload.size, frozenset({"color"}), pairs), kernels
 

@@ -30,7 +30,7 @@ from gsgen.tiles.streaming.events import read_events
 from gsgen.tiles.streaming.generator_rows import tile_rows
 from gsgen.tiles.streaming.session import SessionOptions, open_session
 from gsgen.tiles.volumes import Box
-from support.commands import gsgen
+from support.commands import gsgen_here
 from support.tiles.neural_scenes import SPACING, generated, transforms, write_neural_tileset
 
 BOUNDS = Bounds((-1.9, -1.9, -1.9), (1.9, 1.9, 1.9))
@@ -367,7 +367,7 @@ def test_rows_that_cannot_be_drawn_are_refused(
 
 def test_render_makes_a_film_of_neural_tiles(tmp_path: Path) -> None:
     index = write_neural_tileset(tmp_path / "tiles", [moving(0)])
-    ran = gsgen(
+    ran = gsgen_here(
         *("render", index, "-o", tmp_path / "film", "--frames", "2", "--sse", "0.1"),
         *("--width", "64", "--height", "48"),
     )

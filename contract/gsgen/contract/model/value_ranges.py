@@ -25,8 +25,6 @@ _BOUNDED: dict[str, Interval] = {
     "Cos": (-1, 1),
     "Erf": (-1, 1),
     # Indices into a tensor, which has fewer elements.
-    "ArgMax": (0, _INT32[1]),
-    "ArgMin": (0, _INT32[1]),
     "NonZero": (0, _INT32[1]),
     "Shape": (0, _INT32[1]),
     "Size": (0, _INT32[1]),
@@ -39,11 +37,13 @@ _BOUNDED: dict[str, Interval] = {
 _MOVES = frozenset(
     {
         *("Identity", "Reshape", "Squeeze", "Unsqueeze", "Flatten", "Transpose", "Expand"),
-        *("Slice", "Gather", "GatherElements", "GatherND", "Split", "Tile", "DepthToSpace"),
+        *("Slice", "Gather", "GatherElements", "GatherND", "Split", "Tile", "DepthToSpace", "TopK"),
         *("ReduceMax", "ReduceMin", "ReduceMean", "ReduceSum"),  # sums are counted afterwards
     }
 )
 _JOINS = frozenset({"Concat", "Where"})
+# Operators that return indices along one axis → which output holds them, and the default axis.
+_INDICES = {"ArgMax": (0, 0), "ArgMin": (0, 0), "TopK": (1, -1)}
 
 
 def _products(a: Interval, b: Interval) -> Interval:
@@ -114,7 +114,22 @@ def intervals(
             span = _INT32  # no other number fits
         if span is not None:
             known.update({name: span for name in node.output if name})
+        if node.op_type in _INDICES:
+            known.update(_of_indices(node, graph))
     return known
+
+
+def _of_indices(node: NodeProto, graph: Graph) -> dict[str, Interval]:
+    """Return the range of the indices that ArgMax, ArgMin or TopK finds along an axis."""
+    output, axis = _INDICES[node.op_type]
+    if output >= len(node.output) or not node.output[output]:
+        return {}
+    axis = next((entry.i for entry in node.attribute if entry.name == "axis"), axis)
+    operand = graph.tensors.get(node.input[0])
+    dims = operand.dims if operand is not None else None
+    size = dims[axis] if dims is not None and -len(dims) <= axis < len(dims) else None
+    most = size - 1 if isinstance(size, int) and size > 0 else _INT32[1]
+    return {node.output[output]: (0, most)}
 
 
 def _added(span: Interval, operand: Tensor | None, output: Tensor | None) -> Interval | None:

@@ -232,11 +232,9 @@ def _as_text(result: "Conversion") -> str:
     not_compared = (
         [] if result.compared else ["not compared: the splats take more memory than that may"]
     )
+    sizes = f"{before:.2f} MiB → {after:.2f} MiB" if before else f"{after:.2f} MiB"
     times = f", {before / after:.1f} times smaller" if before > 1.05 * after > 0 else ""
-    lines = [
-        f"{result.target}: {result.count:,} {kind}{degree}, {result.format}, "
-        f"{before:.2f} MiB → {after:.2f} MiB{times}"
-    ]
+    lines = [f"{result.target}: {result.count:,} {kind}{degree}, {result.format}, {sizes}{times}"]
     lines += [f"lost: {loss}" for loss in result.lost]
     changed = [difference for difference in result.differences if difference.largest]
     if changed:

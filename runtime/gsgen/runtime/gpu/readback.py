@@ -3,12 +3,15 @@
 __all__ = ["Staging"]
 
 from collections.abc import Iterable, Mapping
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer, Encoder
+
+if TYPE_CHECKING:
+    from wgpu import GPUPromise
 
 _ALIGNMENT = 256
 
@@ -25,6 +28,7 @@ class Staging:
             self._offsets[name] = size
             size += -(-buffer.size // _ALIGNMENT) * _ALIGNMENT
         self._buffer = device.readable("staging", size)
+        self._mapping: GPUPromise[None] | None = None
 
     def encode(self, encoder: Encoder, names: Iterable[str] | None = None) -> None:
         """Encode the copy of the named source buffers, or of all, into the staging buffer."""
@@ -32,9 +36,21 @@ class Staging:
             source = self._sources[name]
             encoder.copy_buffer_to_buffer(source, 0, self._buffer, self._offsets[name], source.size)
 
+    def begin(self) -> None:
+        """Begin to read what was submitted; :meth:`read` then waits only if it is not done yet."""
+        self._mapping = self._buffer.map_async("READ")
+
+    def read_words(self) -> dict[str, np.ndarray]:
+        """Wait for the GPU, and return a copy of each source buffer as 32-bit words."""
+        return self.read(dict.fromkeys(self._sources, np.uint32))
+
     def read(self, dtypes: Mapping[str, type[np.generic]]) -> dict[str, np.ndarray]:
         """Wait for the GPU, and return a copy of each named source buffer as an array."""
-        self._buffer.map_sync("READ")
+        if self._mapping is None:
+            self.begin()
+        assert self._mapping is not None
+        self._mapping.sync_wait()
+        self._mapping = None
         try:
             return {
                 name: np.frombuffer(

@@ -1,6 +1,6 @@
 """The frame plan: all GPU buffers and dispatches of a frame, recorded once and reused."""
 
-__all__ = ["Placed", "Plan"]
+__all__ = ["Placed", "Plan", "frame_counts"]
 
 from collections.abc import Sequence
 from typing import final
@@ -323,6 +323,7 @@ class Plan:
         only: Sequence[str] | None = None,
         clock: StageClock | None = None,
         fetch: bool = True,
+        staging: Staging | None = None,
     ) -> None:
         """Write the uniforms of a frame, and submit its GPU commands.
 
@@ -334,6 +335,7 @@ class Plan:
             only: Stages to run; all if None.
             clock: Measures the GPU time of each stage.
             fetch: Whether :meth:`collect` will read images, too.
+            staging: From :meth:`counts_staging`: receives the counts in place of :meth:`collect`.
         """
         device = self._device
         if self._weighted is not None:
@@ -373,8 +375,12 @@ class Plan:
             self._quads.encode(encoder, background, stamps)
         if clock is not None:
             clock.encode(encoder)
-        self._staging.encode(encoder, None if fetch else self._held)
+        (staging or self._staging).encode(encoder, None if fetch else self._held)
         device.submit(encoder)
+
+    def counts_staging(self) -> Staging:
+        """Return a new staging buffer for the frame's counts."""
+        return Staging(self._device, self._held)
 
     def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Wait for the frame; return its counters and each image as [height, width, 4] words.
@@ -388,9 +394,7 @@ class Plan:
         names = [*self._held, *(self.images if fetch else ())]
         words_by_name = self._staging.read(dict.fromkeys(names, np.uint32))
         parts = [words_by_name.pop(name) for name in self._held]
-        for part in parts:
-            self._require_walked(int(part[Counts.VISIBLE]))
-        counts = _together(parts)
+        counts = frame_counts(self._device, self._kernels, parts)
         width, height = self._size
         images = {
             # Rows of a copied texture are padded.
@@ -402,16 +406,6 @@ class Plan:
             known = ids != ABSENT
             ids[known] = self._origins[ids[known]]
         return counts, images
-
-    def _require_walked(self, visible: int) -> None:
-        """Raise if more splats are drawn than one GPU dispatch can assign to tiles."""
-        most = MOST_GROUPS * WALK_THREADS * self._kernels.cut.walk
-        if visible > most:
-            raise CapacityExceeded(
-                f"the scene has {visible:,} splats in the image; {self._device.name} draws at most {most:,}",
-                where="scene",
-                hint="Draw fewer Gaussians, or a smaller part of the scene.",
-            )
 
 
 def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
@@ -439,9 +433,24 @@ def _sorted(placed: Sequence[Placed]) -> list[Placed]:
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]
 
 
-def _together(counts: Sequence[UInt32[np.ndarray, " n"]]) -> UInt32[np.ndarray, " n"]:
-    """Add up the frame counters of sorted and weighted splats; pair capacities stay separate."""
+def frame_counts(
+    device: Device, kernels: Kernels, counts: Sequence[UInt32[np.ndarray, " n"]]
+) -> UInt32[np.ndarray, " n"]:
+    """Add up the frame counters of sorted and weighted splats; pair capacities stay separate.
+
+    Raises:
+        CapacityExceeded: More splats are drawn than one GPU dispatch can assign to tiles.
+    """
+    most = MOST_GROUPS * WALK_THREADS * kernels.cut.walk
+    for part in counts:
+        if (visible := int(part[Counts.VISIBLE])) > most:
+            raise CapacityExceeded(
+                f"the scene has {visible:,} splats in the image; {device.name} draws at most {most:,}",
+                where="scene",
+                hint="Draw fewer Gaussians, or a smaller part of the scene.",
+            )
     total = np.asarray(np.sum(counts, axis=0), np.uint32)
+    total[Counts.PAIR_CAPACITY] = counts[0][Counts.PAIR_CAPACITY]
     total[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + total[Counts.DRAWN]
     total[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)
     return total

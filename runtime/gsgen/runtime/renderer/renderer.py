@@ -21,8 +21,9 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
-from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.frame_plan import Placed, Plan, frame_counts
 from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.late_counts import LateCounts
 from gsgen.runtime.renderer.rasteriser_choice import Rasteriser, RasteriserOption, choose
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, NOTHING, Frame, Output
@@ -35,6 +36,8 @@ FIRST_PAIRS: Final = 1 << 16
 
 PAIRS_ROOM: Final = 1.25
 """Room for pairs, times those that a frame needed, so that the next rarely needs to grow."""
+
+_ENOUGH: Final = 0.9  # of the room for pairs; more are made room for before they are needed
 
 _OUTPUTS: Final = ("color", "depth", "normal")
 
@@ -81,6 +84,7 @@ class Renderer:
 
     Attributes:
         rasteriser: The requested or chosen rasteriser of colours.
+        late: Frames in flight, after ``draw(wait=False)``.
 
     Raises:
         DeviceUnavailable: There is no device, or it does not support the ``rasteriser``.
@@ -115,6 +119,9 @@ class Renderer:
         self._rows: object = None
         self._key: object = None
         self._plan: Plan | None = None
+        self._shape: object = None
+        self._steady: tuple[object, np.ndarray] | None = None
+        self.late = LateCounts()
 
     def render(
         self,
@@ -148,12 +155,28 @@ class Renderer:
         *,
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
         output: Output = "color",
+        wait: bool = True,
     ) -> Drawn:
         """Draw one output of a scene, and leave the image in GPU memory to be shown from there.
 
-        Arguments and errors are those of :meth:`render`.
+        Further arguments, and errors, are those of :meth:`render`.
+
+        Args:
+            scene: The scene.
+            camera: The camera, with the image size.
+            background: Red, green, blue and alpha of the background.
+            output: The image to compute.
+            wait: Whether to wait for the GPU. Otherwise only the first of the frames of the same
+                sets and size is waited for. Counts are those of an earlier frame then, and splats
+                may be missing until :meth:`settle` returns False.
         """
-        plan, counts, _ = self._drawn(scene, camera, background, (output,), fetch=False)
+        if wait:
+            self._steady = None
+            plan, counts, _ = self._drawn(scene, camera, background, (output,), fetch=False)
+        else:
+            behind = _premultiplied(background)
+            with self._device_errors(scene, camera):
+                plan, counts = self._drawn_late(scene, camera, behind, _known((output,)))
         image = plan.images[output]
         row = image.size // camera.height // VEC4
         return Drawn(image, row, int(counts[Counts.VISIBLE]), int(counts[Counts.PAIRS]))
@@ -173,7 +196,8 @@ class Renderer:
             _require_alone(scene)
         behind = _premultiplied(background)
         with self._device_errors(scene, camera):
-            return self._fitted(scene, camera, behind, requested, fetch=fetch)
+            placed, meshes = self._uploaded(scene)
+            return self._fitted(scene, camera, behind, requested, placed, meshes, fetch=fetch)
 
     @contextmanager
     def _device_errors(self, scene: Scene, camera: Camera) -> Iterator[None]:
@@ -184,8 +208,17 @@ class Renderer:
         except MemoryFull as error:
             # Free the plan's memory, and the rows that it keeps alive, for a smaller scene.
             self._plan, self._key, self._rows = None, None, None
+            self._shape, self._steady = None, None
             self._pairs = FIRST_PAIRS
             raise _too_large(scene, camera, error, compact=self._compact) from error
+
+    def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
+        """Return the GPU pages and meshes of a scene, after uploading what has changed."""
+        placed, meshes = self.placed(scene), self.placed_meshes(scene)
+        # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
+        pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
+        self._pairs = max(self._pairs, min(pooled_rows, self._most_pairs))
+        return placed, meshes
 
     def _fitted(
         self,
@@ -193,17 +226,16 @@ class Renderer:
         camera: Camera,
         behind: np.ndarray,
         requested: frozenset[Output],
+        placed: list[Placed],
+        meshes: list[PlacedMesh],
         *,
         fetch: bool,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
-        placed, meshes = self.placed(scene), self.placed_meshes(scene)
-        # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
-        pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
-        self._pairs = max(self._pairs, min(pooled_rows, self._most_pairs))
+        """Draw until all pairs fit and ties are sorted; read images only if ``fetch``."""
         plan = self.plan(placed, camera, requested, meshes)
         plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
         counts, images = plan.collect(fetch=fetch)
-        while self._must_redraw(counts, plan):
+        while self._must_redraw(counts):
             if counts[Counts.TIED]:
                 for splat_set in scene.sets:
                     self._residency.restore_order(splat_set.data)
@@ -213,10 +245,51 @@ class Renderer:
             counts, images = plan.collect(fetch=fetch)
         return plan, counts, images
 
-    def _must_redraw(self, counts: np.ndarray, plan: Plan) -> bool:
+    def _drawn_late(
+        self, scene: Scene, camera: Camera, behind: np.ndarray, requested: frozenset[Output]
+    ) -> tuple[Plan, np.ndarray]:
+        """Draw a scene by the counts of earlier frames, unless it is the first of its kind."""
+        for parts in self.late.read():
+            self._take(parts)
+        placed, meshes = self._uploaded(scene)
+        plan = self.plan(placed, camera, requested, meshes)
+        if self._steady is None or self._steady[0] != self._shape:
+            self._steady = None  # keeps the rows of other sets
+            plan, counts, _ = self._fitted(
+                scene, camera, behind, requested, placed, meshes, fetch=False
+            )
+            self._steady = (self._shape, counts)
+            return plan, counts
+        staging = self.late.staging(plan)
+        plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=False, staging=staging)
+        self.late.add(staging)
+        return plan, self._steady[1]
+
+    def _take(self, parts: list[np.ndarray]) -> bool:
+        """Take the counts of an earlier frame; return whether it lacked splats or their order."""
+        counts = frame_counts(self.device, self._kernels, parts)
+        incomplete = self._must_redraw(counts)
+        if self._steady is not None:
+            # If rows must return to their own order, the next frame is waited for.
+            self._steady = None if counts[Counts.TIED] else (self._steady[0], counts)
+        if int(counts[Counts.WANTED_PAIRS]) > _ENOUGH * self._pairs:
+            self._grow(int(counts[Counts.WANTED_PAIRS]))
+        return incomplete
+
+    def settle(self) -> bool:
+        """Wait for the frames of ``draw(wait=False)``; return whether the last was incomplete."""
+        incomplete = False
+        with self.device.translate_errors():
+            for parts in self.late.read(in_flight=0):
+                incomplete = self._take(parts)
+        if incomplete:
+            self._steady = None
+        return incomplete
+
+    def _must_redraw(self, counts: np.ndarray) -> bool:
         """Return whether a frame must be drawn again; enlarge the buffers that were too small."""
-        short = int(counts[Counts.WANTED_PAIRS]) > plan.pair_capacity
-        if short:
+        short = int(counts[Counts.WANTED_PAIRS]) > int(counts[Counts.PAIR_CAPACITY])
+        if int(counts[Counts.WANTED_PAIRS]) > self._pairs:
             self._grow(int(counts[Counts.WANTED_PAIRS]))
         if counts[Counts.UNSORTED]:
             self._deep = True
@@ -260,7 +333,8 @@ class Renderer:
         rows = [page.rows for _, page in placed]
         if rows != self._rows:
             self._rows, self._deep = rows, False  # others may have depths farther apart
-        key = (contents, size, outputs, self._pairs, panorama, self._deep)
+        self._shape = (contents, size, outputs, panorama)
+        key = (self._shape, self._pairs, self._deep)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._plan = Plan(

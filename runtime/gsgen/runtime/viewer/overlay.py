@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from gsgen.runtime.playback.live_playback import LivePlayback
+from gsgen.runtime.renderer.late_counts import FRAMES_LATE
 from gsgen.runtime.viewer.panels import Slider, paragraph
 from gsgen.runtime.viewer.present import Panel
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
@@ -76,6 +77,9 @@ class Statistics:
             seconds = sum(source.seconds for source in playback.sources)
             rows.append(("inference", f"{1000 * seconds:.1f} ms"))
         rows.append(("drawing", f"{1000 * renderer.seconds:.1f} ms"))
+        if late := renderer.renderer.late:
+            text = f"{FRAMES_LATE} frames late, waited {1000 * late.waited:.1f} ms"
+            rows.append(("counts", text))
         if is_moving:
             rows.append(("pictures", f"{len(self._frame_times)} a second"))
         for source in playback.sources:

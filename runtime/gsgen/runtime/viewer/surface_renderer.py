@@ -70,8 +70,10 @@ class SurfaceRenderer:
 
     def view(self, playback: LivePlayback, request: ViewRequest) -> View:
         """Draw a picture of a playback, or return the last one if nothing has changed."""
-        if self._last_view is not None and self._last_view[0] == request.key(playback):
-            return self._last_view[1]
+        last = self._last_view
+        # An unchanged picture may still lack splats that its counts have now told.
+        if last is not None and last[0] == request.key(playback) and not self.renderer.settle():
+            return last[1]
         started = time.perf_counter()
         view = self._draw(playback, request)
         self.seconds, self.drawn = time.perf_counter() - started, view.drawn
@@ -111,7 +113,14 @@ class SurfaceRenderer:
         else:
             scene = playback.scene()
             color_space = scene.color_space
-            drawn = self.renderer.draw(scene, camera, background=request.background, output=output)
+            # Software drivers are waited for: they have no frame to draw meanwhile.
+            drawn = self.renderer.draw(
+                scene,
+                camera,
+                background=request.background,
+                output=output,
+                wait=self.renderer.device.software,
+            )
         return View(
             drawn=drawn, camera=camera, mode=request.mode, depths=depths, color_space=color_space
         )

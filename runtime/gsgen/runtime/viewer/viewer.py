@@ -159,7 +159,7 @@ class Viewer:
             message=self.message,
         )
         self._renderer.show(context, view, panels)
-        return is_moving or self.playback.busy
+        return is_moving or self.playback.busy or bool(self._renderer.renderer.late)
 
     def _show_errors(self, action: Callable[[], None]) -> None:
         """Run an action of the viewer, and show its error as a message."""

@@ -1,4 +1,4 @@
-"""The command group `gsgen tiles`: build, inspect, score and serve tilesets."""
+"""The command group `gsgen tiles`: build, inspect, pack, score and serve tilesets."""
 
 __all__ = ["app"]
 
@@ -6,6 +6,7 @@ import typer
 
 from gsgen.tiles.commands.build import build
 from gsgen.tiles.commands.info import info
+from gsgen.tiles.commands.pack import pack
 from gsgen.tiles.commands.plan import plan
 from gsgen.tiles.commands.score import score
 from gsgen.tiles.commands.serve import serve
@@ -24,6 +25,7 @@ def _group() -> None:
 
 app.command("build")(build)
 app.command("info")(info)
+app.command("pack")(pack)
 app.command("plan")(plan)
 app.command("score")(score)
 app.command("serve")(serve)

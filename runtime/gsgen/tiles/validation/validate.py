@@ -21,7 +21,7 @@ from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validation.waivers import apply_waivers
 from gsgen.tiles.errors import TilesetInvalid
-from gsgen.tiles.stores.opening import INDEX, open_store
+from gsgen.tiles.stores.opening import INDEX, address_of, open_store
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.validation.headers import headers
 from gsgen.tiles.validation.inspected import InspectedTileset, inspect_content_file, inspect_tileset
@@ -65,7 +65,7 @@ def validate(
         size, digest = _index_digest(store, index)
     rules = [results.outcomes[id] for id in registry.rules]
     return Report(
-        path=str(path),
+        path=address_of(path) or str(path),
         size=size,
         kind=kind,
         name="",

@@ -17,8 +17,8 @@ from gsgen.contract.spec.manifest import Bounds, GeneratorManifest
 from gsgen.sdk.authoring.cells import Cells
 from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
 from gsgen.sdk.errors import GeneratorInvalid
-from gsgen.sdk.exporting.source_lines import user_line_of
-from gsgen.sdk.exporting.trace_hazards import Watch
+from gsgen.sdk.exporting.tracing.hazards import Watch, hint_of
+from gsgen.sdk.exporting.tracing.source_lines import user_line_of
 from gsgen.sdk.model_runs import KEPT_BYTES
 from gsgen.sdk.parity import Reference
 
@@ -70,6 +70,23 @@ class EagerRuns:
         for index, reference in other._kept.items():
             joined._keep(len(self) + index, reference)
         return joined
+
+    def select(self, indices: Iterable[int]) -> "EagerRuns":
+        """Return some of the test inputs, with the torch outputs computed so far."""
+        chosen = [int(index) for index in indices]
+        selected = EagerRuns(self.generator, [self.probes[index] for index in chosen])
+        for position, index in enumerate(chosen):
+            if index in self._kept:
+                selected._keep(position, self._kept[index])
+        return selected
+
+    def has_inputs_of(self, other: "EagerRuns") -> bool:
+        """Return whether both have the same test inputs, bit by bit."""
+        return len(self) == len(other) and all(
+            np.array_equal(array, b.inputs[name], equal_nan=True)
+            for a, b in zip(self.probes, other.probes, strict=True)
+            for name, array in a.inputs.items()
+        )
 
     def _keep(self, index: int, reference: Reference) -> None:
         if reference.nbytes <= self._room:
@@ -123,7 +140,9 @@ def call_module(module: nn.Module, tensors: list[Tensor]) -> Any:
     except Exception as error:  # the user's code may raise anything
         message = f"forward raised {type(error).__name__}: {error}"
         where = user_line_of(error) or type(module).__name__
-        raise GeneratorInvalid(message, where=where) from error
+        is_linalg = isinstance(error, torch.linalg.LinAlgError)  # type: ignore[attr-defined]
+        hint = hint_of("linalg") if is_linalg else ""
+        raise GeneratorInvalid(message, where=where, hint=hint) from error
 
 
 def _reference(generator: GaussianGenerator, probe: Probe, output: Any) -> Reference:

@@ -3,15 +3,17 @@
 __all__ = ["Suspects", "diagnose"]
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe, dependency_probes
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.exporting.eager_reference import EagerRuns, run_eager
-from gsgen.sdk.exporting.trace_hazards import Hazard
+from gsgen.sdk.exporting.tracing.hazards import Hazard
 from gsgen.sdk.parity import ModelOutput, references_equal
 
 Run = Callable[[list[Probe]], list[ModelOutput]]
@@ -25,10 +27,18 @@ _NOT_REWRITTEN = (
     "The graph was not rewritten, and runtimes compute some of torch's operators differently: "
     "export with rewrites."
 )
-_UNKNOWN = (
-    "No operation of forward was seen to leave torch. Look for values that are computed from "
-    "inputs outside of torch; without such a value, a kernel differs: please report it."
+_UNSTABLE = (
+    "Eager torch differs as much between float32 and float64: forward loses its digits, for example "
+    "in a difference of large numbers or a division by nearly zero. Compute it in another order, "
+    "with smaller numbers, or once, in __init__, in float64."
 )
+_UNTRACED = (
+    "No operation of forward was seen to leave torch. Look for values that are computed from "
+    "inputs outside of torch"
+)
+_UNKNOWN = f"{_UNTRACED}; without such a value, a kernel differs: please report it."
+# Eager torch counts as stable if float32 and float64 agree this closely, relatively.
+_STABLE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +66,29 @@ def _hint(suspects: Suspects, references: EagerRuns) -> str:
     second_run = run_eager(suspects.generator, references.probes[-1])
     if not references_equal(references[-1], second_run):
         return _RANDOM
-    return _UNKNOWN if suspects.rewritten else _NOT_REWRITTEN
+    if not suspects.rewritten:
+        return _NOT_REWRITTEN
+    is_stable = _is_stable(suspects.generator, references)
+    if is_stable is None:
+        return f"{_UNTRACED}, or for digits that float32 loses."
+    return _UNKNOWN if is_stable else _UNSTABLE
+
+
+def _is_stable(generator: GaussianGenerator, references: EagerRuns) -> bool | None:
+    """Return whether float32 and float64 agree in eager torch; None if it cannot run in float64."""
+    wide = deepcopy(generator).double()
+    for reference in references:
+        inputs = {
+            name: array.astype(np.float64) if array.dtype.kind == "f" else array
+            for name, array in reference.probe.inputs.items()
+        }
+        try:
+            exact = run_eager(wide, replace(reference.probe, inputs=inputs))
+        except GsgenError:
+            return None  # a dtype is written out in forward
+        if not references_equal(reference, exact, _STABLE):
+            return False
+    return True
 
 
 def _lost_inputs(

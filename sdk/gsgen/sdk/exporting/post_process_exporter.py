@@ -34,7 +34,7 @@ from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.eager_reference import call_module
 from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
 from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
-from gsgen.sdk.exporting.tracing import TensorNames, trace_module
+from gsgen.sdk.exporting.tracing.trace import TensorNames, trace_module
 from gsgen.sdk.exporting.verification import run_exported
 from gsgen.sdk.float16.convert_image_model import Float16ImageResult, image_to_float16
 from gsgen.sdk.parity import FieldParity, Parity

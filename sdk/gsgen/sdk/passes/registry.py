@@ -10,13 +10,15 @@ from collections.abc import Sequence
 
 from gsgen.contract.errors import UnknownName
 from gsgen.sdk.passes.framework.base import Rewrite, RewriteTarget
+from gsgen.sdk.passes.indexing.gather_scatters import GatherScatters
+from gsgen.sdk.passes.indexing.gather_slices import GatherSlices
+from gsgen.sdk.passes.indexing.narrow_hashes import NarrowHashes
+from gsgen.sdk.passes.indexing.reduce_scatters import ReduceScatters
+from gsgen.sdk.passes.indexing.sample_by_gather import SampleByGather
 from gsgen.sdk.passes.lowering.arithmetic_masks import ArithmeticMasks
-from gsgen.sdk.passes.lowering.gather_scatters import GatherScatters
-from gsgen.sdk.passes.lowering.gather_slices import GatherSlices
 from gsgen.sdk.passes.lowering.multiply_matrices import MultiplyMatrices
 from gsgen.sdk.passes.lowering.pick_parts import PickParts
 from gsgen.sdk.passes.lowering.round_by_floor import RoundByFloor
-from gsgen.sdk.passes.lowering.sample_by_gather import SampleByGather
 from gsgen.sdk.passes.lowering.sample_by_product import SampleByProduct
 from gsgen.sdk.passes.lowering.select_extremes import SelectExtremes
 from gsgen.sdk.passes.lowering.unroll_control_flow import UnrollControlFlow
@@ -60,9 +62,11 @@ REWRITES: tuple[type[Rewrite], ...] = (
     #    replacements may lack a kernel, too.
     MakeDefaultsExplicit,
     ClipBeforeCast,
+    NarrowHashes,
     NarrowIntegers,
     ArithmeticMasks,
     GatherScatters,
+    ReduceScatters,
     GatherSlices,
     SelectExtremes,
     WriteOutActivations,

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
-from gsgen.sdk.exporting.source_lines import user_line_of
+from gsgen.sdk.exporting.tracing.source_lines import user_line_of
 from gsgen.sdk.plugins.argument_values import convert, name_of
 
 _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsgen.sdk.passes.lowering.gather_scatters import GatherScatters
-from gsgen.sdk.passes.lowering.gather_slices import GatherSlices
+from gsgen.sdk.passes.indexing.gather_scatters import GatherScatters
+from gsgen.sdk.passes.indexing.gather_slices import GatherSlices
 from gsgen.sdk.passes.lowering.pick_parts import PickParts
 from support.passes import HEAD, operators, parsed, run, text_of
 

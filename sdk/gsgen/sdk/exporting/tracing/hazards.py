@@ -7,7 +7,7 @@ attributes that forward sets for later frames, and for random numbers.
 A hazard alone does not make an export wrong, so it is reported only if another check fails.
 """
 
-__all__ = ["Hazard", "Watch"]
+__all__ = ["Hazard", "Watch", "hint_of"]
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,9 +19,11 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 from torch.utils._pytree import tree_leaves
 
-from gsgen.sdk.exporting.source_lines import current_user_line
+from gsgen.sdk.exporting.tracing.source_lines import current_user_line
 
-Kind = Literal["branch", "data", "number", "numpy", "random", "rebuilt", "shape", "state"]
+Kind = Literal[
+    "branch", "data", "linalg", "number", "numpy", "order", "random", "rebuilt", "shape", "state"
+]  # fmt: skip
 
 _DESCRIPTIONS_AND_HINTS: dict[Kind, tuple[str, str]] = {
     "branch": (
@@ -29,11 +31,20 @@ _DESCRIPTIONS_AND_HINTS: dict[Kind, tuple[str, str]] = {
         "torch.where(condition, a, b) chooses in every frame.",
     ),
     "data": ("`.data` hides a tensor from tracing", "Use the tensor itself, or .detach()."),
+    "linalg": (
+        "ONNX has no operator for this matrix function",
+        "gsgen.sdk.math.inverse_3x3 inverts matrices, gsgen.sdk.math.camera_centre takes the centre "
+        "out of a view matrix; compute the others once, in __init__.",
+    ),
     "number": (
         "an input's value becomes a Python number",
         "Keep it a tensor: torch has the arithmetic, torch.where chooses, tensor indices gather.",
     ),
     "numpy": ("an input's value goes through numpy", "Use the torch function of the same name."),
+    "order": (
+        "rows are selected or ordered by values that may be equal",
+        "Where values tie, add a small number of each row to them, such as 1e-6 * row index.",
+    ),
     "random": (
         "random numbers are drawn in forward",
         "Draw them once, in __init__, and keep them with register_buffer.",
@@ -52,12 +63,19 @@ _DESCRIPTIONS_AND_HINTS: dict[Kind, tuple[str, str]] = {
     ),
 }
 
+_LINALG = (
+    *("inv", "inv_ex", "pinv", "solve", "solve_ex", "lstsq", "det", "slogdet", "svd", "svdvals"),
+    *("eig", "eigh", "eigvals", "eigvalsh", "qr", "cholesky", "lu", "matrix_exp", "matrix_power"),
+)
 _NAMES: dict[str, Kind] = {
     **dict.fromkeys(("__bool__", "is_nonzero", "__contains__", "equal", "allclose"), "branch"),
     **dict.fromkeys(("item", "tolist", "__float__", "__int__", "__index__"), "number"),
     **dict.fromkeys(("numpy", "__array__"), "numpy"),
     **dict.fromkeys(("tensor", "as_tensor", "asarray"), "rebuilt"),
     **dict.fromkeys(("nonzero", "argwhere", "masked_select", "unique"), "shape"),
+    **dict.fromkeys(("argsort", "sort", "topk", "msort"), "order"),
+    **dict.fromkeys(("inverse", "pinverse", "det", "logdet", "svd", "qr", "cholesky"), "linalg"),
+    **dict.fromkeys((f"linalg_{name}" for name in _LINALG), "linalg"),
 }
 _RANDOM = frozenset(
     {
@@ -66,6 +84,11 @@ _RANDOM = frozenset(
     }
 )
 _TAINT = "_gsgen_of_an_input"
+
+
+def hint_of(kind: Kind) -> str:
+    """Return the code to write instead of a kind of operation that tracing cannot follow."""
+    return _DESCRIPTIONS_AND_HINTS[kind][1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +106,7 @@ class Hazard:
     @property
     def hint(self) -> str:
         """The code to write instead of an operation that tracing cannot follow."""
-        return _DESCRIPTIONS_AND_HINTS[self.kind][1]
+        return hint_of(self.kind)
 
     def __str__(self) -> str:
         return f"{self.where}: {self.description}. {self.hint}"

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from types import FrameType
 
-_SDK_FOLDER = Path(__file__).parents[1]
+_SDK_FOLDER = Path(__file__).parents[2]
 _STANDARD = Path(sysconfig.get_path("stdlib"))
 _PACKAGES = ("site-packages", "dist-packages")
 # Packages that a user's line calls, so that their frames lie inside of its frame.

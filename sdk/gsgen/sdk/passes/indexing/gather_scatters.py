@@ -1,8 +1,9 @@
 """Rewrites scatters with constant indices as gathers, which do not update buffers in place."""
 
-__all__ = ["GatherScatters"]
+__all__ = ["GatherScatters", "ScatterTargets", "scatter_obstacle", "scatter_targets"]
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import onnx_ir as ir
@@ -46,6 +47,11 @@ def _obstacle(node: ir.Node) -> str:
     reduction = node.attributes.get("reduction")
     if reduction is not None and reduction.as_string() != "none":
         return f"it does not replace elements: its reduction is {reduction.as_string()!r}"
+    return scatter_obstacle(node)
+
+
+def scatter_obstacle(node: ir.Node) -> str:
+    """Return the reason why the rows that a scatter updates are unknown; empty if they are known."""
     if constant_of(node.inputs[1], largest=_LARGEST) is None:
         return "its indices are not known before the frame"
     shape = fixed_shape(node.inputs[0])
@@ -54,11 +60,19 @@ def _obstacle(node: ir.Node) -> str:
     return "the updated tensor is empty" if 0 in shape else ""
 
 
-def _replace(node: ir.Node) -> None:
-    write = InsertionPoint(node)
-    data, _, updates = node.inputs
+@dataclass(frozen=True, slots=True)
+class ScatterTargets:
+    """The rows that a scatter with constant indices updates."""
+
+    rows: int  # rows of the updated tensor
+    row_shape: tuple[int, ...]  # the shape of a row; empty for ScatterElements
+    flat: np.ndarray  # for each update, the index of its row
+
+
+def scatter_targets(node: ir.Node) -> ScatterTargets:
+    """Return the rows that a scatter updates; :func:`scatter_obstacle` proved that they are known."""
+    shape = required(fixed_shape(node.inputs[0]))
     indices = required(constant_of(node.inputs[1], largest=_LARGEST))
-    shape = required(fixed_shape(data))
     if is_op(node, "ScatterND"):
         depth = indices.shape[-1]
         row_shape = shape[depth:]
@@ -69,15 +83,22 @@ def _replace(node: ir.Node) -> None:
         index[axis] = np.where(indices < 0, indices + shape[axis], indices)
         row_shape, flat = (), _flat_indices(np.moveaxis(index, 0, -1), shape)
     rows = math.prod(shape) // max(math.prod(row_shape), 1) if math.prod(row_shape) else 0
-    order = np.arange(rows, dtype=np.int64)
+    return ScatterTargets(rows, row_shape, flat.reshape(-1))
+
+
+def _replace(node: ir.Node) -> None:
+    write = InsertionPoint(node)
+    data, _, updates = node.inputs
+    targets = scatter_targets(node)
+    order = np.arange(targets.rows, dtype=np.int64)
     # If several updates have the same index, the last one counts; NumPy assigns in this order.
-    order[flat.reshape(-1)] = rows + np.arange(flat.size)
-    old = write.op("Reshape", data, write.int64(rows, *row_shape))
+    order[targets.flat] = targets.rows + np.arange(targets.flat.size)
+    old = write.op("Reshape", data, write.int64(targets.rows, *targets.row_shape))
     # A size of zero would mean the size of the updates' first axis.
-    new = write.op("Reshape", updates, write.int64(flat.size or -1, *row_shape))
+    new = write.op("Reshape", updates, write.int64(targets.flat.size or -1, *targets.row_shape))
     both = write.op("Concat", old, new, axis=0)
     gathered = write.op("Gather", both, write.constant(order, "order"), axis=0)
-    write.replace(write.op("Reshape", gathered, write.int64(*shape)))
+    write.replace(write.op("Reshape", gathered, write.int64(*required(fixed_shape(data)))))
 
 
 def _flat_indices(indices: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsgen.sdk.passes.lowering.sample_by_gather import SampleByGather
+from gsgen.sdk.passes.indexing.sample_by_gather import SampleByGather
 from support.passes import HEAD, operators, parsed, run, text_of
 
 
@@ -135,3 +135,34 @@ def test_what_is_not_bilinear_or_not_known_is_left_alone(change: dict, why: str)
     assert not rewrite(model).modified
     assert why in rewrite.refusals[0].reason
     assert text_of(model) == before
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    shape=st.tuples(*[st.integers(1, 2)] * 2, *[st.integers(1, 5)] * 3),
+    points=st.tuples(st.integers(1, 2), st.integers(1, 3), st.integers(1, 4)),
+    align=st.booleans(),
+    padding=st.sampled_from(["zeros", "border"]),
+    seed=st.integers(0, 1000),
+)
+def test_volumes_are_sampled_as_torch_samples_them(
+    shape: tuple[int, ...], points: tuple[int, ...], align: bool, padding: str, seed: int
+) -> None:
+    n, channels, *sizes = shape
+    dims = ",".join(map(str, points))
+    model = parsed(
+        f"g (float[{','.join(map(str, shape))}] x, float[{n},{dims},3] grid) => "
+        f"(float[{n},{channels},{dims}] y) {{ y = GridSample <align_corners = {int(align)}, "
+        f'mode = "linear", padding_mode = "{padding}"> (x, grid) }}',
+        HEAD.replace("18", "20"),
+    )
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=shape).astype(np.float32)
+    grid = rng.uniform(-1.6, 1.6, (n, *points, 3)).astype(np.float32)
+    edges = rng.choice([-1, 1, 0, -1 + 1 / sizes[-1], 1 - 1 / sizes[0]], grid.shape)
+    grid = np.where(rng.random(grid.shape) < 0.3, edges, grid).astype(np.float32)
+    assert SampleByGather()(model).modified
+    assert "GridSample" not in operators(model)
+    np.testing.assert_allclose(
+        run(model, x=x, grid=grid)[0], oracle(x, grid, align, padding), atol=2e-5
+    )

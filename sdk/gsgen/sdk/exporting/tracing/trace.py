@@ -19,8 +19,10 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.packed_module import PackedGenerator, output_names
 from gsgen.sdk.errors import ExportFailed, GeneratorInvalid
-from gsgen.sdk.exporting.source_lines import user_line_of
-from gsgen.sdk.exporting.trace_hazards import Hazard
+from gsgen.sdk.exporting.tracing.hazards import Hazard
+from gsgen.sdk.exporting.tracing.source_lines import user_line_of
+from gsgen.sdk.exporting.tracing.translations import TRANSLATIONS
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 _MOST = 3
 _HINT = (
@@ -80,6 +82,7 @@ def trace_module(
                 output_names=list(names.outputs),
                 opset_version=opset,
                 dynamic_shapes=names.dynamic and (names.dynamic,),
+                custom_translation_table=TRANSLATIONS,
                 verbose=False,
             )
     except GeneratorInvalid:
@@ -87,11 +90,23 @@ def trace_module(
     except Exception as error:  # the exporter's errors share no base class
         raise _explained(where, error, hazards) from error
     assert program is not None
+    _widen_indices(program.model)
     exported_opset = program.model.opset_imports.get("", opset)
     if exported_opset != opset:  # torch only logs that it could not convert the graph
         message = f"torch cannot convert the graph to operator set {opset}; it has {exported_opset}"
         raise ExportFailed(message, where="opset", hint=f"Export at operator set {exported_opset}.")
     return program.model
+
+
+def _widen_indices(model: ir.Model) -> None:
+    """Cast the int32 indices of GatherND and ScatterND to int64, which ONNX demands of both."""
+    for node in [n for n in model.graph.all_nodes() if n.op_type in ("GatherND", "ScatterND")]:
+        indices = node.inputs[1]
+        if indices is not None and indices.dtype == ir.DataType.INT32:
+            write = InsertionPoint(node)
+            wide = ir.DataType.INT64
+            cast = write.op("Cast", indices, dtype=wide, shape=indices.shape, to=int(wide))
+            node.replace_input_with(1, cast)
 
 
 @contextmanager
@@ -117,6 +132,7 @@ def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> Ex
     message = f"{type(root).__name__}: {reason.strip()[:300]}"
     line = user_line_of(root)
     likely = [hazard for hazard in hazards if line and line in hazard.where] or list(hazards)
+    likely.sort(key=lambda hazard: hazard.kind == "order")  # torch exports sorts
     if not likely:
         return ExportFailed(message, where=line or name, hint=_HINT)
     first = likely[0]

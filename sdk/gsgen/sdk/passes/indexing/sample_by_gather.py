@@ -1,7 +1,8 @@
-"""Rewrites bilinear GridSample as Gathers, which every WebGPU runtime supports."""
+"""Rewrites GridSample of images and volumes as Gathers, which every WebGPU runtime supports."""
 
 __all__ = ["SampleByGather"]
 
+import math
 
 import numpy as np
 import onnx_ir as ir
@@ -9,27 +10,35 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.base import ByTables, ErrorBudget, every_node, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, required
+from gsgen.sdk.passes.framework.value_facts import (
+    constant_of,
+    fixed_shape,
+    int_attribute,
+    rank_of,
+    required,
+)
 
 _BILINEAR = ("bilinear", "linear")  # the name since operator set 20
 _MAX_PIXELS = 1 << 24  # float32 represents every pixel index up to this number
+_IMAGE_RANK, _VOLUME_RANK = 4, 5
 _FLOAT, _INT = ir.DataType.FLOAT, ir.DataType.INT32
 
 
 class SampleByGather(ByTables, CautiousRewrite):
-    """Replace a bilinear GridSample by four Gathers and arithmetic.
+    """Replace a GridSample with linear interpolation by Gathers and arithmetic.
 
-    Kernels of GridSample exist for operator sets 16 to 19 only; in onnxruntime-web 1.22 its
-    float16 shader does not compile, and the output is silently wrong. With the image as a table
-    [pixels, channels] and one row per point::
+    Kernels of GridSample exist for images and operator sets 16 to 19 only; in onnxruntime-web 1.22
+    its float16 shader does not compile, and the output is silently wrong. No WebGPU runtime samples
+    volumes. With the image as a table [pixels, channels] and one row per point::
 
-        GridSample(X, grid)   →   Σ weight · Gather(table, y · W + x) over the four neighbours
+        1  GridSample(X, grid)   →   Σ weight · Gather(table, y · W + x), over four neighbours
+        2  GridSample(V, grid)   →   Σ weight · Gather(table, (z · H + y) · W + x), over eight
 
     The formulas are those of ONNX and torch: the pixel coordinate is ((g + 1) / 2) (W − 1) with
     aligned corners, else ((g + 1) W − 1) / 2. Zero padding sets the weights of neighbours outside
     the image to zero; border padding moves the point to the edge. A NaN coordinate counts as
     outside. Coordinates are at least float32, because float16 cannot represent pixel indices.
-    Reflection padding, nearest and cubic sampling, and volumes stay as they are.
+    Reflection padding, nearest and cubic sampling stay as they are.
     """
 
     name = "sample-by-gather"
@@ -39,7 +48,7 @@ class SampleByGather(ByTables, CautiousRewrite):
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite every GridSample that lacks a kernel, subgraphs included."""
         for node in [node for node in every_node(model) if is_op(node, "GridSample")]:
-            if self.target is not None and not self.target.lacks_kernel(node, self.opset):
+            if not self._lacks_kernel(node):
                 continue
             obstacle = _obstacle(node)
             if obstacle:
@@ -48,14 +57,19 @@ class SampleByGather(ByTables, CautiousRewrite):
             self.note(node)
             _replace(node)
 
+    def _lacks_kernel(self, node: ir.Node) -> bool:
+        # Case 2: the tables are those of images.
+        is_volume = rank_of(node.inputs[0]) == _VOLUME_RANK
+        return self.target is None or is_volume or self.target.lacks_kernel(node, self.opset)
+
 
 def _obstacle(node: ir.Node) -> str:
     """Return the reason why a GridSample cannot be rewritten as Gathers; empty if it can."""
     image, grid = (fixed_shape(value) for value in node.inputs)
     if image is None or grid is None:
         return "the sizes of its inputs are not known"
-    if len(image) != 4:
-        return f"its image has {len(image)} axes, expected 4"
+    if len(image) not in (_IMAGE_RANK, _VOLUME_RANK):
+        return f"its image has {len(image)} axes, expected {_IMAGE_RANK} or {_VOLUME_RANK}"
     mode = _string_attribute(node, "mode", "bilinear")
     padding = _string_attribute(node, "padding_mode", "zeros")
     if mode not in _BILINEAR:
@@ -64,8 +78,9 @@ def _obstacle(node: ir.Node) -> str:
         return f"padding is {padding}, expected zeros or border"
     if 0 in (*image, *grid):
         return "an axis is empty"
-    if image[0] * image[2] * image[3] >= _MAX_PIXELS:
-        return f"{image[0] * image[2] * image[3]} pixels, expected fewer than {_MAX_PIXELS}"
+    pixels = math.prod(image) // image[1]
+    if pixels >= _MAX_PIXELS:
+        return f"{pixels} pixels, expected fewer than {_MAX_PIXELS}"
     return ""
 
 
@@ -75,37 +90,48 @@ def _string_attribute(node: ir.Node, name: str, default: str) -> str:
 
 
 def _replace(node: ir.Node) -> None:
-    image, grid = node.inputs
-    assert image is not None
-    assert grid is not None
-    frames, channels, height, width = fixed_shape(image) or ()
-    points = int(np.prod((fixed_shape(grid) or ())[:-1]))
+    image, grid = required(node.inputs[0]), required(node.inputs[1])
+    frames, channels, *sizes = required(fixed_shape(image))
+    grid_shape = required(fixed_shape(grid))
+    points = math.prod(grid_shape[:-1])
     before = InsertionPoint(node)
     kind = required(image.dtype)
     dtype = kind if kind == ir.DataType.DOUBLE else _FLOAT
     table = _pixel_table(before, image)
-    flat = _convert(before, grid, dtype, [points, 2])
+    flat = _convert(before, grid, dtype, [points, len(sizes)])
     sampler = _Sampler(before, dtype, node)
-    xs = sampler.neighbours(flat, 0, width)
-    ys = sampler.neighbours(flat, 1, height)
-    first = np.repeat(np.arange(frames), points // frames) * (height * width)
-    start = before.constant(first.astype(np.int32)[:, None], "frame")
-    rows = []
-    for y_index, y_weight in ys:
-        line = before.op("Mul", y_index, before.constant(np.asarray(width, np.int32), "width"))
-        line = before.op("Add", line, start) if frames > 1 else line
+    # The first coordinate of the grid belongs to the last axis of the image.
+    neighbours = [
+        sampler.neighbours(flat, len(sizes) - 1 - axis, size) for axis, size in enumerate(sizes)
+    ]
+    start = None
+    if frames > 1:
+        first = np.repeat(np.arange(frames), points // frames) * math.prod(sizes)
+        start = before.constant(first.astype(np.int32)[:, None], "frame")
+
+    def interpolated(axis: int, start: ir.Value | None) -> ir.Value:
+        """Return the mean of both neighbours along an axis, each a mean along the later axes."""
         parts = []
-        for x_index, x_weight in xs:
-            pixel_index = before.op("Add", line, x_index)
-            pixel_index = before.op("Reshape", pixel_index, before.int64(points))
-            pixels = before.op("Gather", table, pixel_index, dtype=kind, axis=0)
-            parts.append(before.op("Mul", _convert(before, pixels, dtype), x_weight))
-        rows.append(before.op("Mul", before.op("Add", *parts), y_weight))
-    mixed = before.op("Add", *rows)
-    shape = [frames, *(fixed_shape(grid) or ())[1:-1], channels]
-    mixed = before.op("Reshape", mixed, before.int64(*shape))
-    image_layout = before.op("Transpose", mixed, perm=[0, 3, 1, 2])
-    before.replace(_convert(before, image_layout, kind))
+        for index, weight in neighbours[axis]:
+            stride = math.prod(sizes[axis + 1 :])
+            if axis < len(sizes) - 1:
+                index = before.op(
+                    "Mul", index, before.constant(np.asarray(stride, np.int32), "stride")
+                )
+            index = index if start is None else before.op("Add", start, index)
+            if axis < len(sizes) - 1:
+                value = interpolated(axis + 1, index)
+            else:
+                pixel = before.op("Reshape", index, before.int64(points))
+                pixels = before.op("Gather", table, pixel, dtype=kind, axis=0)
+                value = _convert(before, pixels, dtype)
+            parts.append(before.op("Mul", value, weight))
+        return before.op("Add", *parts)
+
+    shape = [frames, *grid_shape[1:-1], channels]
+    mixed = before.op("Reshape", interpolated(0, start), before.int64(*shape))
+    perm = [0, len(shape) - 1, *range(1, len(shape) - 1)]
+    before.replace(_convert(before, before.op("Transpose", mixed, perm=perm), kind))
 
 
 class _Sampler:
@@ -164,13 +190,14 @@ class _Sampler:
 
 def _pixel_table(before: InsertionPoint, image: ir.Value) -> ir.Value:
     """Return the image to sample as a table [frames · pixels, channels]."""
-    frames, channels, height, width = fixed_shape(image) or ()
+    frames, channels, *sizes = required(fixed_shape(image))
+    perm = [0, *range(2, 2 + len(sizes)), 1]
     known = constant_of(image, largest=1 << 62)
     if known is not None:
-        turned = np.ascontiguousarray(known.transpose(0, 2, 3, 1)).reshape(-1, channels)
+        turned = np.ascontiguousarray(known.transpose(perm)).reshape(-1, channels)
         return before.constant(turned, "table")
-    turned_value = before.op("Transpose", image, perm=[0, 2, 3, 1])
-    return before.op("Reshape", turned_value, before.int64(frames * height * width, channels))
+    turned_value = before.op("Transpose", image, perm=perm)
+    return before.op("Reshape", turned_value, before.int64(frames * math.prod(sizes), channels))
 
 
 def _convert(

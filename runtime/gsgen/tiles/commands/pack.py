@@ -1,0 +1,36 @@
+"""The command `gsgen tiles pack`, which puts the folder of a tileset into one .3tz archive."""
+
+__all__ = ["pack"]
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gsgen.contract.errors import InputUnreadable
+
+
+def pack(
+    folder: Annotated[
+        Path, typer.Argument(help="The folder of a tileset.json.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="The .3tz archive.", show_default=False)
+    ],
+) -> None:
+    """Pack FOLDER into a .3tz archive, which is read by ranges from a disk or a web server.
+
+    Equal folders give equal archives. Exits 0, 2 if the archive cannot be written, 4 if FOLDER
+    has no tileset.json.
+    """
+    from gsgen.tiles.stores.archive_writing import write_archive
+    from gsgen.tiles.stores.opening import INDEX
+
+    if not (folder / INDEX).is_file():
+        raise InputUnreadable(
+            f"the folder has no {INDEX}; expected that of a tileset",
+            where=str(folder),
+            hint="`gsgen tiles build SCENE -o FOLDER` builds one.",
+        )
+    count = write_archive(folder, output)
+    typer.echo(f"{output}: {count:,} files, {output.stat().st_size / 1e6:,.1f} MB")

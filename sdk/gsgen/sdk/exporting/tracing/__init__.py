@@ -1,0 +1,1 @@
+"""How does a torch module become an ONNX graph, and which of its operations cannot?"""

@@ -1,0 +1,39 @@
+"""Switches off mixed precision while a module is exported."""
+
+__all__ = ["float32_arithmetic"]
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+
+_NOTE = (
+    "forward uses autocast, which was switched off: the model computes in float32, "
+    "and may differ from training in its last digits"
+)
+
+
+@contextmanager
+def float32_arithmetic(notes: list[str]) -> Iterator[None]:
+    """Ignore ``torch.autocast`` while modules run and are traced, and add a note if one is used.
+
+    ONNX Runtime has no kernels for bfloat16 on the CPU, nor WebGPU for any mixture of dtypes.
+    """
+    patched = {name: getattr(torch.autocast, name) for name in ("__enter__", "__exit__")}
+
+    def enter(self: Any) -> Any:
+        if _NOTE not in notes:
+            notes.append(_NOTE)
+        return self
+
+    def leave(*_: Any) -> None:
+        """Leave a context that was never entered."""
+
+    for name, method in zip(patched, (enter, leave), strict=True):
+        setattr(torch.autocast, name, method)
+    try:
+        yield
+    finally:
+        for name, method in patched.items():
+            setattr(torch.autocast, name, method)

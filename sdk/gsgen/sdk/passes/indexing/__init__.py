@@ -1,0 +1,1 @@
+"""Which passes replace scatters, slices, samplers and hashes by gathers from tables?"""

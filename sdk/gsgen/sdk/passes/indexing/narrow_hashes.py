@@ -1,0 +1,185 @@
+"""Rewrites the exclusive or of spatial hashes in int32, with a table instead of a bit operator."""
+
+__all__ = ["NarrowHashes"]
+
+import numpy as np
+import onnx_ir as ir
+
+from gsgen.contract.model.value_ranges import Interval
+from gsgen.sdk.passes.framework.base import ByTables, every_node, is_op
+from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.gather_spans import fits_int32, spans_of
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
+from gsgen.sdk.passes.framework.value_facts import (
+    attribute_values,
+    constant_of,
+    int_attribute,
+    required,
+)
+
+_INTEGERS = (ir.DataType.INT32, ir.DataType.INT64)
+_INT32 = ir.DataType.INT32
+_LARGEST_INT32 = (1 << 31) - 1
+# Bits of both operands that index the table of exclusive ors: 2¹⁴ entries.
+_TABLE_BITS = 7
+# Operators that move the elements of their first input.
+_MOVES = ("Gather", "Slice", "Squeeze", "Unsqueeze", "Reshape", "Transpose", "Expand", "Identity")
+
+
+class _Unprovable(Exception):
+    """The remainder of a value cannot be computed in int32; the message is the reason."""
+
+
+class NarrowHashes(ByTables, CautiousRewrite):
+    """Compute spatial hashes modulo a power of two in int32, without bit operators.
+
+    Instant-NGP indexes a table of 2ᵏ entries by (x · p₁ ⊕ y · p₂ ⊕ z · p₃) mod 2ᵏ. PyTorch ports
+    compute it in int64, because the primes exceed int32; no WebGPU runtime has kernels for int64,
+    for BitwiseXor, or for Mod. The lowest k bits depend on the lowest k bits of each operand only::
+
+        1  Mod(a · p, 2ᵏ)   →   r − (r / 2ᵏ) · 2ᵏ, where r = a · (p mod 2ᵏ) fits int32
+        2  Mod(a ⊕ b, 2ᵏ)   →   Σ Gather(table, (a mod 2⁷) · 2⁷ + b mod 2⁷), over every 7 bits
+
+    A node is rewritten only if range analysis proves that no product leaves int32: cell indices up
+    to 2³¹⁻ᵏ. Positions need a known range for that, such as after Clip or Sigmoid.
+    """
+
+    name = "narrow-hashes"
+    wanted_by = "targets whose tables lack BitwiseXor"
+
+    def rewrite(self, model: ir.Model) -> None:
+        """Rewrite every remainder of an exclusive or, by a power of two."""
+        spans: dict[str, Interval] | None = None
+        for node in [n for n in every_node(model) if _modulus_bits(n) and _has_xor(n.inputs[0])]:
+            if node.graph is not model.graph:
+                self.refuse(node, "it is inside a subgraph, whose ranges are not known")
+                continue
+            spans = spans or spans_of(model, self.target.manifest if self.target else None)
+            write = InsertionPoint(node)
+            try:
+                remainder = _Remainder(write, _modulus_bits(node), spans).of(
+                    required(node.inputs[0])
+                )
+            except _Unprovable as reason:
+                self.refuse(node, str(reason))
+                continue
+            self.note(node)
+            kind = required(node.outputs[0].dtype)
+            write.replace(write.op("Cast", remainder, dtype=kind, to=int(kind)))
+
+
+def _modulus_bits(node: ir.Node) -> int:
+    """Return k where a node computes the remainder by 2ᵏ, which is never negative; else 0."""
+    if not is_op(node, "Mod", "BitwiseAnd") or node.outputs[0].dtype not in _INTEGERS:
+        return 0
+    divisor = constant_of(node.inputs[1])
+    if divisor is None or divisor.size != 1 or int_attribute(node, "fmod", 0):
+        return 0
+    number = int(divisor.reshape(-1)[0]) + (1 if is_op(node, "BitwiseAnd") else 0)
+    is_power = number > 1 and number & (number - 1) == 0
+    return number.bit_length() - 1 if is_power else 0
+
+
+def _has_xor(value: ir.Value | None) -> bool:
+    """Return whether an exclusive or computes a value, moves of its elements aside."""
+    node = None if value is None else value.producer()
+    if node is None or not is_op(node, "BitwiseXor", "Cast", "Add", *_MOVES):
+        return False
+    return is_op(node, "BitwiseXor") or any(_has_xor(entry) for entry in node.inputs)
+
+
+class _Remainder:
+    """Writes the remainder of integer values by 2ᵏ, in int32 and from 0 to 2ᵏ − 1."""
+
+    def __init__(self, write: InsertionPoint, bits: int, spans: dict[str, Interval]) -> None:
+        self.write, self.bits, self.spans = write, bits, spans
+        self._known: dict[int, ir.Value] = {}
+
+    def of(self, value: ir.Value) -> ir.Value:
+        """Return the remainder of a value; equal values share their nodes."""
+        if id(value) not in self._known:
+            self._known[id(value)] = self._computed(value)
+        return self._known[id(value)]
+
+    def _computed(self, value: ir.Value) -> ir.Value:
+        known = constant_of(value)
+        if known is not None:
+            return self._constant(np.mod(known, 1 << self.bits))
+        node = value.producer()
+        if node is not None and is_op(node, "BitwiseXor"):  # Case 2
+            return self._xor(*(self.of(required(entry)) for entry in node.inputs))
+        if node is not None and is_op(node, *_MOVES):
+            moved = self.of(required(node.inputs[0]))
+            return self.write.op(node.op_type, moved, *node.inputs[1:], **attribute_values(node))
+        if node is not None and is_op(node, "Mul", "Add", "Sub"):
+            return self._arithmetic(node)
+        span = self.spans.get(value.name or "")
+        if not fits_int32(span):
+            raise _Unprovable(f"{value.name} may leave the range of int32")
+        return self._reduced(self._cast(value), *required(span))
+
+    def _arithmetic(self, node: ir.Node) -> ir.Value:
+        """Return the remainder of a sum, a difference, or a product (case 1)."""
+        size = 1 << self.bits
+        a, b = (required(entry) for entry in node.inputs)
+        if is_op(node, "Add", "Sub"):
+            low, high = (0, 2 * size) if is_op(node, "Add") else (-size, size)
+            return self._reduced(self.write.op(node.op_type, self.of(a), self.of(b)), low, high)
+        if constant_of(a) is not None:
+            a, b = b, a
+        factor = constant_of(b)
+        if factor is None:
+            raise _Unprovable(f"{node.outputs[0].name} is a product of two varying numbers")
+        # Factors from −2ᵏ⁻¹ to 2ᵏ⁻¹ keep the product one bit shorter than those from 0 to 2ᵏ.
+        factor = np.mod(factor.astype(np.int64) + size // 2, size) - size // 2
+        span = self.spans.get(a.name or "")
+        if span is None or not fits_int32(span):
+            raise _Unprovable(f"{a.name} may leave the range of int32")
+        most = max(abs(span[0]), abs(span[1])) * int(np.abs(factor).max(initial=0))
+        if most + size > _LARGEST_INT32:
+            raise _Unprovable(f"{a.name} times a prime modulo {size} may leave the range of int32")
+        product = self.write.op("Mul", self._cast(a), self._constant(factor))
+        return self._reduced(product, -most, most)
+
+    def _reduced(self, value: ir.Value, low: float, high: float) -> ir.Value:
+        """Return the remainder of an int32 value that lies in a range."""
+        size = 1 << self.bits
+        if low >= 0 and high < size:
+            return value
+        if low < 0:  # a division rounds towards zero, so the value must not be negative
+            shift = -int(low // size) * size
+            if high + shift > _LARGEST_INT32:
+                raise _Unprovable(f"{value.name} may leave the range of int32")
+            value = self.write.op("Add", value, self._constant(np.array(shift)))
+        return self._low_bits(value, self.bits)
+
+    def _low_bits(self, value: ir.Value, bits: int) -> ir.Value:
+        size = self._constant(np.array(1 << bits))
+        multiple = self.write.op("Mul", self.write.op("Div", value, size), size)
+        return self.write.op("Sub", value, multiple)
+
+    def _xor(self, a: ir.Value, b: ir.Value) -> ir.Value:
+        """Return the exclusive or of two values below 2ᵏ, by a table for every seven bits."""
+        op, side = self.write.op, 1 << _TABLE_BITS
+        first, second = np.indices((side, side))
+        table = self._constant((first ^ second).reshape(-1))
+        total: ir.Value | None = None
+        for start in range(0, self.bits, _TABLE_BITS):
+            scale = self._constant(np.array(1 << start))
+            a_digit, b_digit = (
+                self._low_bits(op("Div", value, scale) if start else value, _TABLE_BITS)
+                for value in (a, b)
+            )
+            index = op("Add", op("Mul", a_digit, self._constant(np.array(side))), b_digit)
+            digit = op("Gather", table, index, axis=0)
+            shifted = op("Mul", digit, scale) if start else digit
+            total = shifted if total is None else op("Add", total, shifted)
+        return required(total)
+
+    def _cast(self, value: ir.Value) -> ir.Value:
+        if value.dtype == _INT32:
+            return value
+        return self.write.op("Cast", value, dtype=_INT32, shape=value.shape, to=int(_INT32))
+
+    def _constant(self, array: np.ndarray) -> ir.Value:
+        return self.write.constant(array.astype(np.int32), "hash")

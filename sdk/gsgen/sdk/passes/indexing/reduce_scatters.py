@@ -1,0 +1,90 @@
+"""Rewrites scatters that add, multiply or compare as a Gather of groups and a reduction."""
+
+__all__ = ["ReduceScatters"]
+
+import numpy as np
+import onnx_ir as ir
+
+from gsgen.sdk.passes.framework.base import ErrorBudget, every_node, is_op
+from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
+from gsgen.sdk.passes.framework.value_facts import fixed_shape, numpy_dtype, required
+from gsgen.sdk.passes.indexing.gather_scatters import (
+    ScatterTargets,
+    scatter_obstacle,
+    scatter_targets,
+)
+
+_REDUCTIONS = {"add": "ReduceSum", "mul": "ReduceProd", "max": "ReduceMax", "min": "ReduceMin"}
+# The number that a sum or a product does not change; extremes repeat an element instead.
+_NEUTRAL = {"add": 0, "mul": 1}
+# The table of groups is at most this many times as large as the tensors that it gathers from.
+_PADDING = 16
+
+
+class ReduceScatters(CautiousRewrite):
+    """Replace scatters with a reduction and constant indices by a Gather and a Reduce operator.
+
+    They update in place: a captured graph meets the values of the previous frame, and adds to them.
+    torch exports them for ``index_add``, ``scatter_reduce`` and pooling over voxels or groups::
+
+        ScatterND<max>(x, indices, y)   →   ReduceMax(Gather(Concat(x, y), groups), axis 1)
+
+    Row i of ``groups`` lists the old row i and all of its updates, padded to the largest group: with
+    the old row for max and min, with a neutral row for sums and products. A sum may round in
+    another order. Groups of very different sizes, which would be mostly padding, stay as they are.
+    """
+
+    name = "reduce-scatters"
+    exactness = ErrorBudget(relative=1e-5)
+    wanted_by = "every target"
+
+    def rewrite(self, model: ir.Model) -> None:
+        """Rewrite every reducing scatter with known indices and shapes."""
+        for node in [n for n in every_node(model) if is_op(n, "ScatterElements", "ScatterND")]:
+            attribute = node.attributes.get("reduction")
+            reduction = "none" if attribute is None else attribute.as_string()
+            if reduction not in _REDUCTIONS:
+                continue
+            obstacle = scatter_obstacle(node)
+            if obstacle:
+                self.refuse(node, obstacle)
+                continue
+            targets = scatter_targets(node)
+            groups = _groups(targets)
+            if groups.size > _PADDING * (targets.rows + targets.flat.size):
+                self.refuse(node, f"one row has {groups.shape[1] - 1} updates, most have far fewer")
+                continue
+            self.note(node)
+            _replace(node, targets, groups, reduction)
+
+
+def _groups(targets: ScatterTargets) -> np.ndarray:
+    """Return a table [rows, 1 + most updates]: a row's own index, its updates', then −1."""
+    order = np.argsort(targets.flat, kind="stable")
+    counts = np.bincount(targets.flat, minlength=targets.rows)
+    groups = np.full((targets.rows, 1 + int(counts.max(initial=0))), -1, np.int64)
+    groups[:, 0] = np.arange(targets.rows)
+    rank = np.arange(order.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    groups[targets.flat[order], 1 + rank] = targets.rows + order
+    return groups
+
+
+def _replace(node: ir.Node, targets: ScatterTargets, groups: np.ndarray, reduction: str) -> None:
+    write = InsertionPoint(node)
+    data, _, updates = node.inputs
+    old = write.op("Reshape", data, write.int64(targets.rows, *targets.row_shape))
+    # A size of zero would mean the size of the updates' first axis.
+    new = write.op("Reshape", updates, write.int64(targets.flat.size or -1, *targets.row_shape))
+    parts, padding = [old, new], groups[:, :1]
+    if reduction in _NEUTRAL:
+        padding = np.full_like(groups[:, :1], targets.rows + targets.flat.size)
+        shape = (1, *targets.row_shape)
+        parts.append(
+            write.constant(np.full(shape, _NEUTRAL[reduction], numpy_dtype(old)), "neutral")
+        )
+    joined = write.op("Concat", *parts, axis=0)
+    index = np.where(groups < 0, padding, groups)
+    gathered = write.op("Gather", joined, write.constant(index, "groups"), axis=0)
+    reduced = write.op(_REDUCTIONS[reduction], gathered, write.int64(1), keepdims=0)
+    write.replace(write.op("Reshape", reduced, write.int64(*required(fixed_shape(data)))))

@@ -1,0 +1,107 @@
+"""Frames that are drawn without waiting for the GPU: their counts come two frames later."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.readback import Staging
+from gsgen.runtime.renderer import renderer as renderers
+from gsgen.runtime.renderer.frame_plan import Plan
+from gsgen.runtime.renderer.late_counts import FRAMES_LATE
+from gsgen.runtime.renderer.renderer import Drawn, Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene
+from support.rendering.splat_scenes import camera, cloud
+
+STEP = 0.02
+
+
+@pytest.fixture
+def own(device: Device) -> Renderer:
+    return Renderer(device, rasteriser="tiles")
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return Scene([cloud(300)])
+
+
+def moved(number: int) -> Camera:
+    view = np.eye(4)
+    view[0, 3] = STEP * number
+    base = camera()
+    return Camera(
+        view @ base.view, fx=base.fx, fy=base.fy, cx=base.cx, cy=base.cy, width=61, height=47
+    )
+
+
+def pixels(renderer: Renderer, drawn: Drawn) -> np.ndarray:
+    return renderer.device.read(drawn.image, np.float32, 61 * 47 * 4).reshape(47, 61, 4)
+
+
+def test_a_steady_frame_reads_the_counts_of_the_second_frame_before(
+    own: Renderer, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own.draw(scene, moved(0), wait=False)  # the first one is waited for
+    begun: list[Staging] = []
+    read: list[int] = []
+    begin, read_words = Staging.begin, Staging.read_words
+
+    def noted_begin(staging: Staging) -> None:
+        begun.append(staging)
+        begin(staging)
+
+    def noted_read(staging: Staging) -> dict[str, np.ndarray]:
+        read.append(max(i for i, each in enumerate(begun) if each is staging))
+        return read_words(staging)
+
+    monkeypatch.setattr(Staging, "begin", noted_begin)
+    monkeypatch.setattr(Staging, "read_words", noted_read)
+    monkeypatch.delattr(Plan, "collect")  # would wait for the frame
+    for number in range(8):
+        own.draw(scene, moved(number), wait=False)
+        assert read == list(range(max(0, number + 1 - FRAMES_LATE)))
+    assert len(set(map(id, begun))) == FRAMES_LATE  # staging buffers are used again
+
+
+def test_pictures_are_those_of_frames_that_wait(own: Renderer, scene: Scene) -> None:
+    for number in range(5):
+        drawn = own.draw(scene, moved(number), wait=False)
+        seen = pixels(own, drawn)
+        frame = own.render(scene, moved(number))
+        np.testing.assert_array_equal(seen, frame.rgba)
+    assert not own.settle()
+    assert not own.late
+
+
+def test_room_for_pairs_grows_without_waiting(
+    device: Device, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(renderers, "FIRST_PAIRS", 16)
+    own = Renderer(device, rasteriser="tiles")
+    nothing = np.eye(4)
+    nothing[0, 3] = 1e4  # the scene is beside the image
+    away = Camera(nothing, fx=50, fy=50, cx=30, cy=23, width=61, height=47)
+    own.draw(scene, away, wait=False)
+    collect = Plan.collect
+    monkeypatch.delattr(Plan, "collect")
+    drawn = [own.draw(scene, moved(0), wait=False) for _ in range(2 + FRAMES_LATE)]
+    monkeypatch.setattr(Plan, "collect", collect, raising=False)
+    complete = own.render(scene, moved(0))
+    assert drawn[-1].pairs < complete.pairs  # the counts are those of a frame without room
+    np.testing.assert_array_equal(pixels(own, drawn[-1]), complete.rgba)
+
+
+def test_an_incomplete_last_frame_is_told(
+    device: Device, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(renderers, "FIRST_PAIRS", 16)
+    own = Renderer(device, rasteriser="tiles")
+    nothing = np.eye(4)
+    nothing[0, 3] = 1e4
+    own.draw(scene, Camera(nothing, fx=50, fy=50, cx=30, cy=23, width=61, height=47), wait=False)
+    own.draw(scene, moved(0), wait=False)
+    assert own.settle()
+    drawn = own.draw(scene, moved(0), wait=False)  # is waited for
+    assert not own.settle()
+    np.testing.assert_array_equal(pixels(own, drawn), own.render(scene, moved(0)).rgba)
