@@ -68,7 +68,7 @@ exactness: setup drivers
 	$(BIN)/python tests/bench/exactness.py --size $(SIZE)
 
 # The whole adversarial set: the share of faults that are refused with the right cause first, and
-# false alarms on right models. Tests measure every third model.
+# false alarms on right models. Tests measure every fourth model.
 adversarial: setup
 	GSGEN_ADVERSARIAL=whole $(BIN)/python -m pytest tests/contract/adversarial -q -s
 

@@ -30,6 +30,7 @@ from docs_parts import (
     viewer_kit,
 )
 
+from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.contract.reporters.document import schema
 from gsgen.contract.reporters.rule_pages import index, page
 from gsgen.contract.spec.manifest_io import schemas
@@ -110,7 +111,7 @@ def generated() -> dict[Path, str]:
         DOCS / "passes" / f"{rewrite.name}.md": passes.page(rewrite) for rewrite in passes.REWRITES
     }
     pages[DOCS / "passes" / "index.md"] = passes.index()
-    published = schemas() | {REPORT_SCHEMA_FILE: schema()}
+    published = {**schemas(), REPORT_SCHEMA_FILE: schema(), **viewer_kit_schemas()}
     published[f"{NEURAL_TILE}.schema.json"] = neural_schema()
     for name, document in published.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"

@@ -13,7 +13,8 @@ It makes a deterministic crowd of Gaussians of which three quarters are in the i
   device's timestamps, and of a whole frame by the wall, frame after frame without reading anything;
   the least milliseconds by bytes and by operations at the rates of a copy and of a loop of fused
   multiplications on the same device; the error of a crop of the image beside the float64 oracle;
-  keys sorted in a second; what the rasteriser's probe measured and chose;
+  keys sorted in a second; what the rasteriser's probe measured and chose; which kernels the device
+  gets; bytes, dispatches and reads of keys of a frame of 6.06 M, counted from its plan;
 - ``gpu_MODE.png``: the pictures, and ``gpu_crop_oracle.png``: the crop by the oracle
 
 into ``$OUT``, or ``out/gpu`` of the checkout. It exits 0 if everything was measured, and every part
@@ -28,12 +29,12 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / part) for part in ("contract", "runtime")]
+sys.path[:0] = [str(ROOT / part) for part in ("contract", "runtime", "tests")]
 
 import numpy as np  # noqa: E402
 
@@ -54,6 +55,7 @@ from gsgen.runtime.renderer.renderer import Renderer  # noqa: E402
 from gsgen.runtime.scene.camera import Camera  # noqa: E402
 from gsgen.runtime.scene.scene import Scene  # noqa: E402
 from gsgen.runtime.scene.splat_data import SplatData  # noqa: E402
+from support.rendering import frame_traffic  # noqa: E402
 
 MODES: Final = {
     "tiles": {"rasteriser": "tiles"},
@@ -216,6 +218,16 @@ class Frame:
         self.plan.collect(fetch=False)
         return 1e3 * (time.perf_counter() - began) / frames
 
+    def unwaited(self, scene: Scene, frames: int) -> dict[str, float]:
+        """Return the milliseconds of a frame of a window, and those that the host waits in it."""
+        waited, began = [], time.perf_counter()
+        for _ in range(frames):
+            self.renderer.draw(scene, self.camera, wait=False)
+            waited.append(self.renderer.late.waited)
+        taken = time.perf_counter() - began
+        self.renderer.settle()
+        return {"frame": 1e3 * taken / frames, "waited": 1e3 * float(np.median(waited))}
+
     def rows_bytes(self) -> tuple[int, int]:
         """Return the bytes of a row and of its appearance."""
         rows = sum(page.capacity for _, page in self.placed)
@@ -228,24 +240,26 @@ class Frame:
 def floors(frame: Frame, gaussians: int, bytes_a_second: float, flops: float) -> dict[str, Any]:
     """Return the least milliseconds of each stage: its bytes once, and blending's operations.
 
-    Bytes are those of the stages as they are built: 32-bit keys, splats of 48 bytes. The operations
+    Bytes are those of the stages as they are built: 32-bit keys, splats of 48 bytes, tiles of the
+    device's size. The operations
     are those of every pixel of every tile with every splat of its list, which is more than has to
     be done: finished pixels stop.
     """
     row, appearance = frame.rows_bytes()
     pixels = frame.camera.width * frame.camera.height
     visible, pairs = frame.visible, frame.pairs
-    passes = -(-32 // frame.renderer._kernels.cut.digit_bits)
-    last = -(-frame.camera.width // TILE) * -(-frame.camera.height // TILE) - 1
-    grouping = -(-last.bit_length() // frame.renderer._kernels.cut.digit_bits)
+    cut = frame.renderer._kernels.cut
+    passes, pair_bytes = -(-32 // cut.digit_bits), 16 if cut.staged else 20
+    last = -(-frame.camera.width // cut.tile) * -(-frame.camera.height // cut.tile) - 1
+    grouping = -(-last.bit_length() // cut.digit_bits)
     amounts = {
         "project": gaussians * (row + 8) + visible * (appearance + 48),
-        "sort": gaussians * 8 + visible * (8 + (passes - 1) * 20),
+        "sort": gaussians * 8 + visible * (8 + (passes - 1) * pair_bytes),
     }
     if pairs:
         amounts |= {
             "bin": visible * (20 + 36) + pairs * 8,
-            "group": pairs * (grouping * 20 + 4),
+            "group": pairs * (grouping * pair_bytes + 4),
             "blend": pairs * 52 + pixels * 16,
         }
     else:
@@ -256,7 +270,7 @@ def floors(frame: Frame, gaussians: int, bytes_a_second: float, flops: float) ->
     }
     made["sum"] = {"ms": sum(one["ms"] for one in made.values())}
     if pairs:
-        work = FLOPS_OF_A_PIXEL * pairs * TILE**2
+        work = FLOPS_OF_A_PIXEL * pairs * cut.tile**2
         made["blend, operations at most"] = {"GFLOP": work / 1e9, "ms": 1e3 * work / flops}
     return made
 
@@ -417,10 +431,12 @@ def main() -> int:
             "timestamps": device.has_clock,
             "blends floats": device.blends_floats,
             "subgroups": device.subgroups,
+            "kernels": asdict(cut_for(device)),
         },
     )
     bytes_a_second = report.part("bytes a second, copied", lambda: copy_rate(device))
     flops = report.part("operations a second", lambda: flop_rate(device))
+    report.part("counted, 6.06 M", lambda: frame_traffic.table(frame_traffic.Workload()))
     report.part("sort", lambda: sorting(device, words.gaussians))
     report.part("probe", lambda: _probed(device))
     camera = Camera(
@@ -450,6 +466,7 @@ def main() -> int:
             "pairs": frame.pairs,
             "stages, ms": stages,
             "frame, ms of wall": wall,
+            "frame of a window, ms": frame.unwaited(scene, words.frames),
             "floor": floors(frame, words.gaussians, bytes_a_second, flops),
             "beside the oracle": exactness.of(renderer, whole),
         }

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jsonschema import Draft202012Validator
 from PIL import Image
 
 from gsgen.conformance.viewer_kit.check_viewer import (
@@ -20,13 +21,14 @@ from gsgen.conformance.viewer_kit.check_viewer import (
     read_picture,
     suspected_faults,
 )
+from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.conformance.viewer_kit.faults import FAULTS
 from gsgen.conformance.viewer_kit.write import TOLERANCE, kit_cases, write_kit
 from gsgen.contract import validate
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.settings import Settings
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 FIRST = kit_cases()[0].name
 
@@ -48,6 +50,37 @@ def test_every_fault_has_a_case_and_every_case_a_fault() -> None:
     assert {fault for case in kit_cases() for fault in case.faults} == set(FAULTS)
     names = [case.name for case in kit_cases()]
     assert len(names) == len(set(names))
+
+
+def test_the_index_and_every_result_follow_their_schemas(kit: Path, tmp_path: Path) -> None:
+    index_schema, result_schema = viewer_kit_schemas().values()
+    for name, schema in viewer_kit_schemas().items():
+        Draft202012Validator.check_schema(schema)
+        assert json.loads((kit / name).read_text("utf-8")) == schema
+    index = json.loads((kit / "index.json").read_text("utf-8"))
+    Draft202012Validator(index_schema).validate(index)
+    wrong = np.zeros((48, 64, 3), np.float32)
+    np.save(tmp_path / f"{FIRST}-0.npy", wrong)  # all other pictures are missing
+    for pictures in (kit / "expected", tmp_path):
+        Draft202012Validator(result_schema).validate(check_viewer(kit, pictures))
+
+
+def test_documents_of_another_shape_break_the_schemas(kit: Path) -> None:
+    index_schema, result_schema = map(Draft202012Validator, viewer_kit_schemas().values())
+    index = json.loads((kit / "index.json").read_text("utf-8"))
+    result = check_viewer(kit, kit / "expected")
+    for edit in (
+        lambda d: d.pop("tolerance"),
+        lambda d: d.update(schema="gsgen-viewer-kit/2"),
+        lambda d: d["cases"][0].update(colour="red"),
+        lambda d: d["cases"][0]["frames"][0].pop("picture"),
+    ):
+        for validator, document in ((index_schema, index), (result_schema, result)):
+            changed = json.loads(json.dumps(document))
+            edit(changed)
+            assert not validator.is_valid(changed)
+    index["cases"][0]["frames"][0]["values"] = {"pose": [[0.5, "x"]]}
+    assert not index_schema.is_valid(index)
 
 
 @pytest.mark.parametrize("mode", ["L", "LA", "RGB", "RGBA"])
@@ -157,7 +190,9 @@ def test_the_command_names_a_missing_picture_and_writes_a_page(kit: Path, tmp_pa
     for path in (kit / "expected").glob("*.npy"):
         (pictures / path.name).write_bytes(path.read_bytes())
     (pictures / f"{FIRST}-0.npy").unlink()
-    ran = gsgen("viewer-kit", "check", str(kit), str(pictures), "--html", "p.html", cwd=tmp_path)
+    ran = gsgen_here(
+        "viewer-kit", "check", str(kit), str(pictures), "--html", "p.html", cwd=tmp_path
+    )
     assert ran.code == 1
     assert f"failed: {FIRST}: {FIRST}-0: the picture is missing" in ran.out
     page = (tmp_path / "p.html").read_text("utf-8")
@@ -169,7 +204,7 @@ def test_the_command_names_a_missing_picture_and_writes_a_page(kit: Path, tmp_pa
 
 
 def test_a_folder_that_is_no_kit_or_is_full_is_refused(tmp_path: Path) -> None:
-    ran = gsgen("viewer-kit", "check", str(tmp_path), str(tmp_path), cwd=tmp_path)
+    ran = gsgen_here("viewer-kit", "check", str(tmp_path), str(tmp_path), cwd=tmp_path)
     assert ran.code == 4
     assert "index.json" in ran.err
     (tmp_path / "file").touch()

@@ -26,6 +26,13 @@ def named(name: str) -> Check:
     return check
 
 
+def test_it_tells_which_kernels_the_renderer_uses_and_why() -> None:
+    check = named("renderer")
+    assert check.state == "ok"
+    assert "kernels for CPUs, which is where the driver runs; tiles of 16 pixels" in check.detail
+    assert "rasteriser tiles: software drivers always use them" in check.detail
+
+
 def test_without_a_screen_it_names_what_needs_none(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)

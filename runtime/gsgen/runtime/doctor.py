@@ -24,6 +24,13 @@ _LIST_ADAPTERS = """
 import json, wgpu
 print(json.dumps([dict(a.info) for a in wgpu.gpu.enumerate_adapters_sync()], default=str))
 """
+_EXPLAIN_RENDERER = """
+import json
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.renderer.rasteriser_choice import explain
+device = Device.open()
+print(json.dumps(f"{device.name}: {explain(device)}"))
+"""
 _TRY_WINDOW = """
 import json
 from gsgen.runtime.errors import DisplayUnavailable
@@ -73,6 +80,10 @@ def _adapters() -> Iterator[Check]:
         )
         detail = f"{name} ({kind}, {backend}) {adapter.get('description', '')}"
         yield Check(name="adapter", state="ok", detail=detail.strip(), purpose=_PURPOSE)
+    choice = _child_result("renderer", _EXPLAIN_RENDERER, _DRIVERS, _PURPOSE)
+    if not isinstance(choice, Check):
+        choice = Check(name="renderer", state="ok", detail=str(choice), purpose=_PURPOSE)
+    yield choice
 
 
 def _screen() -> Check:

@@ -160,6 +160,7 @@ def right_model(
 def all_faults() -> tuple[Fault, ...]:
     """Return every faulty model, family by family."""
     _load("contract.adversarial.faults")
+    _load("contract.adversarial.later_faults")
     return tuple(_FAULTS.values())
 
 

@@ -31,6 +31,21 @@ class Crowd(GaussianGenerator):
         return Gaussians(position, 0.5 * ones, 0.1 * torch.ones(self.rows, 3), rotation, sh=sh)
 
 
+class Turning(Drift):
+    """A few Gaussians that go around the z axis once."""
+
+    def __init__(self) -> None:
+        super().__init__(n=8, degree=0)
+
+    def forward(self, time: torch.Tensor) -> Gaussians:
+        angle = 2 * torch.pi * time
+        cosine, sine, zero = torch.cos(angle), torch.sin(angle), torch.zeros(1)
+        half = torch.cat([torch.cos(angle / 2), zero, zero, torch.sin(angle / 2)])
+        turn = torch.stack([cosine, -sine, zero, sine, cosine, zero, zero, zero, zero + 1])
+        position = self.rest @ turn.reshape(3, 3).T
+        return Gaussians(position, self.opacity, self.scale, half.repeat(8, 1), sh=self.sh)
+
+
 @pytest.mark.parametrize(
     ("coefficients", "hint"),
     [(16, "Export with --dtype float16 or --keep 1000."), (1, "Export with --keep 1000.")],
@@ -79,6 +94,15 @@ def test_a_quick_comparison_takes_fewer_probes(tmp_path: Path) -> None:
     full = export(Drift(), tmp_path / "full.onnx")
     quick = export(Drift(), tmp_path / "quick.onnx", verify="quick")
     assert (full.parity.probes, quick.parity.probes) == (13, 7)
+
+
+def test_a_quick_comparison_measures_the_bounds_of_a_turning_model_at_every_probe(
+    tmp_path: Path,
+) -> None:
+    """Opposite times of a whole turn see two points of the circle: bounds need the others, too."""
+    quick = export(Turning(), tmp_path / "quick.onnx", verify="quick")
+    assert quick.parity.probes == 7
+    assert quick.manifest.bounds == export(Turning(), tmp_path / "full.onnx").manifest.bounds
 
 
 @pytest.mark.parametrize(("kind", "dtype"), [(Lit, "float16"), (Drift, "float32")])

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from gsgen.conformance.viewer_kit import check_viewer
 from gsgen.conformance.viewer_kit.case import KitCase, KitFrame
+from gsgen.conformance.viewer_kit.document import viewer_kit_schemas
 from gsgen.conformance.viewer_kit.faults import FAULTS
 from gsgen.conformance.viewer_kit.input_cases import INPUT_CASES
 from gsgen.conformance.viewer_kit.row_cases import ROW_CASES
@@ -61,6 +62,9 @@ def write_kit(folder: Path, draw: DrawFrames | None = None) -> Path:
         document = _index([_write_case(draft.parent, case, draw_frames) for case in kit_cases()])
         text = json.dumps(document, indent=1, ensure_ascii=False)
         draft.write_text(text + "\n", "utf-8")
+        for name, schema in viewer_kit_schemas().items():
+            text = json.dumps(schema, indent=1, ensure_ascii=False)
+            (draft.parent / name).write_text(text + "\n", "utf-8")
         shutil.copyfile(check_viewer.__file__, draft.parent / "check_viewer.py")
     return index_path
 

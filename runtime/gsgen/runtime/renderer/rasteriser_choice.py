@@ -6,7 +6,7 @@ units blend 32-bit floats. That varies more than tenfold between GPUs of equal a
 data centres have few such units), and no limit or feature of the device reports it.
 """
 
-__all__ = ["Rasteriser", "RasteriserOption", "Timings", "choose", "probe"]
+__all__ = ["Rasteriser", "RasteriserOption", "Timings", "choose", "explain", "probe"]
 
 import json
 import os
@@ -23,6 +23,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.sort.sort import cut_for
 from gsgen.runtime.renderer.frame_plan import Placed, Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.scene.camera import Camera
@@ -43,7 +44,7 @@ _ONLY: Final[dict[Rasteriser, tuple[str, ...]]] = {
     "quads": ("quads",),
 }
 _NOTHING: Final = np.zeros(3)
-_VERSION: Final = 1  # of the measurement; a new version invalidates cached timings
+_VERSION: Final = 2  # of the measurement; a new version invalidates cached timings
 _MOST_BYTES: Final = 1 << 16  # of the cache file
 
 
@@ -92,6 +93,22 @@ def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> 
             _write(_read() | {key: cached})
         _measured[key] = cached
     return _measured[key].best
+
+
+def explain(device: Device) -> str:
+    """Return which kernels and which rasteriser a device gets, and why; measures if needed."""
+    cut = cut_for(device)
+    kind = "CPUs, which is where the driver runs" if device.software else "GPUs"
+    text = f"kernels for {kind}; tiles of {cut.tile} pixels, {cut.digit_bits} bits a sort pass; "
+    if device.software:
+        return f"{text}rasteriser tiles: software drivers always use them"
+    if not device.blends_floats:
+        return f"{text}rasteriser tiles: the device cannot blend 32-bit floats"
+    if _key(device) not in _measured:
+        choose(device, Kernels(device))
+    timings = _measured[_key(device)]
+    by_tiles, by_quads = 1e3 * timings.tiles, 1e3 * timings.quads
+    return f"{text}rasteriser {timings.best}: tiles {by_tiles:.2f} ms, quads {by_quads:.2f} ms"
 
 
 def probe(

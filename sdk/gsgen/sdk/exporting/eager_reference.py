@@ -71,6 +71,23 @@ class EagerRuns:
             joined._keep(len(self) + index, reference)
         return joined
 
+    def select(self, indices: Iterable[int]) -> "EagerRuns":
+        """Return some of the test inputs, with the torch outputs computed so far."""
+        chosen = [int(index) for index in indices]
+        selected = EagerRuns(self.generator, [self.probes[index] for index in chosen])
+        for position, index in enumerate(chosen):
+            if index in self._kept:
+                selected._keep(position, self._kept[index])
+        return selected
+
+    def has_inputs_of(self, other: "EagerRuns") -> bool:
+        """Return whether both have the same test inputs, bit by bit."""
+        return len(self) == len(other) and all(
+            np.array_equal(array, b.inputs[name], equal_nan=True)
+            for a, b in zip(self.probes, other.probes, strict=True)
+            for name, array in a.inputs.items()
+        )
+
     def _keep(self, index: int, reference: Reference) -> None:
         if reference.nbytes <= self._room:
             self._room -= reference.nbytes

@@ -71,8 +71,8 @@ from gsgen.sdk.source_pictures import add_source_pictures
 # Distances of the cameras of the SDK's own probes, as a share of those of the contract's probes.
 _DISTANCES = {"close": 0.2, "far": 8.0}
 _TOLERANCES = Tolerances()
-# Probes of each set, besides the all-zero one, by thoroughness of the comparison.
-_PROBES = {"quick": 2, "full": 8}
+# Probes besides the all-zero one: of the measured bounds, and of the quick comparison.
+_BOUNDS_PROBES, _QUICK_PROBES = 8, 2
 # Tolerances of the search for weights that may be float16; _HALF_ROUNDINGS adds the rounding of
 # stored outputs. The search measures few probes: at others, covariances were four times as far off.
 _HALF_CHOICE = Tolerances(position=1e-2, covariance=1e-3, opacity=1e-4, appearance=5e-4)
@@ -120,7 +120,7 @@ class _Options:
     target: str
     rewrite: bool
     pictures: int  # reference pictures of the eager module
-    probes: int  # probes of eager torch, besides the all-zero one
+    compared: int  # probes of the comparison with eager torch, besides the all-zero one
 
     @property
     def searches_float16(self) -> bool:
@@ -160,6 +160,7 @@ def export(
             exported it.
         settings: Level, limits and severities of the validation.
         verify: How many probes are compared with eager torch: ``quick`` takes a third of them.
+            Bounds are measured at all of them in either case.
         pictures: How many pictures of the eager module become reference images of the model, which
             level ``render`` compares with; the renderer draws them (``gsgen[runtime]``).
         progress: Called with a message when a step begins.
@@ -183,7 +184,7 @@ def export(
         target=target,
         rewrite=rewrite,
         pictures=pictures,
-        probes=_PROBES[verify],
+        compared=_BOUNDS_PROBES if verify == "full" else _QUICK_PROBES,
     )
     half = options.dtype == "float16"
     with padded_harmonics(generator, half=half, target=target) as notes, float32_arithmetic(notes):
@@ -294,7 +295,7 @@ def _describe(
     _check_inputs(generator)
     # The bounds are not known yet, so the first probes lie around the default bounds.
     draft = _manifest(generator, options.name, dtype, None, 1, None)
-    first_probes = _probes(draft, count=options.probes)
+    first_probes = _probes(draft)
     started = time.perf_counter()
     start, watch = run_watched(generator, first_probes[0])
     seconds = time.perf_counter() - started
@@ -308,7 +309,9 @@ def _describe(
     draft = _manifest(generator, options.name, dtype, gaussians.degree, rows, None)
     stored = float16_manifest(draft) if options.searches_float16 else draft
     check_fits(generator, stored, options.target)
-    if size := describe_size(stored, seconds=seconds, runs=5 * options.probes):
+    if size := describe_size(
+        stored, seconds=seconds, runs=3 * _BOUNDS_PROBES + 2 * options.compared
+    ):
         progress(size)
     first_runs = EagerRuns(generator, first_probes, [start])
     draft = replace(draft, bounds=measure_bounds(first_runs))
@@ -319,14 +322,16 @@ def _describe(
         draft = replace(draft, outputs=replace(draft.outputs, cells=cells))
     if not generator.inputs:
         return _Description(draft, first_runs, first_probes[0], watch)
-    # Cameras orbit the bounds, so probes are placed a second time, around the measured bounds.
-    references = EagerRuns(generator, _probes(draft, count=options.probes))
-    measured = [first_runs, references]
-    if options.probes < _PROBES["full"]:  # bounds need as many probes as the validator takes
-        measured.append(EagerRuns(generator, _probes(draft, count=_PROBES["full"])))
-    manifest = replace(draft, bounds=measure_bounds(chain(*measured)))
+    # Cameras orbit the bounds, so they are placed a second time, around the measured bounds.
+    placed = EagerRuns(generator, _probes(draft))
+    references = first_runs if placed.has_inputs_of(first_runs) else placed
+    manifest = replace(draft, bounds=measure_bounds(chain(first_runs, references)))
+    # Bounds need every probe that the validator has; a quick comparison takes some of them.
+    last = len(references) - 1
+    compared = references.select(np.linspace(1, last, options.compared).round().astype(int))
+    zeros = references.select([0])
     far = EagerRuns(generator, tuple(_far_probes(manifest)))
-    return _Description(manifest, references + far, references.probes[1], watch)
+    return _Description(manifest, zeros + compared + far, references.probes[1], watch)
 
 
 def _check_inputs(generator: GaussianGenerator) -> None:
@@ -387,7 +392,9 @@ def _manifest(
     )
 
 
-def _probes(manifest: GeneratorManifest, *, seed: int = 0, count: int = 8) -> tuple[Probe, ...]:
+def _probes(
+    manifest: GeneratorManifest, *, seed: int = 0, count: int = _BOUNDS_PROBES
+) -> tuple[Probe, ...]:
     shapes = {entry.name: entry.shape or () for entry in manifest.inputs}
     dtypes = {entry.name: ROLES[entry.role].dtype[0] for entry in manifest.inputs}
     return default_probes(manifest, shapes, dtypes, seed, count)

@@ -226,7 +226,7 @@ def reference_images_present(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _image_fault(folder: Path, image: ReferenceImage) -> tuple[str, str] | None:
-    """Return what is wrong with a reference image's file and what is expected; None if valid."""
+    """Return the fault of a reference image's file, and the expected value; None if valid."""
     expected = "a PNG in the model's folder or below it"
     windows = PureWindowsPath(image.path)
     if "\0" in image.path or PurePosixPath(image.path).is_absolute() or windows.anchor:

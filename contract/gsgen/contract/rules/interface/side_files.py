@@ -25,7 +25,7 @@ def _digest(path: Path) -> str:
 
 
 def _fault(folder: Path, location: str, sha256: str) -> tuple[str, str] | None:
-    """Return what is wrong with a file beside the model and what is expected; None if valid."""
+    """Return the fault of a file beside the model, and the expected value; None if valid."""
     path = folder / location
     if "\0" in location or not path.resolve().is_relative_to(folder.resolve()):
         return "leads out of the model's folder", "a file in it or below"

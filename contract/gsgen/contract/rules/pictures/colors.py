@@ -90,21 +90,25 @@ def _mistake(constant: Float[np.ndarray, "e 3"]) -> str:
     needs=(*VALID_ROWS, *COLORED_ROWS),
 )
 def colors_loaded(sample: DrawnSample) -> Iterator[Violation]:
-    """The colours of the Gaussians are not all zero.
+    """The colours of the Gaussians are not all zero, nor are all degree-0 SH coefficients.
 
     Why:
         All-zero SH show every Gaussian in the same grey, and all-zero RGB in black: the colours
-        were not loaded.
+        were not loaded. Where only degree 0 is zero, columns were read too early, such as the
+        normals of a PLY, which are zero and stand before the colours.
 
     Hint:
-        Load the colours before the export. A scene of one colour needs numbers other than zero.
+        Load the colours before the export, by the names of their columns. A scene of one colour
+        needs numbers other than zero.
     """
-    color = displayed_colors(sample)
-    if color is not None and sample.even_color is not None and not sample.even_color.any():
-        shade = "grey" if sample.emission.is_sh else "black"
-        actual = f"all numbers of {len(color)} rows are zero, so everything is the same {shade}"
-        location = Location(sample.emission.color_place)
-        yield Violation(where=location, expected="colours", actual=actual, certainty="possible")
+    stored = sample.even_color
+    if stored is None or displayed_colors(sample) is None or stored[:, :3].any():
+        return
+    shade = "grey" if sample.emission.is_sh else "black"
+    numbers = "all numbers" if not stored.any() else "all coefficients of degree 0"
+    actual = f"{numbers} of {len(stored)} rows are zero, so everything is the same {shade}"
+    location = Location(sample.emission.color_place)
+    yield Violation(where=location, expected="colours", actual=actual, certainty="possible")
 
 
 # Colours of a photograph differ less between neighbours than between any two rows: the ratio of

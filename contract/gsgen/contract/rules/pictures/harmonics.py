@@ -1,4 +1,4 @@
-"""GV rule of view-dependent SH: f_rest of a PLY that was not transposed."""
+"""GV rule of view-dependent SH: coefficients in the column order of another file or renderer."""
 
 from collections.abc import Iterator
 
@@ -17,6 +17,8 @@ from gsgen.contract.validation.rule import rule
 _CORRELATED, _COPIES = 0.5, 0.9995
 _CLEARER = 0.35
 _SH1 = 12
+# Coefficients of degree 1; blocks of so few numbers leave too little to compare.
+_FIRST_LENGTH = 4
 
 
 @rule(
@@ -33,6 +35,7 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
     Why:
         A 3DGS PLY has f_dc first and then f_rest channel by channel: all red coefficients, all
         green, all blue. Copied as they are, highlights become rainbows that change with the camera.
+        So they do if each degree is stored by channel, or if columns are read too early or late.
 
     Hint:
         Reshape f_rest to [N, 3, K - 1], transpose it to [N, K - 1, 3], and put f_dc in front. If
@@ -41,17 +44,40 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
     color = sample.even_color
     if color is None or not sample.emission.is_sh or color.shape[1] < _SH1:
         return
-    detail = color[:, 3:]
-    stored = _correlation(detail.reshape(len(detail), -1, 3))
-    planar = _correlation(detail.reshape(len(detail), 3, -1).transpose(0, 2, 1))
-    if _CORRELATED < planar < _COPIES and stored < _CLEARER * planar:
+    stored = _correlation(color[:, 3:].reshape(len(color), -1, 3))
+    readings = {name: _correlation(detail) for name, detail in _readings(color)}
+    name = max(readings, key=readings.__getitem__)
+    if _CORRELATED < readings[name] < _COPIES and stored < _CLEARER * readings[name]:
         actual = (
             f"red, green and blue of a coefficient correlate by {stored:.2f} as stored, and by "
-            f"{planar:.2f} if f_rest is read channel-major, as in a 3DGS PLY"
+            f"{readings[name]:.2f} if {name}"
         )
         expected = "a larger correlation as stored, coefficient by coefficient"
         location = Location(sample.emission.color_place, "degree 1 and above")
         yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+
+
+def _readings(color: Float[np.ndarray, "e c"]) -> Iterator[tuple[str, Float[np.ndarray, "e k 3"]]]:
+    """Yield view-dependent coefficients as other files order them, with the name of the order."""
+    rest = color[:, 3:]
+    yield "f_rest is read channel-major, as in a 3DGS PLY", _by_channel(rest)
+    degrees = np.split(rest, [9, 24], axis=1)
+    parts = [_by_channel(columns) for columns in degrees if columns.shape[1]]
+    yield "each degree is read channel-major", np.concatenate(parts, axis=1)
+    length = color.shape[1] // 3
+    if length > _FIRST_LENGTH:
+        # Blocks of K numbers, of which the last one does not fit behind the others.
+        whole = rest.shape[1] - 2 * length
+        blocks = [rest[:, start : start + whole] for start in (0, length, 2 * length)]
+        yield f"f_rest is read in blocks of {length}", np.stack(blocks, axis=2)
+    for step in (1, 2):
+        columns = np.roll(color, -step, axis=1)[:, 3:]
+        name = f"columns are read from number {step} on"
+        yield name, columns.reshape(len(color), -1, 3)
+
+
+def _by_channel(columns: Float[np.ndarray, "e c"]) -> Float[np.ndarray, "e k 3"]:
+    return columns.reshape(len(columns), 3, -1).transpose(0, 2, 1)
 
 
 def _correlation(detail: Float[np.ndarray, "e k 3"]) -> float:

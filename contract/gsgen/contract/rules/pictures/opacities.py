@@ -17,6 +17,9 @@ _SIGMOID_TWICE = (0.5, 0.7311)
 _ROUNDING = 1e-3
 # Equal opacities say nothing of their activation.
 _SPREAD = 0.08
+# Logits that are clamped to [0, 1] are exactly 0 or 1 in at least these fractions of the live rows,
+# and in between in the last one. A sigmoid gives neither, and rows that are culled have no 1.
+_AT_ZERO, _AT_ONE, _BETWEEN = 0.03, 0.2, 0.05
 
 # Colours multiplied by opacity are never brighter than it. The rule applies if enough rows are
 # transparent; the logarithms of both then correlate. Right scenes have up to 0.25, and a factor
@@ -36,24 +39,41 @@ _BLACK = 1e-3
     needs=VALID_ROWS,
 )
 def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
-    """Opacities do not all lie in [0.5, 0.7311], the range of a sigmoid that is applied twice.
+    """Opacities look like the result of one sigmoid: not of two, and not of clamped logits.
 
     Why:
         A sigmoid of an opacity lies between sigmoid(0) = 0.5 and sigmoid(1) = 0.7311: nothing is
-        opaque any more, nothing is nearly transparent, and the scene looks like fog.
+        opaque any more, nothing is nearly transparent, and the scene looks like fog. Logits that
+        were clamped to [0, 1] in place of a sigmoid are 0 or 1 in many rows: soft edges harden.
 
     Hint:
-        Apply the sigmoid once: opacities from a renderer or a file of activated values have it
-        already.
+        Apply the sigmoid once, and do not clamp: opacities from a renderer or a file of activated
+        values have it already.
     """
     opacity = sample.even[:, OPACITY]
     low, high = float(opacity.min()), float(opacity.max())
     is_within = _SIGMOID_TWICE[0] - _ROUNDING <= low and high <= _SIGMOID_TWICE[1] + _ROUNDING
+    location = Location(sample.emission.rows_place, "opacity")
     if is_within and high - low > _SPREAD:
         actual = f"opacities from {low:.4g} to {high:.4g}, as if the sigmoid were applied twice"
         expected = "opacities also below 0.5 or above 0.7311"
-        location = Location(sample.emission.rows_place, "opacity")
         yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+        return
+    zero, one = _shares_at_ends(sample)
+    if zero >= _AT_ZERO and one >= _AT_ONE and 1 - zero - one >= _BETWEEN:
+        actual = (
+            f"opacities are exactly 0 in {zero:.0%} and exactly 1 in {one:.0%} of the live rows, "
+            "as if logits were clamped and had no sigmoid"
+        )
+        expected = "opacities between 0 and 1, as a sigmoid gives them"
+        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+
+
+def _shares_at_ends(sample: DrawnSample) -> tuple[float, float]:
+    """Return the fractions of live rows with an opacity of exactly 0, and of exactly 1."""
+    assert sample.emission.gaussians is not None
+    opacity = sample.emission.gaussians[: sample.emission.count, OPACITY]
+    return float((opacity == 0).mean()), float((opacity == 1).mean())
 
 
 @rule(

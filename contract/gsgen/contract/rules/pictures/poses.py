@@ -1,6 +1,7 @@
 """GB rules of poses: do covariances rotate with positions, and limbs as the pose declares?"""
 
 from collections.abc import Callable, Iterator
+from itertools import permutations
 
 import numpy as np
 
@@ -136,12 +137,12 @@ def pose_read_as_declared(behaviour: Behaviour) -> Iterator[Violation]:
     """Limbs rotate by the angles and about the axes that the pose input declares.
 
     Why:
-        The same numbers are another rotation in degrees, in another order of the quaternion, or
-        inverted. Read so, joints hardly move, or bend the wrong way.
+        The same numbers are another rotation in degrees, in another order of the quaternion or of
+        the axes, or inverted. Read so, joints hardly move, or bend the wrong way.
 
     Hint:
-        Feed radians; check the order of quaternions (w x y z), the sign of rotations, and the
-        declared convention.
+        Feed radians; check the order of quaternions (w x y z), the sign of rotations, the order of
+        axes and joints, and the declared convention.
     """
     for role in ("pose", "root_rotation"):
         entries = [entry for entry, _ in behaviour.subject.inputs_of(role)]
@@ -200,9 +201,25 @@ def _inverse(matrices: Matrices) -> Matrices:
     return lambda values: matrices(values).transpose(0, 2, 1)
 
 
+def _axes(order: tuple[int, ...]) -> Matrices:
+    return lambda vectors: _from_axis_angle(vectors[:, order])
+
+
 _MATRICES: dict[int, Matrices] = {3: _from_axis_angle, 4: rotation_matrix}
 _OTHER_READINGS: dict[int, dict[str, Matrices]] = {
-    3: {"rotations were inverted": _inverse(_from_axis_angle)},
+    3: {
+        "rotations were inverted": _inverse(_from_axis_angle),
+        "angles were halved": lambda v: _from_axis_angle(v / 2),
+        "angles were doubled": lambda v: _from_axis_angle(v * 2),
+        "numbers of all joints were read x first, then y and z": lambda v: _from_axis_angle(
+            v.reshape(3, -1).T
+        ),
+        **{
+            f"axes x y z were read as {' '.join('xyz'[axis] for axis in order)}": _axes(order)
+            for order in permutations(range(3))
+            if order != (0, 1, 2)
+        },
+    },
     4: {
         "quaternions w x y z were read as x y z w": lambda q: rotation_matrix(
             np.roll(q, 1, axis=1)

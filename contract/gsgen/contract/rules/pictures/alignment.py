@@ -1,0 +1,61 @@
+"""How well flat and long Gaussians align with the surface or the strand of their neighbours."""
+
+__all__ = ["FITTING", "RANDOM", "Alignment", "is_of_shape", "measure_alignment"]
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gsgen.contract._array_types import Bool
+from gsgen.contract.probing.drawn_sample import FEWEST_DRAWN, LINEAR, PLANAR, DrawnSample
+
+# A deviation below this is that of Gaussians which follow their neighbours.
+FITTING = 0.3
+# The mean of (d · a)² over unit vectors d that are drawn at random.
+RANDOM = 1 / 3
+
+# A disc has a shortest axis below this fraction of its middle one, a needle a middle axis below
+# this fraction of its longest; there is an alignment if most rows are discs or needles.
+_FLAT = 0.5
+_MOST = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """The alignment of a sample of Gaussians with their neighbours.
+
+    Attributes:
+        deviation: 0 where each disc lies in the plane of its neighbours, and each needle on their
+            line; 1 for directions drawn at random. Right scenes have 0.01 to 0.40, wrong
+            quaternions and axes 0.61 to 1.3.
+        axis: The axis that is compared: 0 is the thinnest, 2 the longest.
+        shape: What the neighbours form.
+    """
+
+    deviation: float
+    axis: Literal[0, 2]
+    shape: Literal["plane", "line"]
+
+
+def measure_alignment(sample: DrawnSample) -> Alignment | None:
+    """Measure how far Gaussians deviate from their neighbours; None without discs or needles."""
+    scatter = sample.scatter_eigenvalues
+    discs, needles = is_of_shape(sample, 0), is_of_shape(sample, 2)
+    if _is_enough(discs) and (limit := scatter[discs, 0].mean()) < PLANAR:
+        share = sample.share_along(0)[discs].mean()
+        return Alignment(float((share - limit) / (RANDOM - limit)), 0, "plane")
+    if _is_enough(needles) and (limit := scatter[needles, 2].mean()) > LINEAR:
+        share = sample.share_along(2)[needles].mean()
+        return Alignment(float((limit - share) / (limit - RANDOM)), 2, "line")
+    return None
+
+
+def is_of_shape(sample: DrawnSample, axis: Literal[0, 2]) -> Bool[np.ndarray, " m"]:
+    """Return the mask of discs (axis 0, thin) or of needles (axis 2, long) of a sample."""
+    shortest, middle, longest = sample.sigma.T
+    return np.asarray(shortest < _FLAT * middle if axis == 0 else middle < _FLAT * longest)
+
+
+def _is_enough(mask: Bool[np.ndarray, " m"]) -> bool:
+    return bool(mask.mean() >= _MOST and np.count_nonzero(mask) >= FEWEST_DRAWN // 2)

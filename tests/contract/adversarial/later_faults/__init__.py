@@ -1,0 +1,1 @@
+"""Faulty models that were written after the rules had been changed for the first ones."""
