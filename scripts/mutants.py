@@ -2,13 +2,14 @@
 
 cosmic-ray writes the mutants; a copy of the working tree holds them. A mutant is killed if a test
 fails or exceeds the time limit. Prints each survivor as a diff, and exits 1 if fewer mutants than
-the bar are killed.
+the bar are killed. A run that was stopped goes on where it was: outcomes are kept in a file.
 
     .venv/bin/python scripts/mutants.py --count 300 --seed 0 --minutes 90
 """
 
 import argparse
 import difflib
+import json
 import os
 import random
 import shutil
@@ -17,6 +18,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from cosmic_ray.ast import ast_nodes, get_ast
@@ -28,6 +30,8 @@ PACKAGES = ("contract", "sdk", "runtime", "reference_plugins")
 BAR = 0.9
 MOST_TEST_FILES = 6
 SECONDS = 180
+EQUIVALENT = {"", "@final"}
+"""Lines that do nothing when the program runs, so that no test can miss them."""
 SKIPPED_OPERATORS = ("BitOr",)
 """Parts of names: most `|` join types in annotations, where every mutant fails at import."""
 
@@ -56,14 +60,20 @@ def main() -> int:
     deadline = time.monotonic() + 60 * options.minutes
     outcomes = ("killed", "survived", "without tests", "tests fail")
     results: dict[str, int] = dict.fromkeys(outcomes, 0)
+    known = read_outcomes(options.results)
     with tempfile.TemporaryDirectory(prefix="gsgen-mutants-") as name:
         copy = copy_of_tree(Path(name))
         for _ in range(options.count):
             if time.monotonic() > deadline:
                 break
             mutant = draw(generator)
-            tests = tests_of(mutant.path)
-            outcome = evaluate(mutant, tests, copy) if tests else "without tests"
+            key = f"{mutant.path} {mutant.operator} {mutant.diff}"
+            tests = tuple(tests_of(mutant.path))
+            if key not in known:
+                known[key] = evaluate(mutant, tests, copy) if tests else "without tests"
+                with options.results.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps([key, known[key]]) + "\n")
+            outcome = known[key]
             results[outcome] += 1
             print(f"{outcome:<14}{mutant.path} {mutant.operator}", flush=True)
             if outcome != "killed":
@@ -79,7 +89,20 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--count", type=int, default=300, help="number of mutants")
     parser.add_argument("--seed", type=int, default=0, help="seed of the sample")
     parser.add_argument("--minutes", type=float, default=90, help="no mutant starts later")
+    results = ROOT / "out" / "mutants.jsonl"
+    parser.add_argument("--results", type=Path, default=results, help="outcomes so far")
     return parser
+
+
+def read_outcomes(path: Path) -> dict[str, str]:
+    """Return the mutants that an earlier run killed, and make the folder of the file.
+
+    The others run again, since there may be a new test; a mutant of code that has changed since
+    has another diff.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = path.read_text("utf-8").splitlines() if path.exists() else []
+    return {key: outcome for key, outcome in map(json.loads, lines) if outcome == "killed"}
 
 
 def copy_of_tree(folder: Path) -> Path:
@@ -114,8 +137,13 @@ def draw(generator: random.Random) -> Mutant:
             positions = sum(len(list(operator.mutation_positions(node))) for node in nodes)
             if positions:
                 mutated = mutate_code(code, operator, generator.randrange(positions))
-                if mutated and mutated != code:
+                if mutated and _removed(code, mutated) - EQUIVALENT:
                     return Mutant(file.relative_to(ROOT), name, mutated, _diff(code, mutated))
+
+
+def _removed(before: str, after: str) -> set[str]:
+    lines = difflib.ndiff(before.splitlines(), after.splitlines())
+    return {line[2:].strip() for line in lines if line.startswith("- ")}
 
 
 def _diff(before: str, after: str) -> str:
@@ -137,7 +165,7 @@ def tests_of(path: Path) -> list[str]:
     return [file.relative_to(ROOT).as_posix() for file in selected]
 
 
-def evaluate(mutant: Mutant, tests: list[str], copy: Path) -> str:
+def evaluate(mutant: Mutant, tests: tuple[str, ...], copy: Path) -> str:
     """Run ``tests`` on a mutant in the copy of the tree, and return the outcome.
 
     A mutant counts as killed only if the same tests pass on the original.
@@ -150,10 +178,16 @@ def evaluate(mutant: Mutant, tests: list[str], copy: Path) -> str:
             return "survived"
     finally:
         target.write_text(original, "utf-8")
-    return "killed" if passes(tests, copy) else "tests fail"
+    return "killed" if original_passes(tests, copy) else "tests fail"
 
 
-def passes(tests: list[str], copy: Path) -> bool:
+@cache
+def original_passes(tests: tuple[str, ...], copy: Path) -> bool:
+    """Return whether the tests pass on the code as it is."""
+    return passes(tests, copy)
+
+
+def passes(tests: tuple[str, ...], copy: Path) -> bool:
     """Return whether the tests pass in the copy of the tree, within the time limit."""
     roots = os.pathsep.join(str(copy / package) for package in PACKAGES)
     environment = os.environ | {"PYTHONPATH": roots, "PYTHONDONTWRITEBYTECODE": "1"}

@@ -8,6 +8,7 @@ in, but for those of the command line's own tests.
 import os
 import sys
 import threading
+from collections import Counter
 from collections.abc import Generator, Iterator
 from unittest.mock import patch
 
@@ -22,6 +23,21 @@ _ON = {name: value for name, value in os.environ.items() if name.startswith("COV
 os.environ["GSGEN_NO_CACHE"] = "1"  # no test keeps what it measured of a driver
 
 
+# These take longest: they start first, so that no worker is left with one of them at the end.
+_SLOWEST = (
+    "test_guides.py",
+    "test_encodings.py",
+    "test_demo.py",
+    "test_simulate.py",
+    "test_family_guide.py",
+    "test_element.py",
+    "test_pictures.py",
+    "test_corpus.py",
+    "test_site.py",
+    "test_adversarial.py",
+    "test_cache_machine.py",
+    "test_from_checkpoint_to_files.py",
+)
 # The folders whose tests cover the contract, which has a least share of lines.
 _MEASURED = {"cli", "conformance", "contract"}
 
@@ -30,6 +46,17 @@ def pytest_configure(config: pytest.Config) -> None:
     if "PYTEST_XDIST_WORKER" in os.environ:  # started, and measured already
         for name in _ON:
             os.environ.pop(name, None)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--slowest-files", type=int, default=0, help="Print the files whose tests took longest."
+    )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    rank = {name: number for number, name in enumerate(_SLOWEST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -66,10 +93,16 @@ def _sandbox_children(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say how large the corpus is that was judged, and whether any rule spoke out of turn."""
+    """Print the size of the corpus, whether a rule failed out of turn, and the slowest files."""
     stats = terminalreporter.stats
-    passed = [(one.nodeid, True) for one in stats.get("passed", ())]
-    failed = [(one.nodeid, False) for one in stats.get("failed", ()) if one.when == "call"]
+    passed = [(report.nodeid, True) for report in stats.get("passed", ())]
+    failed = [(report.nodeid, False) for report in stats.get("failed", ()) if report.when == "call"]
     line = corpus_line([*passed, *failed])
     if line:
         terminalreporter.write_line(f"corpus: {line}")
+    seconds: Counter[str] = Counter()
+    for report in (report for reports in stats.values() for report in reports):
+        if isinstance(report, pytest.TestReport):
+            seconds[report.nodeid.partition("::")[0]] += report.duration
+    for name, total in seconds.most_common(terminalreporter.config.getoption("--slowest-files")):
+        terminalreporter.write_line(f"{total:7.1f} s {name}")

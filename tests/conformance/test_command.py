@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 
 from conformance.conftest import write
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 
 def test_each_suite_is_one_line_and_failures_say_how_to_see_them_again(folder: Path) -> None:
     write(folder, "drift", "opacity_is_logits")
-    ran = gsgen(
+    ran = gsgen_here(
         *(
             "conformance",
             "drift.onnx",
@@ -34,13 +34,13 @@ def test_each_suite_is_one_line_and_failures_say_how_to_see_them_again(folder: P
     assert "  basic: GV003-opacity-range failed" in lines
     (line,) = [line for line in lines if "reproduce: " in line]
     words = shlex.split(line.partition("reproduce: ")[2])
-    assert gsgen(*words[1:], cwd=folder).code == 1
+    assert gsgen_here(*words[1:], cwd=folder).code == 1
     assert (folder / "dumps" / "opacity_is_logits.core.GV003.npz").is_file()
 
 
 def test_json_lists_every_case(folder: Path) -> None:
     (model,) = write(folder, "drift")
-    ran = gsgen("conformance", model, "--format", "json", "--level", "static")
+    ran = gsgen_here("conformance", model, "--format", "json", "--level", "static")
     assert ran.code == 0
     document = json.loads(ran.out)
     assert document["schema"] == "gsgen-conformance/1"
@@ -66,7 +66,7 @@ def test_pytest_need_not_be_installed(folder: Path) -> None:
 
 def test_one_suite_alone(folder: Path) -> None:
     (model,) = write(folder, "drift")
-    ran = gsgen("conformance", model, "--suite", "time", "--level", "static")
+    ran = gsgen_here("conformance", model, "--suite", "time", "--level", "static")
     assert ran.code == 0
     assert "  time " in ran.out
     assert "  basic " not in ran.out
@@ -76,10 +76,10 @@ def test_exit_codes_are_those_of_validate(folder: Path) -> None:
     (model,) = write(folder, "drift")
     empty = folder / "empty.onnx"
     empty.touch()
-    ran = gsgen("conformance", empty, model, "--level", "static")
+    ran = gsgen_here("conformance", empty, model, "--level", "static")
     assert ran.code == 4
     assert "is empty (0 bytes)" in ran.err
     assert "passed: " in ran.out
-    wrong = gsgen("conformance", model, "--suite", "tme")
+    wrong = gsgen_here("conformance", model, "--suite", "tme")
     assert wrong.code == 2
     assert "Did you mean 'time'?" in wrong.err

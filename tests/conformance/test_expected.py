@@ -8,7 +8,7 @@ from conformance.conftest import run_pytest, write
 from gsgen.conformance.expected import ExpectedFailure, read_expected, unmatched_entries
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.rules.catalogue import installed_rules
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 KNOWN = '[[xfail]]\nrule = "opacity-range"\nmodel = "opacity*.onnx"\nreason = "until 2.0"\n'
 
@@ -101,15 +101,15 @@ def test_on_the_command_line_it_is_the_same(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
     known = folder / "known.toml"
     known.write_text(KNOWN)
-    ran = gsgen("conformance", model, "--xfails", known, "--level", "values")
+    ran = gsgen_here("conformance", model, "--xfails", known, "--level", "values")
     assert ran.code == 0, ran.out + ran.err
     assert "1 expected" in ran.out
     assert "until 2.0" in ran.out
     known.write_text(KNOWN.replace("opacity-range", "rows-finite"))
-    ran = gsgen("conformance", model, "--xfails", known, "--level", "values")
+    ran = gsgen_here("conformance", model, "--xfails", known, "--level", "values")
     assert ran.code == 1
     assert "2 failed" in ran.out
     known.write_text(KNOWN.replace("opacity*", "none"))
-    ran = gsgen("conformance", model, "--xfails", known, "--level", "static")
+    ran = gsgen_here("conformance", model, "--xfails", known, "--level", "static")
     assert ran.code == 2
     assert "matches no rule of any tested model" in ran.err

@@ -10,13 +10,13 @@ from gsgen.conformance.reproduction import reproduce
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.validation.settings import Settings
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 
 def test_a_probe_that_breaks_a_rule_shows_its_rows_and_exits_1(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
     dump = folder / "deep" / "out.npz"
-    ran = gsgen("repro", model, "--rule", "opacity-range", "--probe", "0", "--dump", dump)
+    ran = gsgen_here("repro", model, "--rule", "opacity-range", "--probe", "0", "--dump", dump)
     assert ran.code == 1, ran.err
     assert "GV003 error opacity-range" in ran.out
     assert "rows at probe no inputs:" in ran.out
@@ -29,14 +29,14 @@ def test_a_probe_that_breaks_a_rule_shows_its_rows_and_exits_1(folder: Path) -> 
 
 def test_without_a_probe_all_are_judged(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
-    ran = gsgen("repro", model, "--rule", "GV003")
+    ran = gsgen_here("repro", model, "--rule", "GV003")
     assert ran.code == 1
     assert "rows at probe no inputs:" in ran.out
 
 
 def test_a_rule_that_holds_exits_0(folder: Path) -> None:
     (model,) = write(folder, "drift")
-    ran = gsgen("repro", model, "--rule", "GV003", "--probe", "time=0.286")
+    ran = gsgen_here("repro", model, "--rule", "GV003", "--probe", "time=0.286")
     assert ran.code == 0
     assert ran.out == f"does not reproduce: GV003 holds for {model} at probe time=0.286\n"
 
@@ -76,7 +76,7 @@ def test_trouble_has_its_own_exit_codes(
 ) -> None:
     write(folder, "drift")
     (folder / "empty.onnx").touch()
-    ran = gsgen("repro", folder / f"{name}.onnx", "--rule", rule)
+    ran = gsgen_here("repro", folder / f"{name}.onnx", "--rule", rule)
     assert ran.code == code, ran.out
     assert words in ran.err
     assert "Traceback" not in ran.err

@@ -11,7 +11,7 @@ from conformance.conftest import property_of, run_pytest, write
 from gsgen.contract import validate
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 Found = tuple[str, str, str, str]
 
@@ -40,11 +40,11 @@ def test_all_front_ends_agree(folder: Path, target: str) -> None:
     }
     assert sum(map(len, python.values())) >= 2
 
-    ran = gsgen("validate", *named, "--target", target, "--format", "json", cwd=folder)
+    ran = gsgen_here("validate", *named, "--target", target, "--format", "json", cwd=folder)
     reports = json.loads(ran.out)["reports"]
     assert {r["subject"]["uri"]: told(r["findings"]) for r in reports} == python
 
-    suites = gsgen("conformance", *named, "--target", target, "--format", "json", cwd=folder)
+    suites = gsgen_here("conformance", *named, "--target", target, "--format", "json", cwd=folder)
     models = json.loads(suites.out)["models"]
     assert {m["subject"]["uri"]: told(m["findings"]) for m in models} == python
     assert suites.code == ran.code == 1

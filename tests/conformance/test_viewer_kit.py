@@ -28,7 +28,7 @@ from gsgen.contract import validate
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.settings import Settings
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 FIRST = kit_cases()[0].name
 
@@ -190,7 +190,9 @@ def test_the_command_names_a_missing_picture_and_writes_a_page(kit: Path, tmp_pa
     for path in (kit / "expected").glob("*.npy"):
         (pictures / path.name).write_bytes(path.read_bytes())
     (pictures / f"{FIRST}-0.npy").unlink()
-    ran = gsgen("viewer-kit", "check", str(kit), str(pictures), "--html", "p.html", cwd=tmp_path)
+    ran = gsgen_here(
+        "viewer-kit", "check", str(kit), str(pictures), "--html", "p.html", cwd=tmp_path
+    )
     assert ran.code == 1
     assert f"failed: {FIRST}: {FIRST}-0: the picture is missing" in ran.out
     page = (tmp_path / "p.html").read_text("utf-8")
@@ -202,7 +204,7 @@ def test_the_command_names_a_missing_picture_and_writes_a_page(kit: Path, tmp_pa
 
 
 def test_a_folder_that_is_no_kit_or_is_full_is_refused(tmp_path: Path) -> None:
-    ran = gsgen("viewer-kit", "check", str(tmp_path), str(tmp_path), cwd=tmp_path)
+    ran = gsgen_here("viewer-kit", "check", str(tmp_path), str(tmp_path), cwd=tmp_path)
     assert ran.code == 4
     assert "index.json" in ran.err
     (tmp_path / "file").touch()

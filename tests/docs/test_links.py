@@ -10,7 +10,7 @@ import yaml
 from gsgen.contract._extensions import find_commands
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.sdk.passes.registry import REWRITES
-from support.commands import ROOT, gsgen
+from support.commands import ROOT, gsgen_here
 from support.reports.pages import DOCS, README, anchors, links, name_of, pages
 
 
@@ -35,7 +35,7 @@ def test_every_rule_is_listed_and_has_a_page():
 
 @pytest.mark.parametrize("page", [README, DOCS / "commands.md"], ids=name_of)
 def test_every_command_is_described(page):
-    text, shown = page.read_text("utf-8"), gsgen("--help").out
+    text, shown = page.read_text("utf-8"), gsgen_here("--help").out
     for name in find_commands():
         assert f" {name} " in shown
         assert f"`gsgen {name}" in text, f"{name_of(page)} does not describe {name}"

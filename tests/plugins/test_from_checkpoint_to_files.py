@@ -22,7 +22,7 @@ from gsgen.reference_plugins.synthetic import (
     write_scaffold,
     write_spacetime,
 )
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 BLACK = 12  # a byte of a pixel on which nothing is drawn
 
@@ -87,7 +87,7 @@ WRITERS = {"gsplat": write_gsplat, "scaffold": write_anchors, "spacetime": write
 
 
 def run(command: str, source: str, cwd: Path) -> str:
-    ran = gsgen(*command.format(source=source).split(), cwd=cwd)
+    ran = gsgen_here(*command.format(source=source).split(), cwd=cwd)
     assert ran.code == 0, (command, ran.err)
     assert "Traceback" not in ran.err
     return ran.out
@@ -104,7 +104,7 @@ def test_a_command_each_gives_a_model_a_picture_and_a_sog(name: str, tmp_path: P
     walk = WALKS[name]
     WRITERS[name](tmp_path)
     assert "conforms" in run(walk.model, walk.source, tmp_path)
-    validated = gsgen("validate", "model.onnx", "--target", "webgpu", cwd=tmp_path)
+    validated = gsgen_here("validate", "model.onnx", "--target", "webgpu", cwd=tmp_path)
     assert validated.code == 0, validated.out
     run(walk.picture, walk.source, tmp_path)
     assert drawn_share(tmp_path / "picture.png") > 0.02
@@ -137,14 +137,14 @@ def test_a_step_too_early_names_the_right_command(
 ) -> None:
     WRITERS[name](tmp_path)
     source = WALKS[name].source
-    ran = gsgen(*command.format(source=source).split(), cwd=tmp_path)
+    ran = gsgen_here(*command.format(source=source).split(), cwd=tmp_path)
     assert ran.code == 4, ran.err
     assert hint in ran.err
     assert "Traceback" not in ran.err
 
 
 def test_the_plugins_of_the_walk_are_listed(tmp_path: Path) -> None:
-    entries = {entry["name"]: entry for entry in json.loads(gsgen("plugins", "--json").out)}
+    entries = {entry["name"]: entry for entry in json.loads(gsgen_here("plugins", "--json").out)}
     for name in ("static", "scaffold-gs", "spacetime-gaussians"):
         assert entries[name]["usable"]
     readme = (Path(__file__).parents[2] / "README.md").read_text("utf-8")

@@ -36,7 +36,7 @@ from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.exporting.exporter import Exported
 from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
 from support.checkpoints.plugin_checks import assert_margin, stored, weights_of
-from support.commands import gsgen, shared
+from support.commands import gsgen_here, shared
 from support.models.captured import assert_captured
 
 BUILD: dict[str, Callable[..., GaussianGenerator]] = {
@@ -151,7 +151,7 @@ def test_harmonics_of_any_degree_are_exported_in_half_precision(tmp_path: Path) 
 def test_a_mistake_is_explained(tmp_path: Path) -> None:
     write_octree(tmp_path / "run", AnchorOptions(anchors=3, iteration=40000, united=True))
     words = ("--checkpoint", "run", "--iteration", "7", "-o", "x.onnx")
-    ran = gsgen("export", "octree-gs", *words, cwd=tmp_path)
+    ran = gsgen_here("export", "octree-gs", *words, cwd=tmp_path)
     assert ran.code == 2, ran.err
     assert "There are: 40000." in ran.err
     assert "Traceback" not in ran.err

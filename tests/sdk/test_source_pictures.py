@@ -15,7 +15,7 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.sdk import GaussianGenerator, Gaussians, export, inputs
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 RENDER = Settings(level=Level.RENDER)
 
@@ -100,7 +100,7 @@ def test_a_scene_of_a_file_has_no_module_to_draw(tmp_path):
     points = np.random.default_rng(0).normal(size=(9, 3)).astype(np.float32)
     np.savez(tmp_path / "points.npz", points=points, colors=np.abs(np.tanh(points)))
     words = ("export", "static", "points.npz", "-o", "a.onnx", "--pictures", "1")
-    done = gsgen(*words, cwd=tmp_path)
+    done = gsgen_here(*words, cwd=tmp_path)
     assert (done.code, done.out) == (2, "")
     assert "--pictures: only a generator in torch has an eager module to draw" in done.err
     assert not (tmp_path / "a.onnx").exists()

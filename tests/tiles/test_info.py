@@ -9,7 +9,7 @@ import pytest
 from gsgen.tiles.info import describe_tileset
 from gsgen.tiles.serving.server import serve_folder
 from gsgen.tiles.validation.sketches import explicit_sketch, implicit_sketch
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 KEYS = ("tiles", "splats", "leaf_splats", "bytes", "sh_degree", "refine", "levels", "box")
 
@@ -24,7 +24,7 @@ def test_numbers_are_those_of_the_files(tmp_path: Path, make, levels: int) -> No
     path = tmp_path / "tileset.json"
     sketch = make()
     sketch.write(path)
-    done = gsgen("tiles", "info", path, "--json")
+    done = gsgen_here("tiles", "info", path, "--json")
     assert done.code == 0, done.err
     told = json.loads(done.out)
     assert set(KEYS) | {"transform"} <= told.keys()
@@ -35,7 +35,7 @@ def test_numbers_are_those_of_the_files(tmp_path: Path, make, levels: int) -> No
     assert len(told["levels"]) == levels
     assert told["leaf_splats"] == sketch.document["metadata"]["properties"]["source_splats"]
     assert told["sh_degree"] == 1
-    text = gsgen("tiles", "info", path)
+    text = gsgen_here("tiles", "info", path)
     assert f"{told['splats']:,} splats" in text.out
 
 
@@ -50,7 +50,7 @@ def test_without_metadata_the_headers_say_the_same(tmp_path: Path) -> None:
 
 
 def test_a_missing_tileset_ends_with_four(tmp_path: Path) -> None:
-    done = gsgen("tiles", "info", tmp_path / "none.json")
+    done = gsgen_here("tiles", "info", tmp_path / "none.json")
     assert done.code == 4
     assert "none.json" in done.err
     assert "Traceback" not in done.err
@@ -64,7 +64,7 @@ def test_a_served_tileset_is_described_and_validated(tmp_path: Path) -> None:
         try:
             address = f"{server.address}tileset.json"
             assert describe_tileset(address) == describe_tileset(tmp_path)
-            done = gsgen("validate", address)
+            done = gsgen_here("validate", address)
         finally:
             server.shutdown()
             thread.join()

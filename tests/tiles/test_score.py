@@ -12,7 +12,7 @@ from gsgen.tiles.leaves import read_leaves
 from gsgen.tiles.loading import open_tileset
 from gsgen.tiles.scoring.score import DISTANCES, level_cut
 from gsgen.tiles.validation.sketches import explicit_sketch, implicit_sketch
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 
 @pytest.mark.parametrize("make", [explicit_sketch, implicit_sketch])
@@ -33,7 +33,7 @@ def test_all_leaves_look_like_the_scene_and_the_root_does_less(tmp_path: Path) -
     scene, picture = tmp_path / "scene.ply", tmp_path / "out" / "levels.png"
     write_ply(scene, read_leaves(folder))
     words = ("tiles", "score", folder, scene, "-o", picture, "--width", "96", "--height", "64")
-    done = gsgen(*words, "--json")
+    done = gsgen_here(*words, "--json")
     assert done.code == 0, done.err
     told = json.loads(done.out)
     root, leaves = told["levels"]
@@ -48,13 +48,13 @@ def test_all_leaves_look_like_the_scene_and_the_root_does_less(tmp_path: Path) -
     assert sheet.shape[0] > rows * 64
     assert sheet.shape[1] > columns * 96
     assert np.ptp(sheet) > 100
-    table = gsgen(*words).out
+    table = gsgen_here(*words).out
     assert table.splitlines()[1].split()[:3] == ["1", "2", "48"]
 
 
 def test_a_scene_that_is_missing_ends_with_four(tmp_path: Path) -> None:
     explicit_sketch().write(tmp_path / "tileset.json")
-    done = gsgen("tiles", "score", tmp_path, tmp_path / "none.ply")
+    done = gsgen_here("tiles", "score", tmp_path, tmp_path / "none.ply")
     assert done.code == 4
     assert "none.ply" in done.err
     assert "Traceback" not in done.err

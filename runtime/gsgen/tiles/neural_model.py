@@ -1,6 +1,6 @@
 """Checks the generator of a neural tile against the contract and the tile's declaration."""
 
-__all__ = ["MAX_MODEL", "check_digest", "check_neural_model"]
+__all__ = ["MAX_MODEL", "check_digest", "check_neural_model", "validate_model"]
 
 import hashlib
 from collections.abc import Iterator
@@ -35,6 +35,13 @@ def check_digest(data: bytes, neural: NeuralTile, location: str) -> Iterator[Vio
         )
 
 
+def validate_model(path: Path) -> Report:
+    """Validate the generator of a neural tile, whose bounds have to hold at every probe."""
+    from gsgen.contract import Level, Settings, validate
+
+    return validate(path, Settings(level=Level.VALUES, severities={_BOUNDS_HOLD: Severity.ERROR}))
+
+
 def check_neural_model(
     path: Path, tile: Tile, neural: NeuralTile, location: str
 ) -> Iterator[Violation]:
@@ -46,11 +53,10 @@ def check_neural_model(
         neural: The declaration.
         location: Of the tile, in violations.
     """
-    from gsgen.contract import Level, Settings, open_model, validate
+    from gsgen.contract import open_model
 
-    settings = Settings(level=Level.VALUES, severities={_BOUNDS_HOLD: Severity.ERROR})
     try:
-        report: Report = validate(path, settings)
+        report = validate_model(path)
         text = open_model(path).manifest_text
     except GsgenError as error:
         yield Violation.at(location, f"{neural.uri}: {error.message}", "a Gaussian Generator")

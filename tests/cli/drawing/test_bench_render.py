@@ -18,7 +18,7 @@ from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.mesh import Mesh, MeshData
 from gsgen.runtime.sources.opening import open_source
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 STAGES = ["project", "sort", "bin", "group", "blend"]
 SMALL = ("--width", "48", "--height", "32", "--frames", "3")
@@ -87,7 +87,7 @@ def test_what_the_rasteriser_draws_is_a_stage(scenes: list[Path], renderer: Rend
 
 
 def test_the_table(scenes: list[Path], tmp_path: Path) -> None:
-    finished = gsgen("bench-render", *scenes, *SMALL, "-o", tmp_path / "new" / "cost.json")
+    finished = gsgen_here("bench-render", *scenes, *SMALL, "-o", tmp_path / "new" / "cost.json")
     assert finished.code == 0, finished.err
     for words in ("wall", "CPU, all threads", "inference, drift.onnx", "blend, ", "p95 ms",
                   "3 frames of 48×32", "205 Gaussians", "56 bytes each"):  # fmt: skip

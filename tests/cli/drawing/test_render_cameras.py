@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from support.commands import Ran, gsgen
+from support.commands import Ran, gsgen_here
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def to_world(z: float) -> list[list[float]]:
 
 
 def drawn(folder: Path, *words: str) -> Ran:
-    return gsgen("render", "cloud.npz", "-o", "out.png", *words, cwd=folder)
+    return gsgen_here("render", "cloud.npz", "-o", "out.png", *words, cwd=folder)
 
 
 def picture(folder: Path) -> np.ndarray:
@@ -65,7 +65,7 @@ def test_a_panorama_is_twice_as_wide_as_high(folder: Path) -> None:
 
 def test_a_panorama_in_a_jpeg_says_so_to_viewers(folder: Path) -> None:
     words = ("--panorama", "--width", "64", "-o", "around.jpg")
-    assert gsgen("render", "cloud.npz", *words, cwd=folder).code == 0
+    assert gsgen_here("render", "cloud.npz", *words, cwd=folder).code == 0
     with Image.open(folder / "around.jpg") as image:
         document = fromstring(image.info["xmp"])[0][0].attrib
     term = "{http://ns.google.com/photos/1.0/panorama/}"

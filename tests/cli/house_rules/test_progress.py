@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 from gsgen.contract.commands.progress import clear, progress
+from gsgen.tiles.build.progress import BarProgress
 
 
 class Terminal(io.StringIO):
@@ -74,3 +75,17 @@ def test_clear_without_progress_does_nothing(monkeypatch: pytest.MonkeyPatch) ->
     with open_terminal(monkeypatch) as terminal:
         clear()
     assert terminal.getvalue() == ""
+
+
+def test_texts_pass_the_transliteration_while_a_build_shows_its_bar(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """rich's stand-ins for the streams would write characters that the encoding lacks."""
+    with open_terminal(monkeypatch) as terminal, BarProgress() as build:
+        build.begin("leaves", 100)
+        assert sys.stderr is terminal
+        build.advance(50)
+        build.note("[tile] 7 is empty")
+    assert "note: [tile] 7 is empty" in terminal.plain()
+    assert "50 of 100 splats" in terminal.plain()
+    assert terminal.getvalue().count("\x1b[?25l") == terminal.getvalue().count("\x1b[?25h")

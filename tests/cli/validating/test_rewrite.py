@@ -5,27 +5,27 @@ import sys
 from pathlib import Path
 
 from gsgen.conformance.fixtures import find
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 
 def test_a_model_is_rewritten_and_validates_for_the_viewer(tmp_path: Path) -> None:
     path, result = find("largest_of_two_on_jsep").write(tmp_path), tmp_path / "made.onnx"
-    before = gsgen("validate", path, "--target", "visionary", "--level", "static")
+    before = gsgen_here("validate", path, "--target", "visionary", "--level", "static")
     assert "GG006" in before.out
-    ran = gsgen("rewrite", path, "-o", result, "--target", "visionary")
+    ran = gsgen_here("rewrite", path, "-o", result, "--target", "visionary")
     assert ran.code == 0, ran.err
     assert "select-extremes: 1× " in ran.out
     assert ran.err == ""
-    after = gsgen("validate", result, "--target", "visionary", "--level", "static")
+    after = gsgen_here("validate", result, "--target", "visionary", "--level", "static")
     assert "GG006" not in after.out
 
 
 def test_a_mistake_is_told_without_a_traceback(tmp_path: Path) -> None:
     path = find("drift").write(tmp_path)
-    ran = gsgen("rewrite", path, "-o", tmp_path / "o.onnx", "--pass", "chunk-conat")
+    ran = gsgen_here("rewrite", path, "-o", tmp_path / "o.onnx", "--pass", "chunk-conat")
     assert ran.code == 2
     assert "Did you mean 'chunk-concat'?" in ran.err
-    resolved = gsgen("rewrite", tmp_path / "gone.onnx", "--dry-run")
+    resolved = gsgen_here("rewrite", tmp_path / "gone.onnx", "--dry-run")
     assert resolved.code == 4
     assert "Traceback" not in ran.err + resolved.err
 

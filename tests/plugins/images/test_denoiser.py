@@ -23,7 +23,7 @@ from gsgen.sdk.exporting.post_process_exporter import ExportedImage, export_post
 from gsgen.sdk.plugins.export_job import run_export
 from gsgen.sdk.plugins.export_options import ExportRequest
 from support.checkpoints.diffusion_oracle import unet
-from support.commands import gsgen, shared
+from support.commands import gsgen_here, shared
 from support.models.captured import assert_captured
 
 # One level: what is traced twice need not be large.
@@ -379,7 +379,7 @@ def test_a_user_exports_half_precision_and_is_told_what_was_found(tmp_path: Path
     folder = write_denoiser(tmp_path / "run", SMALL)
     out = tmp_path / "clean.onnx"
     words = ("--level", "static", "--size", "8x12", "--dtype", "float16")
-    completed = gsgen("export", "denoiser", "--checkpoint", folder, "-o", out, *words)
+    completed = gsgen_here("export", "denoiser", "--checkpoint", folder, "-o", out, *words)
     assert completed.code == 0, completed.err
     assert "sides are multiples of 1" in completed.err
     assert "an image of 8 × 12 (height × width), float16" in completed.out

@@ -16,7 +16,7 @@ from gsgen.formats import open_splats
 from gsgen.reference_plugins.samples import write_samples
 from gsgen.reference_plugins.samples.files import SAMPLES
 from gsgen.reference_plugins.samples.sunflower import JOINTS
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 MOST_BYTES = 6_000_000
 
@@ -46,7 +46,7 @@ def rodrigues(vector: np.ndarray) -> np.ndarray:
 
 
 def test_the_command_writes_and_lists_every_file(tmp_path: Path) -> None:
-    result = gsgen("samples", tmp_path / "new" / "folder", "--json")
+    result = gsgen_here("samples", tmp_path / "new" / "folder", "--json")
     assert result.code == 0, result.err
     paths = [Path(path) for path in json.loads(result.out)]
     assert [path.name for path in paths] == list(SAMPLES)
@@ -55,7 +55,7 @@ def test_the_command_writes_and_lists_every_file(tmp_path: Path) -> None:
 
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", "utf-8")
-    result = gsgen("samples", tmp_path / "file")
+    result = gsgen_here("samples", tmp_path / "file")
     assert result.code == 2
     assert "Traceback" not in result.err
 

@@ -13,7 +13,7 @@ from gsgen.contract.validator import validate
 from gsgen.formats import PackedRows, PointCloud, open_splats, write_ply
 from gsgen.reference_plugins.static.static import from_content, neighbour_scale
 from gsgen.reference_plugins.synthetic import torus_knot
-from support.commands import gsgen, gsgen_here, shared
+from support.commands import gsgen_here, shared
 from support.models.static_scenes import write_scene
 
 
@@ -138,7 +138,9 @@ def test_a_capacity_below_the_rows_is_refused(tmp_path: Path) -> None:
 
 def test_the_real_garden_exports_and_conforms(tmp_path: Path) -> None:
     garden = shared("data/garden/test_garden.npz")
-    ran = gsgen("export", "static", garden, "-o", tmp_path / "garden.onnx", "--dtype", "float16")
+    ran = gsgen_here(
+        "export", "static", garden, "-o", tmp_path / "garden.onnx", "--dtype", "float16"
+    )
     assert ran.code == 0, ran.err
     report = validate(tmp_path / "garden.onnx")
     assert report.verdict == "conforms"
@@ -152,6 +154,6 @@ def test_the_real_garden_exports_and_conforms(tmp_path: Path) -> None:
 
 def test_the_real_splats_export_and_conform(tmp_path: Path) -> None:
     source = shared("data/twins/test-splat.3-points-from-train.ply")
-    ran = gsgen("export", "static", source, "-o", tmp_path / "three.onnx")
+    ran = gsgen_here("export", "static", source, "-o", tmp_path / "three.onnx")
     assert ran.code == 0, ran.err
     assert validate(tmp_path / "three.onnx").capacity == 3

@@ -7,7 +7,7 @@ import onnx
 import pytest
 
 from gsgen.formats import write_glb
-from support.commands import gsgen
+from support.commands import gsgen_here
 from support.splat_files import GOLDENS, scene
 
 
@@ -22,7 +22,7 @@ def manifest_of(path: Path) -> dict:
 )
 def test_what_an_spz_says_of_its_training_is_kept(tmp_path, options, kept):
     model = tmp_path / "m.onnx"
-    ran = gsgen(
+    ran = gsgen_here(
         *("export", "static", GOLDENS / "degree-4.v4.spz", "-o", model, "--level", "static"),
         *options,
     )
@@ -34,6 +34,6 @@ def test_what_an_spz_says_of_its_training_is_kept(tmp_path, options, kept):
 def test_what_a_glb_says_of_its_colours_is_kept(tmp_path):
     write_glb(tmp_path / "a.glb", scene(3, 1, color_space="linear"))
     model = tmp_path / "m.onnx"
-    ran = gsgen("export", "static", tmp_path / "a.glb", "-o", model, "--level", "static")
+    ran = gsgen_here("export", "static", tmp_path / "a.glb", "-o", model, "--level", "static")
     assert ran.code == 0, ran.err
     assert '"linear"' in json.dumps(manifest_of(model)["outputs"])

@@ -22,7 +22,7 @@ from gsgen.runtime.scene.scene import Box, Scene, SplatSet
 from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.placed_source import PlacedSource, local_camera
 from gsgen.runtime.sources.scene_file import is_scene_file, open_scene, read_scene
-from support.commands import gsgen
+from support.commands import gsgen_here
 from support.rendering.splat_scenes import camera, cloud, turned
 
 SMALL = ("--width", "48", "--height", "32")
@@ -162,7 +162,7 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
         background="#102030",
     )
     out = tmp_path / "out.png"
-    done = gsgen("render", str(path), "-o", str(out), *SMALL, "--json")
+    done = gsgen_here("render", str(path), "-o", str(out), *SMALL, "--json")
     assert done.code == 0, done.err
     said = json.loads(done.out)
     assert (said["gaussians"], said["triangles"]) == (60, 80)

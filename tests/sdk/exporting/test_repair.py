@@ -14,7 +14,7 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.sdk.exporting.repair import RepairRequest, repair
-from support.commands import gsgen, gsgen_here
+from support.commands import gsgen_here
 
 
 def emitted(path: Path, **inputs: np.ndarray) -> dict[str, np.ndarray]:
@@ -107,14 +107,14 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
     source = find("no_manifest").write(tmp_path)
     with pytest.raises(GsgenError, match="has no manifest"):
         repair(source, tmp_path / "fixed.onnx")
-    derived = gsgen("inspect", source, "--emit-manifest")
+    derived = gsgen_here("inspect", source, "--emit-manifest")
     (tmp_path / "manifest.json").write_text(derived.out)
-    ran = gsgen(
+    ran = gsgen_here(
         "fix", source, "-o", tmp_path / "fixed.onnx", "--manifest", tmp_path / "manifest.json"
     )
     assert ran.code == 0, ran.out + ran.err
     assert "GM001: embedded the given manifest" in ran.out
-    assert gsgen("validate", tmp_path / "fixed.onnx", "--strict").code == 0
+    assert gsgen_here("validate", tmp_path / "fixed.onnx", "--strict").code == 0
 
 
 @pytest.mark.parametrize(

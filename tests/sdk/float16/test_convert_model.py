@@ -21,7 +21,7 @@ from gsgen.sdk.float16.instrumented_model import InstrumentedModel
 from gsgen.sdk.float16.sensitivity_search import max_quantizable
 from gsgen.sdk.float16.to_float16 import Boundary, ToFloat16, node_key
 from gsgen.sdk.float16.weight_tables import half_table
-from support.commands import gsgen
+from support.commands import gsgen_here
 from support.models.small_models import manifest_of, model, save, weight
 from support.passes import HEAD, parsed, run
 
@@ -331,7 +331,7 @@ def test_the_search_gives_up_only_what_fits(costs: list[float], budget: int) -> 
 
 def test_the_command_says_what_stays_and_why(tmp_path: Path) -> None:
     source = saved(tmp_path, cloud(origin=500))
-    ran = gsgen("float16", source, "-o", tmp_path / "half.onnx")
+    ran = gsgen_here("float16", source, "-o", tmp_path / "half.onnx")
     assert ran.code == 0, ran.err
     assert "float32 for position: " in ran.out
     assert "largest errors: position" in ran.out

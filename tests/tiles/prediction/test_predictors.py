@@ -20,7 +20,7 @@ from gsgen.tiles.prediction.poses import (
 )
 from gsgen.tiles.prediction.predictor import ConstantVelocity
 from gsgen.tiles.prediction.predictors import predictor_maker
-from support.commands import gsgen
+from support.commands import gsgen_here
 from support.tiles.journeys import (
     PATH_HEADER,
     TRACE_HEADER,
@@ -172,9 +172,9 @@ def test_the_command_takes_a_model(tmp_path: Path) -> None:
     path = write_rows(tmp_path / "path.csv", PATH_HEADER, journeys()["orbit"][:50])
     trace = write_rows(tmp_path / "trace.csv", TRACE_HEADER, networks()["20"])
     options = ["--path", path, "--network", trace, "--policy", "predictive", "--predictor"]
-    result = gsgen("tiles", "simulate", tileset, *options, model_file(tmp_path))
+    result = gsgen_here("tiles", "simulate", tileset, *options, model_file(tmp_path))
     assert result.code == 0, result.err
     assert "predictive" in result.out
-    result = gsgen("tiles", "simulate", tileset, *options, tileset)
+    result = gsgen_here("tiles", "simulate", tileset, *options, tileset)
     assert result.code == 4
     assert "tileset.json" in result.err

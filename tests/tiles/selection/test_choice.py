@@ -13,7 +13,7 @@ from gsgen.tiles.selection.cut_filling import fill_cut
 from gsgen.tiles.selection.exact import DeadlineTile, choose_cut_exactly, choose_until_deadlines
 from gsgen.tiles.selection.hulls import OptionHulls, upper_hulls
 from gsgen.tiles.selection.tree_choice import CutOptions, TreeFrontier, choose_cut
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 
 def random_tree(rng: np.random.Generator, nodes: int, qualities: int, *, branching: int = 4):
@@ -292,13 +292,13 @@ PROBLEM = {
 def test_the_command_prints_the_choice(tmp_path: Path) -> None:
     file = tmp_path / "problem.json"
     file.write_text(json.dumps(PROBLEM))
-    result = gsgen("tiles", "plan", file, "--json")
+    result = gsgen_here("tiles", "plan", file, "--json")
     assert result.code == 0, result.err
     document = json.loads(result.out)
     assert document["chosen"] == [[1, 0], [2, 0]]
     assert document["utility"] == 4
     assert document["bound"] >= 4
-    assert "1: option 0" in gsgen("tiles", "plan", file).out
+    assert "1: option 0" in gsgen_here("tiles", "plan", file).out
     deadlines = {
         "kind": "deadlines",
         "slot_s": 0.1,
@@ -308,7 +308,7 @@ def test_the_command_prints_the_choice(tmp_path: Path) -> None:
         ],
     }
     file.write_text(json.dumps(deadlines))
-    result = gsgen("tiles", "plan", file, "--json")
+    result = gsgen_here("tiles", "plan", file, "--json")
     assert json.loads(result.out)["chosen"] == [[0, 0], [1, 1]]
 
 
@@ -330,7 +330,7 @@ def test_the_command_prints_the_choice(tmp_path: Path) -> None:
 def test_a_wrong_problem_is_named(tmp_path: Path, change: dict, message: str) -> None:
     file = tmp_path / "problem.json"
     file.write_text(json.dumps(PROBLEM | change))
-    result = gsgen("tiles", "plan", file)
+    result = gsgen_here("tiles", "plan", file)
     assert result.code == 4
     assert message in result.err
     assert "problem.json" in result.err

@@ -21,7 +21,7 @@ from gsgen.tiles.serving.faults import FailureRule, NetworkFaults
 from gsgen.tiles.streaming import tiles_source
 from gsgen.tiles.streaming.session import SessionOptions, open_session
 from gsgen.tiles.streaming.tiles_source import TilesSource
-from support.commands import gsgen
+from support.commands import gsgen_here
 from support.tiles.builds import build
 from support.tiles.serving import served
 from support.tiles.tile_scenes import scattered
@@ -148,14 +148,14 @@ def test_render_draws_a_picture_whatever_fails(town: Path, tmp_path: Path) -> No
         copy = tmp_path / failure
         copy.mkdir()
         with served(town, faults) as address:
-            ran = gsgen(
+            ran = gsgen_here(
                 *("render", f"{address}/{index.name}", "-o", tmp_path / f"{failure}.png"),
                 *("--width", "64", "--height", "48", "--wait", "4", "--cache", "0"),
             )
             for _ in range(20):  # the index itself may fail
                 if "tileset.json" not in ran.err or ran.code == 0:
                     break
-                ran = gsgen(
+                ran = gsgen_here(
                     *("render", f"{address}/{index.name}", "-o", tmp_path / f"{failure}.png"),
                     *("--width", "64", "--height", "48", "--wait", "4", "--cache", "0"),
                 )
@@ -174,7 +174,7 @@ def test_a_scene_file_places_a_tileset_among_others(town: Path, tmp_path: Path) 
         ],
     }
     (tmp_path / "scene.json").write_text(json.dumps(document))
-    ran = gsgen(
+    ran = gsgen_here(
         *("render", tmp_path / "scene.json", "-o", tmp_path / "a.png", "--sse", "0.1"),
         *("--width", "64", "--height", "48", "--json"),
     )
@@ -192,7 +192,7 @@ def test_a_scene_file_places_a_tileset_among_others(town: Path, tmp_path: Path) 
 def test_wrong_options_say_what_is_expected(
     town: Path, tmp_path: Path, words: list[str], message: str
 ) -> None:
-    ran = gsgen("render", town / "tileset.json", "-o", tmp_path / "a.png", *words)
+    ran = gsgen_here("render", town / "tileset.json", "-o", tmp_path / "a.png", *words)
     assert ran.code == 2
     assert message in ran.err
     assert not (tmp_path / "a.png").exists()

@@ -3,14 +3,14 @@
 A text such as ``frame 3 of 10`` becomes a bar with the rate and the remaining time.
 """
 
-__all__ = ["clear", "progress"]
+__all__ = ["clear", "display_of", "progress"]
 
 import re
 import sys
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.progress import Progress, ProgressColumn
 
 _COUNT: Final = re.compile(r"(?P<done>\d+) of (?P<total>\d+)\b")
 
@@ -49,10 +49,8 @@ class _Line:
 def _open_display() -> "Progress":
     import atexit
 
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
-        Progress,
         ProgressColumn,
         SpinnerColumn,
         Task,
@@ -71,13 +69,23 @@ def _open_display() -> "Progress":
             return super().render(task) if task.total else Text("")
 
     atexit.register(clear)  # the display hides the cursor
-    return Progress(
+    return display_of(
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=24),
         RateColumn(),
         RemainingColumn(),
         TimeElapsedColumn(),
+    )
+
+
+def display_of(*columns: "ProgressColumn") -> "Progress":
+    """Return a rich progress display on stderr with these columns, which is erased at its end."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    return Progress(
+        *columns,
         console=Console(stderr=True),
         transient=True,
         # rich's stand-in for stderr would write UTF-8 past the transliteration.

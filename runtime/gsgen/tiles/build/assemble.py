@@ -3,14 +3,17 @@
 __all__ = ["geometric_error", "is_complete", "remove_stale", "walk", "write_index"]
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.tiles.build.files import read_json
+from gsgen.tiles.build.neural_tiles.adding import add_neural_tiles
+from gsgen.tiles.build.neural_tiles.generator import Generator
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
 from gsgen.tiles.build.tile import Tile
 from gsgen.tiles.implicit_tiling.writing import write_implicit_tileset
@@ -41,22 +44,38 @@ def geometric_error(tile: Tile) -> float:
     return max(ERROR_PER_CELL * tile.cell, *below) if tile.children else 0.0
 
 
-def write_index(plan: Plan, root: Tile, key: str) -> dict[str, tuple[int, str]]:
+def write_index(
+    plan: Plan, root: Tile, key: str, generators: Sequence[Generator] = ()
+) -> dict[str, tuple[int, str]]:
     """Write a ``tileset.json`` for each SPZ quality, then the record of the tileset build.
+
+    Generators become neural tiles beside the tree of the scenes.
 
     Returns:
         Every file of the tileset: path → bytes and sha256.
     """
     output = Path(plan.output)
-    record = _record(root)
+    record, neural_files = _record(root), dict[str, tuple[int, str]]()
+    if generators:
+        record, neural_files = add_neural_tiles(
+            record,
+            generators,
+            output,
+            codec=plan.parameters.codec,
+            color_space=plan.color_space,
+            antialiased=plan.antialiased,
+        )
+    neural_tiles = [tile for tile in record.children if tile.neural is not None]
+    count = plan.count + sum(tile.splats for tile in neural_tiles)
+    degrees = [min(generator.first_frame.degree, MAX_DEGREE) for generator in generators]
     transform = np.array(plan.parameters.transform).reshape(4, 4).T
     names = {INDEX: 0}
     qualities = plan.parameters.qualities
     if len(qualities) > 1:
         names |= {f"tileset-q{quality}.json": i for i, quality in enumerate(qualities)}
     facts: JsonDict = {
-        "source_splats": plan.count,
-        "sh_degree": max(tile.sh_degree for tile in walk(root)),
+        "source_splats": count,
+        "sh_degree": max([*(tile.sh_degree for tile in walk(root)), *degrees]),
         "codec": plan.parameters.codec,
         "transform": transform,
     }
@@ -72,11 +91,11 @@ def write_index(plan: Plan, root: Tile, key: str) -> dict[str, tuple[int, str]]:
         content.path: (content.size, content.sha256)
         for tile in walk(root)
         for content in tile.contents
-    }
+    } | neural_files
     for name in [*names, *subtrees]:
         data = (output / name).read_bytes()
         files[name] = len(data), hashlib.sha256(data).hexdigest()
-    write_build_record(output / BUILD_RECORD, key=key, source_splats=plan.count, files=dict(files))
+    write_build_record(output / BUILD_RECORD, key=key, source_splats=count, files=dict(files))
     return files
 
 
@@ -132,13 +151,13 @@ def remove_stale(output: Path, files: dict[str, tuple[int, str]]) -> int:
     """Delete files of earlier builds that the tileset no longer names; return their number."""
     stale = [
         path
-        for pattern in ("t/*/*.glb", "s/*/*.subtree", "tileset-q*.json")
+        for pattern in ("t/*/*.glb", "s/*/*.subtree", "tileset-q*.json", "n/*")
         for path in output.glob(pattern)
         if path.relative_to(output).as_posix() not in files
     ]
     for path in stale:
         path.unlink(missing_ok=True)
-    for folder in [*output.glob("[ts]/*"), *output.glob("[ts]")]:
+    for folder in [*output.glob("[ts]/*"), *output.glob("[nts]")]:
         if folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
     return len(stale)

@@ -21,6 +21,7 @@ from gsgen.tiles.build.assemble import is_complete, remove_stale, walk, write_in
 from gsgen.tiles.build.engines.engine import Engine
 from gsgen.tiles.build.files import sweep, write_json
 from gsgen.tiles.build.merging.morton import DEPTH, Cube
+from gsgen.tiles.build.neural_tiles.generator import Generator
 from gsgen.tiles.build.octree import load_built
 from gsgen.tiles.build.parameters import ALGORITHM_VERSION, BuildParameters
 from gsgen.tiles.build.plan import Plan, depth_of, make_partitions
@@ -118,6 +119,7 @@ def build_tileset(
     *,
     engine: Engine,
     progress: Progress,
+    generators: Sequence[Generator] = (),
     fresh: bool = False,
     chunk_bytes: int = CHUNK_BYTES,
     partition: int = PARTITION,
@@ -132,6 +134,7 @@ def build_tileset(
         parameters: All options that change bytes of the tileset.
         engine: Runs the tasks.
         progress: Reports the phases.
+        generators: Become neural tiles beside the tree of the scenes.
         fresh: Delete the intermediate files of an earlier build, and start from the beginning.
         chunk_bytes: Bytes of a PLY file that one task reads. No byte of the result depends on it.
         partition: Most splats that one task sorts and builds. No byte depends on it either.
@@ -161,7 +164,8 @@ def build_tileset(
             f"none of the {total:,} splats has finite values, expected at least one",
             where=files[0].path,
         )
-    key = parameters.key(_content_digests(facts, chunks))
+    models = [f"generator {generator.sha256}" for generator in generators]
+    key = parameters.key([*_content_digests(facts, chunks), *models])
     record = None if fresh else is_complete(output, key)
     if record is not None:
         shutil.rmtree(output / WORK, ignore_errors=True)
@@ -176,7 +180,7 @@ def build_tileset(
     _write_tiles(run, str(plan_path), total)
     # 5. The index, and nothing else is left.
     progress.begin("index", 0)
-    return _finish(plan, key, skipped)
+    return _finish(plan, key, skipped, generators)
 
 
 def _write_tiles(run: _Run, path: str, rows: int) -> None:
@@ -199,19 +203,19 @@ def _write_tiles(run: _Run, path: str, rows: int) -> None:
         run.phase("top", 0, run_top, items)
 
 
-def _finish(plan: Plan, key: str, skipped: int) -> BuildReport:
+def _finish(plan: Plan, key: str, skipped: int, generators: Sequence[Generator]) -> BuildReport:
     output = Path(plan.output)
     (root,) = load_built(plan)
-    files = write_index(plan, root, key)
+    files = write_index(plan, root, key, generators)
     remove_stale(output, files)
     shutil.rmtree(output / WORK)
     sweep(output)
     return BuildReport(
         output=str(output),
         key=key,
-        splats=plan.count,
+        splats=plan.count + sum(len(generator.first_frame) for generator in generators),
         skipped=skipped,
-        tiles=sum(1 for _ in walk(root)),
+        tiles=sum(1 for _ in walk(root)) + len(generators),
         files=len(files) + 1,
         bytes=sum(size for size, _ in files.values()),
     )

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Protocol, final
 
+from gsgen.contract.commands.progress import display_of
 from gsgen.tiles.json_values import JsonDict
 
 
@@ -99,20 +100,16 @@ class BarProgress(Progress):
     """Draws a progress bar on stderr: the phase, splats per second, and the remaining time."""
 
     def __init__(self) -> None:
-        from rich.console import Console
         from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
 
-        self._console = Console(stderr=True)
-        self._bar = Bar(
+        self._bar = display_of(
             TextColumn("{task.description:<10}"),
             BarColumn(),
             TextColumn("{task.completed:,.0f} of {task.total:,.0f} splats"),
             TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(),
-            console=self._console,
-            transient=True,
         )
+        self._console = self._bar.console
         self._task: Any = None
         self._start_time, self._splats_done = 0.0, 0
 

@@ -50,6 +50,14 @@ _Transform = Annotated[
 _Longitude = Annotated[float | None, typer.Option(help="Longitude of the origin, in degrees.")]
 _Latitude = Annotated[float | None, typer.Option(help="Latitude of the origin, in degrees.")]
 _Height = Annotated[float | None, typer.Option(help="Height of the origin over WGS 84, in metres.")]
+_Neural = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--neural",
+        help="A generator that becomes a neural tile: its first frame is the content; repeatable.",
+        metavar="MODEL",
+    ),
+]
 _Fresh = Annotated[
     bool, typer.Option("--fresh", help="Start from the beginning; do not resume a stopped build.")
 ]
@@ -72,6 +80,7 @@ def build(
     lon: _Longitude = None,
     lat: _Latitude = None,
     height: _Height = None,
+    neural: _Neural = None,
     fresh: _Fresh = False,
     as_json: _AsJson = False,
 ) -> None:
@@ -84,6 +93,7 @@ def build(
     """
     from gsgen.tiles.build.build import build_tileset
     from gsgen.tiles.build.engines.opening import open_engine
+    from gsgen.tiles.build.neural_tiles.generator import open_generator
     from gsgen.tiles.build.parameters import BuildParameters
     from gsgen.tiles.build.progress import BarProgress, JsonProgress
 
@@ -93,6 +103,12 @@ def build(
             where="--quality",
             hint="An implicit tileset has one content file per tile.",
         )
+    if implicit and neural:
+        raise ConfigInvalid(
+            "cannot be combined with --implicit",
+            where="--neural",
+            hint="An implicit tile cannot hold a generator.",
+        )
     parameters = BuildParameters(
         leaf=leaf,
         codec=codec,
@@ -100,11 +116,18 @@ def build(
         implicit=implicit,
         transform=_transform(transform, lon, lat, height),
     )
+    generators = [open_generator(path) for path in neural or ()]
     progress: Progress = JsonProgress(_print_line) if as_json else BarProgress()
     try:
         with open_engine(engine, workers) as running, progress:
             report = build_tileset(
-                scenes, output, parameters, engine=running, progress=progress, fresh=fresh
+                scenes,
+                output,
+                parameters,
+                engine=running,
+                progress=progress,
+                generators=generators,
+                fresh=fresh,
             )
     except KeyboardInterrupt:
         message = f"stopped; the same command goes on where it was ({output})"

@@ -7,6 +7,7 @@ from functools import partial
 from typing import final
 
 import numpy as np
+from jaxtyping import Int64
 
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients
 from gsgen.runtime.gpu.morton_order import along_curve
@@ -16,6 +17,7 @@ from gsgen.tiles.gltf.placement import PlacedSplats, join_placed
 from gsgen.tiles.leaves import MAX_CONTENT, decode_tile_content
 from gsgen.tiles.neural import NeuralTile
 from gsgen.tiles.neural_model import MAX_MODEL
+from gsgen.tiles.quality_ladder import QualityLadder
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.store import Store
@@ -33,11 +35,22 @@ class ContentReader:
         tileset: The tileset.
         tree: Its tiles.
         cache: Keeps files of a server; None to keep nothing.
+        ladder: Files at other qualities; None to read those of the tileset alone.
+        quality: Index of the quality of the ladder that each tile is read at.
     """
 
     def __init__(
-        self, store: Store, tileset: Tileset, tree: TileTree, cache: DiskCache | None
+        self,
+        store: Store,
+        tileset: Tileset,
+        tree: TileTree,
+        cache: DiskCache | None,
+        *,
+        ladder: QualityLadder | None = None,
+        quality: Int64[np.ndarray, " n"] | None = None,
     ) -> None:
+        self._ladder, self._quality = ladder, quality
+        self._fetched: dict[int, int] = {}  # tile → quality of the files that were read last
         self._store, self._tileset, self._tree = store, tileset, tree
         self._cache = cache if isinstance(store, HttpStore) else None
         degree = tileset.metadata.get("sh_degree")
@@ -55,7 +68,9 @@ class ContentReader:
             TilesetInvalid: A file is missing, or cannot be read.
         """
         files: list[bytes] = []
-        for content in self._tree.tiles[tile].contents:
+        if self._quality is not None:
+            self._fetched[tile] = int(self._quality[tile])
+        for content in self._entry(tile).contents:
             report = partial(_report_sum, on_bytes, sum(map(len, files)))
             files.append(self._file(content.uri, report))
         return files
@@ -91,7 +106,7 @@ class ContentReader:
         Raises:
             TilesetInvalid: A file is damaged, or its splats are not as many as declared.
         """
-        entry = self._tree.tiles[tile]
+        entry = self._entry(tile)
         placed = [
             part
             for content, data in zip(entry.contents, files, strict=True)
@@ -116,7 +131,19 @@ class ContentReader:
             rows[:] = data.rows[order]
             shared = min(channels, data.appearance.shape[1])
             appearance[:, :shared] = data.appearance[order, :shared]
-        return TileArrival(tile=tile, rows=rows, appearance=appearance, origin=origin)
+        return TileArrival(
+            tile=tile,
+            rows=rows,
+            appearance=appearance,
+            origin=origin,
+            quality=self._fetched.get(tile, 0),
+        )
+
+    def _entry(self, tile: int) -> Tile:
+        """Return a tile with the contents of the quality that was read last."""
+        if self._ladder is None:
+            return self._tree.tiles[tile]
+        return self._ladder.tiles[self._fetched[tile]][tile]
 
     def _decode_file(self, tile: Tile, content: Content, data: bytes) -> list[PlacedSplats]:
         try:

@@ -79,6 +79,7 @@ class EventLog:
                 if result.error is not None
             ],
             "arrived": [arrival.tile for arrival in frame.arrivals],
+            "qualities": [arrival.quality for arrival in frame.arrivals],
             "evicted": list(frame.evicted),
             "drawn": [[entry.tile, entry.fade] for entry in frame.drawn],
             "missing": frame.missing,

@@ -34,6 +34,8 @@ class StreamingMetrics:
         entries: Number of entries.
         bytes: Received, those of cancelled requests too.
         requests: Number of requests.
+        certificate: Most worth that the last choice of qualities lacks, as a share of the best;
+            None without a choice.
     """
 
     hit_rate: float
@@ -47,6 +49,7 @@ class StreamingMetrics:
     entries: int
     bytes: int
     requests: int
+    certificate: float | None = None
 
 
 @final

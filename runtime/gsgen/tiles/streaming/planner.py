@@ -123,11 +123,15 @@ class RequestPlanner:
             tile, is_prefetch = self._next(loaded)
             if tile is None:
                 break
-            self._in_flight[tile] = _InFlight(is_prefetch)
-            self._recorder.request()
-            self._link.request(tile)
+            self.request(tile, is_prefetch=is_prefetch)
             requests.append(tile)
         return requests
+
+    def request(self, tile: int, *, is_prefetch: bool = False) -> None:
+        """Request a tile now, over a free connection."""
+        self._in_flight[tile] = _InFlight(is_prefetch)
+        self._recorder.request()
+        self._link.request(tile)
 
     def _missing(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
         """Return the seen tiles that are neither loaded nor requested."""

@@ -16,9 +16,11 @@ from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.loading import load_tileset
 from gsgen.tiles.prediction.poses import Pose, matrix_quaternion
 from gsgen.tiles.prediction.predictors import predictor_maker
-from gsgen.tiles.prediction.prefetch import HorizonPrefetch
+from gsgen.tiles.prediction.prefetch import HORIZON, HorizonPrefetch
+from gsgen.tiles.quality_ladder import load_ladder
 from gsgen.tiles.selection.cut import Cut, cut_tree
 from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.quality_choice import QualityChooser
 from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
@@ -59,6 +61,8 @@ class SessionOptions:
         cache_folder: Of the disk cache; the user's where absent.
         allow_origins: Other origins that redirects may lead to.
         log: File of events as JSON lines; None for none.
+        live_qualities: Choose the quality of each file by the rate of the network, if the tileset
+            has several; the finest of them follow while nothing is missing.
         neural_sessions: Most generators of neural tiles that are open at once; 0 to draw the
             splats of these tiles.
         runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
@@ -76,6 +80,7 @@ class SessionOptions:
     cache_folder: Path | None = None
     allow_origins: tuple[str, ...] = ()
     log: Path | None = None
+    live_qualities: bool = False
     neural_sessions: int = 4
     runs_per_second: float = RUNS_PER_SECOND
 
@@ -123,7 +128,11 @@ def open_session(
         if options.cache_bytes:
             folder = options.cache_folder or default_cache_folder()
             cache = DiskCache(folder, options.cache_bytes)
-        reader = ContentReader(store, tileset, tree, cache)
+        ladder = load_ladder(store, index, tileset) if options.live_qualities else None
+        chooser = QualityChooser(tree, ladder, HORIZON) if ladder else None
+        reader = ContentReader(
+            store, tileset, tree, cache, ladder=ladder, quality=chooser.quality if chooser else None
+        )
         link: FetchLink[TileArrival] = FetchLink(
             reader.fetch, reader.decode, lambda tile: int(tree.size[tile]), options.connections
         )
@@ -137,6 +146,7 @@ def open_session(
             store=store,
             up=tileset.up,
             read_model=reader.read_model,
+            chooser=chooser,
         )
     except BaseException:
         store.close()
@@ -170,6 +180,7 @@ class TilesetSession:
         store: Closed with the session.
         up: Upward direction in the root frame; that of splat files if None.
         read_model: Reads the model of a neural tile; None to draw the splats of these tiles.
+        chooser: Chooses the quality of files; None for files of a single quality.
     """
 
     def __init__(
@@ -184,7 +195,9 @@ class TilesetSession:
         store: Store | None = None,
         up: Float64[np.ndarray, " 3"] | None = None,
         read_model: ModelReader | None = None,
+        chooser: QualityChooser | None = None,
     ) -> None:
+        self._chooser = chooser
         self.up = np.array([0.0, -1.0, 0.0]) if up is None else up
         self.tree, self.sh_degree, self.slot_rows = tree, sh_degree, options.slot_rows
         self.upload_budget = options.upload_budget
@@ -209,6 +222,7 @@ class TilesetSession:
         self._is_empty = np.array([not tile.contents for tile in tree.tiles])
         self._pending: dict[int, TileArrival] = {}
         self._retry_at: dict[int, float] = {}
+        self._received_bytes, self._was_busy = 0, False
 
     def _neural_tiles(self, read_model: ModelReader | None) -> NeuralTiles | None:
         options = self._options
@@ -241,7 +255,8 @@ class TilesetSession:
     @property
     def metrics(self) -> StreamingMetrics:
         """The streaming metrics of all frames so far."""
-        return self._recorder.summary()
+        summary = self._recorder.summary()
+        return replace(summary, certificate=self._chooser.certificate if self._chooser else None)
 
     @property
     def resident(self) -> Bool[np.ndarray, " n"]:
@@ -273,7 +288,9 @@ class TilesetSession:
                 for tile in np.flatnonzero((fades > 0) & ~self._is_empty).tolist()
             ),
             missing=missing,
-            is_complete=missing == 0 and self._fades.is_settled,
+            is_complete=missing == 0
+            and self._fades.is_settled
+            and (self._chooser is None or self._chooser.is_finest(cut.wanted & there & ~dead)),
         )
         if self._log:
             self._log.frame(time, frustum, received, frame)
@@ -302,6 +319,9 @@ class TilesetSession:
         results = list(self._link.poll())
         for result in results:
             if result.content is not None:
+                if self._chooser:
+                    size = self._chooser.size(result.tile, result.content.quality)
+                    self.tree.size[result.tile] = size
                 self._planner.arrive(result.tile, time)
                 self._pending[result.tile] = result.content
                 continue
@@ -335,18 +355,25 @@ class TilesetSession:
         arrivals: list[TileArrival] = []
         room = self.upload_budget
         for tile in order:
-            arrival = replace(self._pending[tile], reserved_rows=int(self._reserved[tile]))
+            is_resident = bool(self._residents.resident[tile])
+            arrival = replace(
+                self._pending[tile], reserved_rows=int(self._reserved[tile]), is_upgrade=is_resident
+            )
             if arrivals and arrival.upload_bytes > room:
                 break
             # The metadata of foreign tilesets do not count splats: the estimate may be too low.
             needed = -(-len(arrival.rows) // self.slot_rows)
-            self._slots[tile] = max(int(self._slots[tile]), needed)
+            if not is_resident:
+                self._slots[tile] = max(int(self._slots[tile]), needed)
             victims = self._residents.admit(tile, time)
             del self._pending[tile]
             if victims is None:
                 continue  # no room beside the drawn tiles: it is asked for again later
             for victim in victims:
                 self._fades.drop(victim)
+            if self._chooser:
+                self._chooser.held[list(victims)] = -1
+                self._chooser.held[tile] = arrival.quality
             evicted += victims
             arrivals.append(arrival)
             room -= arrival.upload_bytes
@@ -363,4 +390,26 @@ class TilesetSession:
         loaded |= self._slots > self.pool_slots
         pose = Pose(time, self._frustum.eye, matrix_quaternion(self._frustum.rotation.T))
         self._planner.frame(pose, cut, loaded)
+        if self._chooser:
+            self._choose_qualities(self._chooser, time, cut, loaded)
         self._planner.fill(loaded)
+
+    def _choose_qualities(
+        self, chooser: QualityChooser, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]
+    ) -> None:
+        """Choose the files of tiles that will be requested, and request a finer one if idle."""
+        assert self._frustum is not None
+        in_flight = self._planner.in_flight
+        missing = ~loaded
+        missing[list(in_flight)] = False
+        received = self._recorder.bytes
+        chooser.observe(time, received - self._received_bytes, busy=self._was_busy)
+        self._received_bytes, self._was_busy = received, bool(in_flight)
+        chooser.choose(self._frustum.eye, missing & cut.seen)
+        rows = np.flatnonzero(missing)
+        self.tree.size[rows] = chooser.sizes(rows)
+        if not in_flight and not self._pending and not (missing & cut.seen).any():
+            resident = cut.wanted & self._residents.resident & ~self._dead(time)
+            tile = chooser.upgrade(self._frustum.eye, resident)
+            if tile is not None:
+                self._planner.request(tile)

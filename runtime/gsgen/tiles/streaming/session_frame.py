@@ -6,7 +6,7 @@ The session decides, the renderer obeys. Each frame, in this order:
 2. It frees the slots of every tile of ``evicted``, and of no other.
 3. It uploads every arrival of ``arrivals``. Their bytes are within the upload budget, and their
    slots within the pool, as the session counts them: ⌈rows / slot_rows⌉ each, or
-   ⌈reserved_rows / slot_rows⌉ if that is more.
+   ⌈reserved_rows / slot_rows⌉ if that is more. An upgrade takes the slots that the tile has.
 4. It draws the tiles of ``drawn``, with opacities multiplied by ``fade``, and no other.
 
 A tile is resident from its arrival to its eviction. Drawn tiles are resident. Keys are indices of
@@ -39,6 +39,8 @@ class TileArrival:
         origin: In the root tile's frame, float64.
         reserved_rows: Rows that the slots of the tile must hold; more than those of ``rows`` for
             a neural tile, whose generator writes into the same slots.
+        quality: Index of the file's quality in the ladder; 0 is the finest.
+        is_upgrade: Whether the tile is resident, and these rows replace its own.
     """
 
     tile: int
@@ -46,6 +48,8 @@ class TileArrival:
     appearance: Float32[np.ndarray, "n c"] = field(repr=False)
     origin: Float64[np.ndarray, " 3"]
     reserved_rows: int = 0
+    quality: int = 0
+    is_upgrade: bool = False
 
     @property
     def upload_bytes(self) -> int:
@@ -78,8 +82,8 @@ class SessionFrame:
         arrivals: Tiles to upload, in this order.
         drawn: Tiles to draw; ascending keys.
         missing: How many tiles the camera wants that are not resident.
-        is_complete: Whether everything that the camera wants is resident and drawn without a
-            fade; tiles that cannot be had do not count.
+        is_complete: Whether everything that the camera wants is resident, at the finest quality,
+            and drawn without a fade; tiles that cannot be had do not count.
     """
 
     evicted: tuple[int, ...]

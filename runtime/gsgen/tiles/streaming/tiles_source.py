@@ -115,13 +115,11 @@ class TilesSource(Source):
         for tile in frame.evicted:
             self._pool.evict(tile)
         for arrival in frame.arrivals:
-            self._pool.insert(
-                arrival.tile,
-                arrival.rows,
-                arrival.appearance,
-                arrival.origin,
-                reserved_rows=arrival.reserved_rows,
-            )
+            content = arrival.tile, arrival.rows, arrival.appearance, arrival.origin
+            if arrival.is_upgrade:
+                self._pool.rewrite(*content)
+            else:
+                self._pool.insert(*content, reserved_rows=arrival.reserved_rows)
         has_rewritten = self._rewrite(frame, camera)
         self._pool.draw({drawn.tile: drawn.fade for drawn in frame.drawn})
         is_same = self._last is not None and self._last.drawn == frame.drawn
@@ -190,12 +188,14 @@ class TilesSource(Source):
         metrics = self._session.metrics
         missing = f", {self._last.missing} missing" if self._last.missing else ""
         used = self._pool.slots - self._pool.free_slots
-        rows = (
+        rows: tuple[tuple[str, str], ...] = (
             ("tiles", f"{len(self._last.drawn)} drawn{missing}"),
             ("pool", f"{100 * used / self._pool.slots:.0f} % of {len(self._pool):,} rows"),
             ("received", f"{format_mebibytes(metrics.bytes)} in {metrics.requests} requests"),
             ("hits", f"{100 * metrics.hit_rate:.0f} %, {metrics.hole_frames} frames with holes"),
         )
+        if metrics.certificate is not None:
+            rows += (("qualities", f"{metrics.certificate:.2%} below the best, or less"),)
         if self._neural is None:
             return rows
         neural = self._neural
@@ -239,6 +239,7 @@ def open_stream(path: Path, settings: StreamSettings) -> TilesSource:
         allow_origins=settings.allow_origins,
         log=settings.log,
         neural_sessions=settings.neural_sessions,
+        live_qualities=not settings.wait,
         runs_per_second=math.inf if settings.wait else RUNS_PER_SECOND,
     )
     session = open_session(path, options)

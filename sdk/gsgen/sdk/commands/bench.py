@@ -94,22 +94,20 @@ def _measure(
     capture: bool,
     seconds: float,
 ) -> "list[BenchmarkResult]":
-    from rich.console import Console
-    from rich.progress import Progress
-
+    from gsgen.contract.commands.progress import clear, progress
     from gsgen.sdk.binding.benchmark import time_frames
 
     results = []
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=len(jobs))
-        for model, provider in jobs:
-            progress.update(task, description=f"{model.name} on {provider}")
+    try:
+        for number, (model, provider) in enumerate(jobs, 1):
+            progress(f"measuring {model.name} on {provider}, {number} of {len(jobs)}")
             results.append(
                 time_frames(
                     model, provider, frames=frames, sizes=sizes, capture=capture, seconds=seconds
                 )
             )
-            progress.advance(task)
+    finally:
+        clear()
     return results
 
 

@@ -322,7 +322,6 @@ def _describe(
         draft = replace(draft, outputs=replace(draft.outputs, cells=cells))
     if not generator.inputs:
         return _Description(draft, first_runs, first_probes[0], watch)
-<<<<<<< HEAD
     # Cameras orbit the bounds, so they are placed a second time, around the measured bounds.
     placed = EagerRuns(generator, _probes(draft))
     references = first_runs if placed.has_inputs_of(first_runs) else placed
@@ -331,14 +330,6 @@ def _describe(
     last = len(references) - 1
     compared = references.select(np.linspace(1, last, options.compared).round().astype(int))
     zeros = references.select([0])
-=======
-    # Cameras orbit the bounds, so probes are placed a second time, around the measured bounds.
-    references = EagerRuns(generator, _probes(draft, count=options.probes))
-    measured = [first_runs, references]
-    if options.probes < _PROBES["full"]:  # bounds need as many probes as the validator takes
-        measured.append(EagerRuns(generator, _probes(draft, count=_PROBES["full"])))
-    manifest = replace(draft, bounds=measure_bounds(chain(*measured)))
->>>>>>> 286e6e457da1b69294c1bc9e00dfecf9685bdbe9
     far = EagerRuns(generator, tuple(_far_probes(manifest)))
     return _Description(manifest, zeros + compared + far, references.probes[1], watch)
 

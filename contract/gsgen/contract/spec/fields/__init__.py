@@ -1,0 +1,1 @@
+"""Which fields does a manifest have? The dataclasses of its parts, by subject."""

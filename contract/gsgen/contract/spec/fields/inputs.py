@@ -1,0 +1,79 @@
+"""The inputs that a runtime feeds to a model, and the skeleton behind a pose."""
+
+__all__ = ["Input", "Joint"]
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from gsgen.contract.spec.fields.values import AboveZero, Name, Positive, RoleName
+from gsgen.contract.spec.json_schema import Hint
+
+# The rounding error of a time, as a share of a frame.
+_FRAME_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """One joint of a skeleton; joints are listed in the order of a pose's rows."""
+
+    name: Annotated[str, Hint(min_length=1)]
+    parent: Annotated[str | None, Hint(text="Name of its parent; absent for a root.")] = None
+    rest: Annotated[
+        tuple[float, float, float] | None,
+        Hint(text="Its position in the rest pose, in local units."),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Input:
+    """One model input that a runtime feeds in every frame."""
+
+    name: Name
+    role: RoleName
+    shape: Annotated[tuple[Positive, ...] | None, Hint(text="Static size of every axis.")] = None
+    range: Annotated[
+        tuple[float, float] | None,
+        Hint(text="Smallest and largest meaningful value, both included."),
+    ] = None
+    default: Annotated[
+        float | Literal["zeros", "identity"] | tuple[float, ...] | None,
+        Hint(text="What a runtime feeds if it has nothing better; row-major where a list."),
+    ] = None
+    convention: Annotated[str | None, Hint(text="Which of the role's conventions it follows.")] = (
+        None
+    )
+    loop: Annotated[
+        bool | None, Hint(text="Time: the end of the range continues at its start.")
+    ] = None
+    frames: Annotated[Positive | None, Hint(text="Time: how many distinct frames there are.")] = (
+        None
+    )
+    fps: Annotated[
+        float | None, Hint(text="Time: frames per second at natural speed.", minimum=0)
+    ] = None
+    label: Annotated[str | None, Hint(text="What a user interface calls it.")] = None
+    joints: Annotated[tuple[Joint, ...], Hint(text="Pose: one joint for each row, in order.")] = ()
+    rate: Annotated[AboveZero | None, Hint(text="Audio: samples per second.")] = None
+    window: Annotated[
+        Positive | None, Hint(text="Audio, mel: samples under the window of one column.")
+    ] = None
+    hop: Annotated[
+        Positive | None, Hint(text="Audio, mel: samples from one column to the next.")
+    ] = None
+
+    def moment(self, frame: int) -> float:
+        """Return the time at which a frame begins; frames divide the range equally."""
+        low, high, count = self._frames()
+        return low + (high - low) * frame / count
+
+    def frame_at(self, time: float) -> int:
+        """Return the frame shown at a time; a loop's end shows the first frame, else the last."""
+        low, high, count = self._frames()
+        frame = math.floor(count * (time - low) / (high - low) + _FRAME_ROUNDING)
+        return frame % count if self.loop else min(max(frame, 0), count - 1)
+
+    def _frames(self) -> tuple[float, float, int]:
+        if self.role != "time" or self.range is None or self.frames is None:
+            raise ValueError(f"input {self.name!r} is not a time input with a range and frames")
+        return *self.range, self.frames

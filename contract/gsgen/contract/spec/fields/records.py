@@ -1,0 +1,82 @@
+"""Facts about a model that its author recorded: sources, test vectors, pictures, cost."""
+
+__all__ = ["Cost", "ExternalData", "Producer", "ReferenceImage", "TestVector", "VectorFile"]
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from gsgen.contract.spec.fields.values import AboveZero, Fraction, Sha256
+from gsgen.contract.spec.json_schema import Hint
+
+
+@dataclass(frozen=True, slots=True)
+class Producer:
+    """The author of the model, its sources, and its licence."""
+
+    tool: Annotated[str, Hint(text="Program and version.")]
+    source: str | None = None
+    license: Annotated[str | None, Hint(text="An SPDX expression.")] = None
+    weights_sha256: Sha256 | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VectorFile:
+    """The file with one input of a test vector: an ONNX TensorProto."""
+
+    input: Annotated[str, Hint(text="The tensor's name in the graph.", min_length=1)]
+    path: Annotated[str, Hint(text="A file in the model's folder or below it.", min_length=1)]
+    sha256: Sha256
+
+
+@dataclass(frozen=True, slots=True)
+class TestVector:
+    """A named set of test inputs, and the digest of the outputs that the model promises for it."""
+
+    inputs: Annotated[str, Hint(text="Which probe, by its label.")]
+    expected_sha256: Sha256
+    seed: Annotated[int, Hint(text="Seed of the probe set.", minimum=0)] = 0
+    files: Annotated[
+        tuple[VectorFile, ...], Hint(text="The inputs as files, for readers without the probe set.")
+    ] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceImage:
+    """A picture beside the model, and the camera from which a render of the model matches it.
+
+    The camera looks along +z, x is right and y down; colours are over black.
+    """
+
+    path: Annotated[str, Hint(text="A PNG in the model's folder or below it.", min_length=1)]
+    sha256: Sha256
+    inputs: Annotated[str, Hint(text="Which probe, by its label.", min_length=1)]
+    view: Annotated[
+        tuple[tuple[float, float, float, float], ...],
+        Hint(text="World to camera: the first three rows of the matrix."),
+    ]
+    focal: Annotated[tuple[float, float], Hint(text="Focal lengths in x and y, in pixels.")]
+    center: Annotated[tuple[float, float], Hint(text="Principal point, in pixels from the corner.")]
+    psnr: Annotated[AboveZero, Hint(text="Least peak signal-to-noise ratio, in decibels.")] = 40.0
+    from_: Annotated[
+        Literal["model", "source"],
+        Hint(text="`source`: drawn by the training code. `model`: by this model, as it was then."),
+    ] = "model"
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """The declared time and memory that one frame takes on one device."""
+
+    device: Annotated[str, Hint(text="The device, as its driver calls it.", min_length=1)]
+    milliseconds: Annotated[Fraction | None, Hint(text="Median time of one run.")] = None
+    bytes: Annotated[
+        int | None, Hint(text="Peak memory of a session, weights included.", minimum=0)
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalData:
+    """A file with external weights of the model, and the file's digest."""
+
+    path: Annotated[str, Hint(text="As the model writes it: its `location`.", min_length=1)]
+    sha256: Sha256

@@ -1,0 +1,88 @@
+"""The frame, the bounds and the blending of a generator's Gaussians."""
+
+__all__ = ["Bounds", "Space", "Tolerances", "WeightedSum"]
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+
+from gsgen.contract._array_types import Float
+from gsgen.contract.spec.fields.values import AboveZero, Fraction
+from gsgen.contract.spec.json_schema import Hint
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Space:
+    """The coordinate frame of Gaussians, cameras and bounds."""
+
+    handedness: Literal["right"] = "right"
+    up: Annotated[
+        Literal["+x", "-x", "+y", "-y", "+z", "-z"], Hint(text="The world's upward axis.")
+    ] = "-y"
+    unit: Annotated[
+        Literal["metre", "arbitrary"],
+        Hint(text="What one unit of length is; SfM scenes: arbitrary."),
+    ] = "arbitrary"
+    matrix_order: Annotated[
+        Literal["column", "row"],
+        Hint(
+            text="`column`: the [4,4] tensor holds Mᵀ, as column-major bytes do. `row`: it holds M."
+        ),
+    ] = "column"
+    origin: Annotated[
+        tuple[float, float, float] | None,
+        Hint(text="Where the local origin lies in the author's world, in units, as float64."),
+    ] = None
+    metres_per_unit: Annotated[AboveZero | None, Hint(text="Length of one unit, in metres.")] = None
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """An axis-aligned box that holds the Gaussians' centres for all inputs (at every probe)."""
+
+    min: Annotated[tuple[float, float, float], Hint(text="Lower corner, x y z.")]
+    max: Annotated[tuple[float, float, float], Hint(text="Upper corner, x y z.")]
+
+    @classmethod
+    def around(cls, points: Float[np.ndarray, "n 3"], margin: float) -> "Bounds | None":
+        """Return the bounding box of all finite points, or None without any finite point.
+
+        Args:
+            points: Centres, in local units.
+            margin: How much wider the box is, as a share of its size.
+        """
+        float64_points = np.asarray(points, np.float64)
+        finite = float64_points[np.isfinite(float64_points).all(axis=1)]
+        if not len(finite):
+            return None
+        low, high = finite.min(axis=0), finite.max(axis=0)
+        room = margin * (high - low) + 1e-6
+        corners = [[float(f"{value:.6g}") for value in end] for end in (low - room, high + room)]
+        return cls(*((x, y, z) for x, y, z in corners))
+
+
+@dataclass(frozen=True, slots=True)
+class WeightedSum:
+    """Parameters of weighted blending cell by cell, required by `blend: wsr`."""
+
+    background: Annotated[Fraction, Hint(text="Weight of the background.")]
+    depth_range: Annotated[
+        AboveZero | None,
+        Hint(text="Depth at which weights reach 0, in units of length; absent: they do not fall."),
+    ] = None
+    opacity_divisor: Annotated[
+        AboveZero, Hint(text="What opacity is divided by before it takes light away.")
+    ] = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """The largest differences between two executions of the model, each field in its unit."""
+
+    position: Annotated[Fraction, Hint(text="In standard deviations of the Gaussian.")] = 1e-3
+    covariance: Annotated[Fraction, Hint(text="Relative to the covariance's trace.")] = 1e-3
+    opacity: Annotated[Fraction, Hint(text="Absolute.")] = 2e-3
+    appearance: Annotated[Fraction, Hint(text="Absolute, of the colour seen from a direction.")] = (
+        2e-3
+    )

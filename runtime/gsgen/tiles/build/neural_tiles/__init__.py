@@ -1,0 +1,1 @@
+"""How does a generator become a tile, with content for viewers that cannot run it?"""

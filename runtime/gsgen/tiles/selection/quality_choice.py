@@ -1,0 +1,115 @@
+"""Chooses the quality of each file that is fetched, by the measured rate of the network."""
+
+__all__ = ["QualityChooser"]
+
+from collections import deque
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from gsgen.tiles.quality_ladder import QualityLadder
+from gsgen.tiles.selection.choose import choose_options
+from gsgen.tiles.selection.hulls import OptionHulls
+from gsgen.tiles.selection.tile_tree import TileTree
+
+_WINDOW: Final = 4.0  # seconds over which the rate is measured
+
+
+@final
+class QualityChooser:
+    """Chooses qualities of missing tiles, so that they are worth the most within a byte budget.
+
+    The budget is the measured rate times the horizon. A tile that it leaves out is fetched at
+    the coarsest quality, and so are all tiles until a rate is known. Finer files of the tiles in
+    view follow while nothing is missing.
+
+    Attributes:
+        quality: Of the file that each tile is asked for next: an index of the ladder.
+        held: Of the file of each resident tile; −1 for other tiles.
+        certificate: Most worth that the last choice lacks, as a share of the best choice.
+
+    Args:
+        tree: The tiles.
+        ladder: Their files.
+        horizon: Seconds within which the missing tiles should arrive.
+    """
+
+    def __init__(self, tree: TileTree, ladder: QualityLadder, horizon: float) -> None:
+        self._tree, self._ladder, self._horizon = tree, ladder, horizon
+        coarsest = len(ladder.worth) - 1
+        self.quality: Int64[np.ndarray, " n"] = np.full(len(tree), coarsest)
+        self.held: Int64[np.ndarray, " n"] = np.full(len(tree), -1)
+        self.certificate = 0.0
+        self._received: deque[tuple[float, float, int]] = deque()  # time, busy seconds, bytes
+        self._time: float | None = None
+
+    @property
+    def rate(self) -> float | None:
+        """Bytes a second while requests were under way; None before the first answer."""
+        busy = sum(seconds for _, seconds, _ in self._received)
+        total = sum(size for _, _, size in self._received)
+        return total / busy if busy > 0 and total else None
+
+    def size(self, tile: int, quality: int) -> int:
+        """Return the bytes of a tile's file at a quality."""
+        return int(self._ladder.size[tile, quality])
+
+    def sizes(self, rows: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, " m"]:
+        """Return the bytes of the files that some tiles are asked for next."""
+        return np.asarray(self._ladder.size[rows, self.quality[rows]])
+
+    def is_finest(self, tiles: Bool[np.ndarray, " n"]) -> bool:
+        """Return whether none of some tiles holds a file that has a finer one."""
+        return not bool((tiles & (self.held > 0)).any())
+
+    def observe(self, time: float, received: int, *, busy: bool) -> None:
+        """Record the bytes that arrived since the last frame.
+
+        Args:
+            time: Of the frame, in seconds.
+            received: Bytes.
+            busy: Whether requests were under way.
+        """
+        seconds = 0.0 if self._time is None or not busy else time - self._time
+        self._time = time
+        self._received.append((time, seconds, received))
+        while self._received[0][0] < time - _WINDOW and len(self._received) > 1:
+            self._received.popleft()
+
+    def choose(self, eye: Float64[np.ndarray, " 3"], missing: Bool[np.ndarray, " n"]) -> None:
+        """Choose the qualities of missing tiles, whose requests have not begun."""
+        rows = np.flatnonzero(missing & np.isfinite(self._ladder.size[:, 0]))
+        coarsest = len(self._ladder.worth) - 1
+        self.quality[rows] = coarsest
+        rate = self.rate
+        if rate is None or not len(rows):
+            return
+        size = self._ladder.size[rows]
+        worth = np.broadcast_to(self._ladder.worth, size.shape)
+        hulls = OptionHulls.of_options(size, worth)
+        choice = choose_options(hulls, self._weight(eye, rows), rate * self._horizon)
+        self.certificate = choice.certificate
+        self.quality[rows] = np.where(choice.option < 0, coarsest, choice.option)
+
+    def upgrade(self, eye: Float64[np.ndarray, " 3"], drawn: Bool[np.ndarray, " n"]) -> int | None:
+        """Return the drawn tile that gains the most by a finer file, and ask for that file.
+
+        A finer file is fetched whole, and replaces the rows of the coarser one.
+        """
+        rows = np.flatnonzero(drawn & (self.held > 0))
+        if not len(rows):
+            return None
+        gain = self._ladder.worth[0] - self._ladder.worth[self.held[rows]]
+        gain = gain * self._weight(eye, rows) / self._ladder.size[rows, 0]
+        tile = int(rows[np.argmax(gain)])
+        self.quality[tile] = 0
+        return tile
+
+    def _weight(
+        self, eye: Float64[np.ndarray, " 3"], rows: Int64[np.ndarray, " m"]
+    ) -> Float64[np.ndarray, " m"]:
+        """Return the squared apparent size of tiles, at most 1: their share of the picture."""
+        reach = np.linalg.norm(self._tree.half_axes[rows], axis=(1, 2))
+        distance = np.linalg.norm(self._tree.center[rows] - eye, axis=1)
+        return np.asarray(np.minimum(reach / np.maximum(distance, 1e-9), 1.0) ** 2)
