@@ -16,6 +16,7 @@ from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
 from gsgen.reference_plugins.spacetime.rotor_checkpoint import read_rotor
 from gsgen.reference_plugins.spacetime.spacetime_checkpoint import read_spacetime
+from gsgen.reference_plugins.static.surfels import read_surfels
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,
@@ -32,6 +33,7 @@ from gsgen.reference_plugins.synthetic import (
     write_sc_gs,
     write_scaffold,
     write_spacetime,
+    write_surfels,
 )
 
 FEW = AnchorOptions(anchors=5)
@@ -42,6 +44,7 @@ METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "scaffold-gs": (lambda f: write_scaffold(f, FEW), read_anchors),
     "octree-gs": (lambda f: write_octree(f, UNITED), partial(read_anchors, octree=True)),
     "duplex-gs": (lambda f: write_duplex(f, UNITED), read_cells),
+    "2dgs": (lambda f: write_surfels(f, count=4), read_surfels),
     "hexplane-4dgs": (lambda f: write_hexplane(f, HexPlaneOptions(count=4)), read_hexplanes),
     "deformable-3dgs": (lambda f: write_deformable(f, count=4), read_deformation),
     "gaussian-avatars": (lambda f: write_gaussian_avatar(f, count=4), read_gaussian_avatars),

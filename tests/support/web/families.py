@@ -58,7 +58,7 @@ FAMILIES: Mapping[str, Family] = {
 def plugin_names() -> set[str]:
     """Return the plugins that export generators of Gaussians from checkpoints of a method."""
     names = {plugin.name for plugin in installed_plugins() if "image" not in plugin.inputs}
-    return names - {"static"}
+    return names - {"static", "2dgs"}  # whose models have no inputs
 
 
 def family_generator(name: str, folder: Path) -> GaussianGenerator:

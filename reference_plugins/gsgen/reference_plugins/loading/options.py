@@ -1,7 +1,7 @@
 """Command-line options and console messages that several plugins share."""
 
 __all__ = [
-    "AppearanceId", "Checkpoint", "CullOption", "Fps", "Iteration", "Loop", "MaxAnchors", "note",
+    "AppearanceId", "Checkpoint", "CloudFile", "CullOption", "Fps", "Iteration", "Loop", "MaxAnchors", "note",
     "report_checkpoint", "warn_unsupported", "with_time_options",
 ]  # fmt: skip
 
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 Checkpoint = Annotated[
     Path, typer.Option("--checkpoint", help="Folder that training wrote.", show_default=False)
+]
+CloudFile = Annotated[
+    Path,
+    typer.Option("--checkpoint", help="Folder that training wrote, or a PLY.", show_default=False),
 ]
 Iteration = Annotated[
     int | None, typer.Option(help="Iteration to export.", show_default="the last, as -1", min=-1)

@@ -1,12 +1,12 @@
 """Opens a training run: its folders, the iteration to export, and its options."""
 
-__all__ = ["TrainingRun", "open_run"]
+__all__ = ["TrainingRun", "open_cloud", "open_run"]
 
 from dataclasses import dataclass
 from pathlib import Path
 
 from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
-from gsgen.reference_plugins.loading.folder import find_iteration, within_run
+from gsgen.reference_plugins.loading.folder import find_iteration, required_file, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
 
 
@@ -35,3 +35,16 @@ def open_run(
     number, files = find_iteration(folder, iteration)
     refuse_other_method(method, folder, files)
     return TrainingRun(folder, number, files, read_cfg_args(folder, required=needs_cfg))
+
+
+def open_cloud(
+    method: str, path: Path, iteration: int | None, content: str
+) -> tuple[TrainingRun, Path]:
+    """Find the point cloud of a training run, or take a PLY of any name as one without a run.
+
+    ``content`` describes the point cloud, for the error if it is missing.
+    """
+    if path.is_file() and path.suffix == ".ply" and path.name != "point_cloud.ply":
+        return TrainingRun(path.parent, 0, path.parent, read_cfg_args(path.parent)), path
+    run = open_run(method, path, iteration)
+    return run, required_file(run.files / "point_cloud.ply", content)

@@ -16,11 +16,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.formats import ply_properties, read_ply_columns
-from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
+from gsgen.reference_plugins.loading.cfg_args import CfgArgs
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, format_faults
-from gsgen.reference_plugins.loading.folder import required_file
 from gsgen.reference_plugins.loading.states import load_state, require_tensors
-from gsgen.reference_plugins.loading.training_run import TrainingRun, open_run
+from gsgen.reference_plugins.loading.training_run import TrainingRun, open_cloud
 
 Activation = Literal["sigmoid", "clamp"]
 
@@ -88,13 +87,7 @@ class SpacetimeCheckpoint:
 
 def read_spacetime(path: Path, iteration: int | None = None) -> SpacetimeCheckpoint:
     """Read a checkpoint of SpacetimeGaussians: the folder of a run, or a PLY of any name."""
-    if path.is_file() and path.suffix == ".ply" and path.name != "point_cloud.ply":
-        run = TrainingRun(path.parent, 0, path.parent, read_cfg_args(path.parent))
-        cloud = path
-    else:
-        run = open_run("spacetime-gaussians", path, iteration)
-        cloud = run.files / "point_cloud.ply"
-    required_file(cloud, "the Gaussians with their motion")
+    run, cloud = open_cloud("spacetime-gaussians", path, iteration, "the Gaussians with motion")
     with format_faults(cloud):
         splats = _read_splats(cloud)
     is_full = splats.features.shape[1] > 3

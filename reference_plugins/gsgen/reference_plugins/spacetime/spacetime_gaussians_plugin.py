@@ -11,6 +11,7 @@ import typer
 from gsgen.contract.spec.manifest import Input
 from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
+    CloudFile,
     Iteration,
     note,
     report_checkpoint,
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.spacetime.spacetime_checkpoint import SpacetimeCheckpoint
     from gsgen.sdk import GaussianGenerator, PostProcess
 
-_Checkpoint = Annotated[
-    Path,
-    typer.Option("--checkpoint", help="Folder that training wrote, or a PLY.", show_default=False),
-]
 _Decode = Annotated[
     Literal["per-splat", "features", "decoder"] | None,
     typer.Option(
@@ -48,7 +45,7 @@ _PUBLICATION = Publication(
 
 @with_time_options
 def build(
-    checkpoint: _Checkpoint,
+    checkpoint: CloudFile,
     iteration: Iteration = None,
     *,
     time: Input,

@@ -111,7 +111,7 @@ def _require_all(names: Collection[str], needed: list[str]) -> None:
         return
     hint = ""
     if missing == ["scale_2"]:
-        hint = "two scales look like a 2DGS file: flat splats, which gsgen does not read"
+        hint = "two scales look like a 2DGS file: `gsgen export 2dgs` reads its flat splats"
     raise PropertyMissing(
         f"the properties {listed(missing, limit=100)} are missing; found {listed(list(names))}",
         where="element 'vertex'",
