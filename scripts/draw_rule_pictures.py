@@ -1,18 +1,23 @@
 """Draw the pictures of rules that see a wrong picture, into docs/assets/rules.
 
 The left half of each picture is a right scene, the right half the fixture that breaks the rule;
-both are drawn by the renderer itself. Rules whose fault one still picture hardly shows have none. Run it after a change to such a fixture:
-.venv/bin/python scripts/draw_rule_pictures.py
+both are drawn by the renderer itself. Rules whose fault one still picture hardly shows have none.
+Run it after a change to such a fixture, with the rules to draw, or all of them without any:
+.venv/bin/python scripts/draw_rule_pictures.py [RULE…]
 """
 
 import sys
+import tempfile
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 from convention_pictures.mistakes import draw_mistakes
 from convention_pictures.sketch import beside, drawn
 from draw_conventions import COLORS
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from gsgen.conformance.fixtures import find
 from gsgen.conformance.fixtures.builders.scenes import Kind, pack, photographed, scene
@@ -39,6 +44,54 @@ PICTURES: dict[str, tuple[str, Kind, int, int | None]] = {
     "GV048": ("sh_as_in_ply", "surface", 160, 3),
 }
 
+_TURN = Rotation.from_rotvec([0.4, 1.1, 0.3]).as_matrix().astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Driven:
+    """A pair of models with inputs, or one model at two frames.
+
+    Attributes:
+        right: The fixture on the left, and `wrong` that on the right.
+        values: Their inputs by name, besides the view matrix, which the camera gives.
+        wrong_values: The inputs of the wrong one, where they differ.
+    """
+
+    right: str
+    wrong: str
+    values: dict[str, np.ndarray] = field(default_factory=dict)
+    wrong_values: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def _frame(number: int) -> dict[str, np.ndarray]:
+    return {"time": np.array([(number + 0.5) / 20], np.float32)}
+
+
+DRIVEN = {
+    "GB030": Driven(right="lit_from_the_camera", wrong="camera_taken_for_its_inverse"),
+    "GB031": Driven(right="culls_what_lies_behind", wrong="culls_what_lies_ahead"),
+    "GB035": Driven(
+        right="person_turned_by_a_matrix", wrong="covariances_stay_at_rest", values={"turn": _TURN}
+    ),
+    "GB043": Driven(
+        right="nan_in_one_frame", wrong="nan_in_one_frame", values=_frame(5), wrong_values=_frame(6)
+    ),
+    "GB044": Driven(
+        right="opaque_beyond_one_in_a_frame",
+        wrong="opaque_beyond_one_in_a_frame",
+        values=_frame(5),
+        wrong_values=_frame(6),
+    ),
+}
+
+
+def _camera_around(rows: np.ndarray) -> Camera:
+    low, high = rows[:, :3].min(axis=0), rows[:, :3].max(axis=0)
+    middle, radius = (low + high) / 2, 1.1 * float(np.linalg.norm(high - low))
+    return Camera.orbit(
+        middle.tolist(), radius, azimuth=30.0, elevation=20.0, width=SIZE, height=SIZE
+    )
+
 
 def _drawn(renderer: Renderer, spec: ModelSpec) -> Image.Image:
     """Draw a model without inputs."""
@@ -47,25 +100,56 @@ def _drawn(renderer: Renderer, spec: ModelSpec) -> Image.Image:
     splats = SplatData(
         rows, spec.weights["colors"].astype(np.float32), spec.manifest.outputs.appearance.space
     )
-    low, high = rows[:, :3].min(axis=0), rows[:, :3].max(axis=0)
-    middle, radius = (low + high) / 2, 1.1 * float(np.linalg.norm(high - low))
-    camera = Camera.orbit(
-        middle.tolist(), radius, azimuth=30.0, elevation=20.0, width=SIZE, height=SIZE
-    )
-    return drawn(renderer, Scene([SplatSet(splats)]), camera)
+    return drawn(renderer, Scene([SplatSet(splats)]), _camera_around(rows))
 
 
-def main(folder: Path) -> None:
-    """Draw all pictures into ``folder``."""
-    folder.mkdir(parents=True, exist_ok=True)
+def _driven(renderer: Renderer, pair: Driven) -> list[Image.Image]:
+    """Draw two models with inputs, from one camera around the right one."""
+    pictures, camera = [], None
+    for name, values in ((pair.right, pair.values), (pair.wrong, pair.values | pair.wrong_values)):
+        spec = find(name).draw()
+        assert isinstance(spec.manifest, GeneratorManifest)
+        outputs = spec.manifest.outputs
+        if camera is None:
+            camera = _camera_around(_run(spec, values, None)[outputs.gaussians.name])
+        frame = _run(spec, values, camera)
+        splats = SplatData(
+            frame[outputs.gaussians.name], frame[outputs.appearance.name], outputs.appearance.space
+        )
+        pictures.append(drawn(renderer, Scene([SplatSet(splats)]), camera))
+    return pictures
+
+
+def _run(
+    spec: ModelSpec, values: dict[str, np.ndarray], camera: Camera | None
+) -> dict[str, np.ndarray]:
+    """Return the outputs of a model by name; its view matrix is the identity without a camera."""
+    view = np.eye(4) if camera is None else np.asarray(camera.view)
+    with tempfile.TemporaryDirectory() as folder:
+        spec.write(Path(folder) / "model.onnx")
+        session = onnxruntime.InferenceSession(str(Path(folder) / "model.onnx"))
+    known = {**values, "view": view.T.astype(np.float32)}
+    names = [entry.name for entry in session.get_outputs()]
+    fed = {entry.name: known[entry.name] for entry in session.get_inputs()}
+    return dict(zip(names, session.run(names, fed), strict=True))
+
+
+def main(rules: list[str]) -> None:
+    """Draw the pictures of some rules, or all pictures without any."""
+    ASSETS.mkdir(parents=True, exist_ok=True)
     renderer = Renderer(rasteriser="tiles")
-    for rule, (fixture, kind, count, degree) in PICTURES.items():
-        right = photographed(pack(scene(kind, count), degree))
-        halves = [_drawn(renderer, spec) for spec in (right, find(fixture).draw())]
+    for rule in rules or (*PICTURES, *DRIVEN):
+        if rule in DRIVEN:
+            halves = _driven(renderer, DRIVEN[rule])
+        else:
+            fixture, kind, count, degree = PICTURES[rule]
+            right = photographed(pack(scene(kind, count), degree))
+            halves = [_drawn(renderer, spec) for spec in (right, find(fixture).draw())]
         palette = beside(halves).quantize(COLORS, dither=Image.Dither.NONE)
-        palette.save(folder / f"{rule}.png", optimize=True)
-    draw_mistakes(renderer, folder.with_name("mistakes"))
+        palette.save(ASSETS / f"{rule}.png", optimize=True)
+    if not rules:
+        draw_mistakes(renderer, ASSETS.with_name("mistakes"))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else ASSETS)
+    main(sys.argv[1:])

@@ -12,6 +12,7 @@ import difflib
 import json
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -66,9 +67,9 @@ def main() -> int:
         for _ in range(options.count):
             if time.monotonic() > deadline:
                 break
-            mutant = draw(generator)
+            mutant = draw(generator, copy)
             key = f"{mutant.path} {mutant.operator} {mutant.diff}"
-            tests = tuple(tests_of(mutant.path))
+            tests = tuple(tests_of(mutant.path, copy))
             if key not in known:
                 known[key] = evaluate(mutant, tests, copy) if tests else "without tests"
                 with options.results.open("a", encoding="utf-8") as file:
@@ -118,9 +119,9 @@ def copy_of_tree(folder: Path) -> Path:
     return folder / "tree"
 
 
-def draw(generator: random.Random) -> Mutant:
+def draw(generator: random.Random, root: Path) -> Mutant:
     """Choose a room, a module in it, and a mutation of it; rooms are equally likely."""
-    modules = [file for package in PACKAGES for file in (ROOT / package / "gsgen").rglob("*.py")]
+    modules = [file for package in PACKAGES for file in (root / package / "gsgen").rglob("*.py")]
     rooms = sorted({file.parent for file in modules})
     names = [n for n in operator_names() if not any(word in n for word in SKIPPED_OPERATORS)]
     while True:
@@ -138,7 +139,7 @@ def draw(generator: random.Random) -> Mutant:
             if positions:
                 mutated = mutate_code(code, operator, generator.randrange(positions))
                 if mutated and _removed(code, mutated) - EQUIVALENT:
-                    return Mutant(file.relative_to(ROOT), name, mutated, _diff(code, mutated))
+                    return Mutant(file.relative_to(root), name, mutated, _diff(code, mutated))
 
 
 def _removed(before: str, after: str) -> set[str]:
@@ -151,18 +152,30 @@ def _diff(before: str, after: str) -> str:
     return "\n".join(f"    {line}" for line in list(lines)[2:])
 
 
-def tests_of(path: Path) -> list[str]:
-    """Return the test files of a module: those with its name first, then those that import it."""
+def tests_of(path: Path, root: Path) -> list[str]:
+    """Return the test files of a module: of its name, then that import it, then of its subject."""
     dotted = ".".join(path.with_suffix("").parts[1:])
-    files = sorted((ROOT / "tests").rglob("test_*.py"))
+    files = sorted((root / "tests").rglob("test_*.py"))
     named = [file for file in files if file.stem.removeprefix("test_") == path.stem]
     importing = [file for file in files if dotted in file.read_text("utf-8")]
     # The folders of tests are those of the code, without the import root.
-    mirrored = [
-        file for file in files if file.parent.parts[-1] == path.parent.name and file not in named
-    ]
-    selected = list(dict.fromkeys([*named, *importing, *mirrored]))[:MOST_TEST_FILES]
-    return [file.relative_to(ROOT).as_posix() for file in selected]
+    module_words = _words(path)
+    shared = {file: len(module_words & _words(file.relative_to(root))) for file in files}
+    related = [file for file in sorted(files, key=lambda file: -shared[file]) if shared[file]]
+    selected = list(dict.fromkeys([*named, *importing, *related]))[:MOST_TEST_FILES]
+    return [file.relative_to(root).as_posix() for file in selected]
+
+
+def _words(path: Path) -> set[str]:
+    """Return the words of a path's folders and name, without those that all paths have."""
+    words = {word.removesuffix("s") for word in re.split(r"[/_]", path.with_suffix("").as_posix())}
+    return words - {
+        "",
+        "gsgen",
+        "test",
+        "init",
+        *(package.removesuffix("s") for package in PACKAGES),
+    }
 
 
 def evaluate(mutant: Mutant, tests: tuple[str, ...], copy: Path) -> str:

@@ -1,5 +1,6 @@
 """`gsgen repro`: one rule again, by one probe where that is enough."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,18 @@ def test_without_a_probe_all_are_judged(folder: Path) -> None:
     ran = gsgen_here("repro", model, "--rule", "GV003")
     assert ran.code == 1
     assert "rows at probe no inputs:" in ran.out
+
+
+def test_the_document_has_the_finding_of_the_report_and_the_rows(folder: Path) -> None:
+    (model,) = write(folder, "opacity_is_logits")
+    ran = gsgen_here("repro", model, "--rule", "GV003", "--json")
+    assert ran.code == 1
+    document = json.loads(ran.out)
+    report = json.loads(gsgen_here("validate", model, "--level", "values", "--json").out)
+    expected = [finding for finding in report["findings"] if finding["rule"] == "GV003"]
+    assert document["findings"] == expected
+    assert (document["rule"], document["reproduced"]) == ("GV003", True)
+    assert {row["row"]: row["opacity"] for row in document["rows"]}[3] == np.float32(5.02)
 
 
 def test_a_rule_that_holds_exits_0(folder: Path) -> None:

@@ -114,7 +114,13 @@ def test_a_tileset_is_the_same_from_every_store(tmp_path: Path, make) -> None:
     assert np.array_equal(read_leaves(path.parent).sh, leaves.sh)
     with served(path.parent) as address:
         found = read_leaves(f"{address}tileset.json")
+        served_archive = Path(f"{address}town.3tz")  # as the command line hands it over
+        archive.rename(path.parent / "town.3tz")
+        packed = read_leaves(served_archive)
+        with pytest.raises(ContentMissing, match="404"):
+            open_store(f"{address}none.3tz")
     assert np.array_equal(found.position, leaves.position)
+    assert np.array_equal(packed.position, leaves.position)
 
 
 def test_the_command_packs_a_folder(tmp_path: Path) -> None:

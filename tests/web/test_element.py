@@ -1,20 +1,20 @@
 """The element `<gsgen-model>` in pages: served by the commands' server, and opened from disk."""
 
 import json
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from gsgen.conformance.fixtures import fixtures
 from gsgen.formats import write_ply, write_spz
 from gsgen.reference_plugins.synthetic.knot import torus_knot
 from gsgen.runtime.web.pages import ModelView, single_file_page
 from gsgen.runtime.web.serving import ModelServer
-from support.web.pages import WebSite
+from support.web.pages import WebSite, running
+from support.web.steady_frames import steady_frames
 
 _ELEMENT = "document.querySelector('gsgen-model')"
 
@@ -26,21 +26,9 @@ def knot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@contextmanager
-def running(server: ModelServer) -> Iterator[str]:
-    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
-    thread.start()
-    try:
-        yield server.address
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
-
-
 @pytest.fixture
 def page(browser: Any) -> Iterator[Any]:
-    context = browser.new_context(viewport={"width": 1000, "height": 380})
+    context = browser.new_context(viewport={"width": 700, "height": 340})
     page = context.new_page()
     page.set_default_timeout(90_000)
     yield page
@@ -167,27 +155,34 @@ def test_a_lost_device_is_opened_again(page: Any, knot: Path) -> None:
         assert errors_of(page) == []
 
 
-def test_steady_frames_make_no_gpu_objects(page: Any, knot: Path) -> None:
-    """Of 30 frames of a moving camera, only encoders, passes and command buffers are made."""
+def test_steady_frames_make_no_gpu_objects_and_wait_for_none(page: Any, knot: Path) -> None:
+    """Of 12 frames of a moving camera, only encoders, passes and command buffers are made."""
     with running(ModelServer([knot], ModelView(), ort=None)) as address:
         page.goto(address)
         wait(page)
-        page.wait_for_timeout(500)
-        made = page.evaluate(
-            f"""async () => {{
-              const model = {_ELEMENT};
-              const device = model._renderer.device;
-              const made = {{}};
-              for (const name of Object.getOwnPropertyNames(GPUDevice.prototype)) {{
-                if (!name.startsWith("create") || name === "createCommandEncoder") continue;
-                const own = device[name].bind(device);
-                device[name] = (...rest) => {{ made[name] = (made[name] ?? 0) + 1; return own(...rest); }};
-              }}
-              for (let frame = 0; frame < 30; frame++) {{
-                model._orbit.orbit(0.01, 0);
-                await model._draw(performance.now());
-              }}
-              return made;
-            }}"""
+        result = steady_frames(page, 12)
+        assert result.made == {}
+        assert result.in_flight >= 2
+        assert result.heap_growth < 1 << 20
+
+
+def test_a_dropped_file_is_judged(page: Any, knot: Path, tmp_path: Path) -> None:
+    [fixture] = [fixture for fixture in fixtures() if fixture.rule == "GM004"][:1]
+    model = fixture.write(tmp_path)
+    with running(ModelServer([knot], ModelView(), ort=None)) as address:
+        page.goto(address)
+        wait(page)
+        words = page.evaluate_handle(
+            """([name, bytes]) => {
+              const transfer = new DataTransfer();
+              transfer.items.add(new File([new Uint8Array(bytes)], name));
+              return transfer;
+            }""",
+            ["wrong.onnx", list(model.read_bytes())],
         )
-        assert made == {}
+        page.dispatch_event("gsgen-model", "drop", {"dataTransfer": words})
+        wait(page, f"{_ELEMENT}.report.errors.length")
+        [error] = errors_of(page)
+        assert error["rule"] == "GM004"
+        assert error["where"] == "wrong.onnx"
+        assert "gsgen validate" in error["hint"]

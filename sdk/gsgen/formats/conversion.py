@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final, final
@@ -14,19 +14,22 @@ from gsgen.formats.editing.filters import rows_of
 from gsgen.formats.loss import Difference, differences
 from gsgen.formats.open import find_tiled_reader, open_splats
 from gsgen.formats.packed import splats_of_rows
+from gsgen.formats.parts import PART_WRITERS, PlyParts, open_parts, with_degree
 from gsgen.formats.ply.ply import write_ply
 from gsgen.formats.shared.errors import NotSupported, ValueInvalid
 from gsgen.formats.shared.files import FilePath, make_folder
 from gsgen.formats.shared.joined import joined
 from gsgen.formats.shared.splat_values import ARRAYS
-from gsgen.formats.shared.splats import SH_COUNTS, PackedRows, PointCloud, Splats
+from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.sog.sog import written_bytes
 
 __all__ = ["Conversion", "convert"]
 
 
-MAX_COMPARED: Final = 2 << 30
-"""The most bytes of splats in memory for which the written file is read back and compared."""
+MAX_COMPARED: Final = 1 << 29
+"""The most bytes of splats in memory for which the written file is read back and compared.
+
+Larger PLY files are converted in parts, where the target and the edits allow it."""
 
 
 @final
@@ -93,6 +96,12 @@ def convert(
     """
     writer = write or _writer_of(codec, target)
     sources = [source] if isinstance(source, str | os.PathLike) else list(source)
+    most_degree = min(codec.most_degree, 4 if sh_degree is None else sh_degree)
+    is_default = read is None and write is None and not drop_invalid
+    if is_default and len(sources) == 1 and codec.name in PART_WRITERS:
+        large = open_parts(sources[0], edits, most_degree=most_degree, min_bytes=MAX_COMPARED)
+        if large is not None:
+            return _convert_parts(large, target, codec, step)
     read = read or partial(open_splats, drop_invalid=drop_invalid)
     parts: list[Splats] = []
     for path in sources:
@@ -108,8 +117,10 @@ def convert(
     for index, edit in enumerate(edits):
         step(f"edit {index + 1} of {len(edits)}")
         splats = edit(splats)
-    reduced = _with_degree(splats, min(codec.most_degree, 4 if sh_degree is None else sh_degree))
-    lost, degree = _losses(splats, reduced, codec), (splats.degree, reduced.degree)
+    reduced = with_degree(splats, most_degree)
+    degree = (splats.degree, reduced.degree)
+    linear = splats.color_space == "linear"
+    lost = _losses(degree, codec, antialiased=splats.antialiased, linear=linear)
     del splats
     step(f"writing {target}")
     make_folder(target)
@@ -118,10 +129,7 @@ def convert(
     entries: tuple[Difference, ...] = ()
     if is_compared:
         step(f"comparing {target} with what was to be written")
-        back = (read_back or codec.read)(target)
-        assert isinstance(back, Splats)  # every writer writes splats
-        order = codec.order(reduced) if codec.order else np.arange(len(reduced))
-        entries = differences(rows_of(reduced, order), back)
+        entries = _compared(reduced, target, codec, read_back or codec.read)
     return Conversion(
         source=", ".join(map(str, sources)),
         target=str(target),
@@ -132,6 +140,39 @@ def convert(
         lost=lost,
         differences=entries,
         compared=is_compared,
+    )
+
+
+def _compared(
+    splats: Splats, target: FilePath, codec: Codec, read: Callable[[FilePath], Content]
+) -> tuple[Difference, ...]:
+    """Return the differences between splats and the file that they were written to."""
+    back = read(target)
+    assert isinstance(back, Splats)  # every writer writes splats
+    order = codec.order(splats) if codec.order else np.arange(len(splats))
+    return differences(rows_of(splats, order), back)
+
+
+def _convert_parts(
+    parts: PlyParts, target: FilePath, codec: Codec, step: Callable[[str], None]
+) -> Conversion:
+    """Convert a PLY file by reading it twice or more: to count what the edits leave, and to write."""
+    step(f"reading {parts.path}")
+    count, reach = parts.survey()
+    step(f"writing {target}")
+    make_folder(target)
+    PART_WRITERS[codec.name](target, parts, count, reach)
+    degrees = (parts.table.degree, parts.degree)
+    return Conversion(
+        source=str(parts.path),
+        target=str(target),
+        format=codec.name,
+        count=count,
+        degree=degrees,
+        sizes=(written_bytes(parts.path), written_bytes(target)),
+        lost=_losses(degrees, codec, antialiased=parts.table.antialiased, linear=False),
+        differences=(),
+        compared=False,
     )
 
 
@@ -198,19 +239,15 @@ def _convert_points(
     )
 
 
-def _with_degree(splats: Splats, degree: int) -> Splats:
-    if splats.degree <= degree:
-        return splats
-    return replace(splats, sh=np.ascontiguousarray(splats.sh[:, : SH_COUNTS[degree]]))
-
-
-def _losses(splats: Splats, reduced: Splats, codec: Codec) -> tuple[str, ...]:
+def _losses(
+    degrees: tuple[int, int], codec: Codec, *, antialiased: bool, linear: bool
+) -> tuple[str, ...]:
     losses = []
-    if reduced.degree < splats.degree:
-        losses.append(f"harmonics above degree {reduced.degree}")
-    if splats.antialiased and "antialiased" not in codec.keeps_flags:
+    if degrees[1] < degrees[0]:
+        losses.append(f"harmonics above degree {degrees[1]}")
+    if antialiased and "antialiased" not in codec.keeps_flags:
         losses.append("the flag that the splats are antialiased (Mip-Splatting)")
-    if splats.color_space == "linear" and "color_space" not in codec.keeps_flags:
+    if linear and "color_space" not in codec.keeps_flags:
         losses.append("the flag that the colours are linear")
     if codec.order:
         losses.append("the order of the splats")

@@ -2,6 +2,7 @@
 
 import { lookAt } from "/client/camera.js";
 import { openDevice } from "/client/device.js";
+import { findingsOf } from "/client/findings.js";
 import { KernelCache } from "/client/host.js";
 import { IDENTITY } from "/client/matrices.js";
 import { openModel } from "/client/model.js";
@@ -107,6 +108,12 @@ export async function splatFile(path) {
   } catch (error) {
     return { error: error.message, hint: error.hint };
   }
+}
+
+/** Return what the page finds wrong with a served model. */
+export async function findings(path) {
+  const data = await (await fetch(path)).arrayBuffer();
+  return findingsOf(new Uint8Array(data), await loadPlans("/client/plans.json"));
 }
 
 /** Draw frames of a generator one after the other in one session, as an element does. */

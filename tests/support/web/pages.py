@@ -1,6 +1,7 @@
 """Pages of the browser client in chromium, and what tests send to them and read from them."""
 
 import base64
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from gsgen.runtime.web.serving import ModelServer
 from support.browser import GPU_FLAGS, require_chromium, serving
 
 CLIENT = Path(str(files("gsgen.runtime.web").joinpath("client")))
@@ -80,6 +82,19 @@ def site(browser: Any, **folders: Path) -> Iterator[WebSite]:
             yield result
         finally:
             context.close()
+
+
+@contextmanager
+def running(server: ModelServer) -> Iterator[str]:
+    """Run the server of `gsgen view --web`, and yield its address."""
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+    thread.start()
+    try:
+        yield server.address
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
 
 
 def _keep(errors: list[str], message: Any) -> None:

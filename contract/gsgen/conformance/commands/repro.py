@@ -2,6 +2,8 @@
 
 __all__ = ["repro"]
 
+import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,6 +33,8 @@ def repro(
     seed: Seed = None,
     timeout: Timeout = None,
     memory: Memory = None,
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Check one rule of MODEL again, with one probe (set of test inputs) if that is enough.
 
@@ -54,10 +58,37 @@ def repro(
     except ModelUnreadable as error:
         typer.echo(f"gsgen: {error}", err=True)
         raise typer.Exit(ExitCode.UNREADABLE) from error
-    _show(model, reproduction)
-    if dump is not None and dump.is_file():
-        typer.echo(f"  inputs and outputs: {dump}")
+    dumped = dump if dump is not None and dump.is_file() else None
+    if as_json:
+        typer.echo(json.dumps(_document(model, reproduction, dumped), indent=2, ensure_ascii=False))
+    else:
+        _show(model, reproduction)
+        if dumped:
+            typer.echo(f"  inputs and outputs: {dumped}")
     raise typer.Exit(ExitCode.FAILURE if reproduction.findings else ExitCode.SUCCESS)
+
+
+def _document(model: Path, reproduction: "Reproduction", dumped: Path | None) -> dict[str, object]:
+    from gsgen.contract.reporters.json_report import finding_to_dict
+
+    def finite(values: tuple[float, ...]) -> list[float | None]:
+        return [value if math.isfinite(value) else None for value in values]
+
+    rule = reproduction.rule
+    return {
+        "path": str(model),
+        "rule": rule.id,
+        "reproduced": bool(reproduction.findings),
+        "probes": list(reproduction.probes),
+        "findings": [finding_to_dict(finding, rule) for finding in reproduction.findings],
+        "rows": [
+            {"row": row.number, "probe": row.probe}
+            | dict(zip(FIELDS, finite(row.packed), strict=True))
+            | {"color": finite(row.color)}
+            for row in reproduction.rows
+        ],
+        "dump": str(dumped) if dumped else None,
+    }
 
 
 def _show(model: Path, reproduction: "Reproduction") -> None:

@@ -1,6 +1,6 @@
 """JSON validation report, which follows the published schema ``gsgen-report/1``."""
 
-__all__ = ["SCHEMA", "to_dict", "to_json"]
+__all__ = ["SCHEMA", "finding_to_dict", "to_dict", "to_json"]
 
 import json
 from collections.abc import Sequence
@@ -59,6 +59,12 @@ def to_dict(entry: Entry) -> dict[str, Any]:
     """Convert a model's validation report, or the error of an unreadable file, to JSON types."""
     document = _unreadable(entry) if isinstance(entry, Unreadable) else document_of(entry)
     data: dict[str, Any] = to_json_value(document)
+    return data
+
+
+def finding_to_dict(finding: Finding, rule: Rule) -> dict[str, Any]:
+    """Convert a finding of a rule to JSON types, as a validation report has it."""
+    data: dict[str, Any] = to_json_value(_finding(finding, rule))
     return data
 
 

@@ -140,6 +140,7 @@ def convert(
         codec,
         sh_degree=sh_degree,
         edits=edits_in_order(context, values, summaries),
+        drop_invalid=drop_invalid,
         read=_reader(spz_axes, drop_invalid=drop_invalid),
         read_back=_reader(spz_axes, drop_invalid=False) if codec.name == "spz" else None,
         write=_writer(codec, spz_version, spz_axes, encoding),
@@ -206,13 +207,15 @@ def _writer(
     return partial(codec.write, **options) if options else None
 
 
-def _reader(spz_axes: str | None, *, drop_invalid: bool) -> Callable[[FilePath], Content]:
-    """Return a reader of any splat format; an option sets the axes of SPZ files."""
+def _reader(spz_axes: str | None, *, drop_invalid: bool) -> Callable[[FilePath], Content] | None:
+    """Return a reader that takes SPZ files in the given axes; None for the usual reader."""
+    if spz_axes is None:
+        return None
     from gsgen.formats.open import open_splats
     from gsgen.formats.spz.spz import read_spz
 
     def read(path: FilePath) -> Content:
-        if spz_axes is not None and str(path).lower().endswith(codec_named("spz").suffixes):
+        if str(path).lower().endswith(codec_named("spz").suffixes):
             return read_spz(path, axes=spz_axes)
         return open_splats(path, drop_invalid=drop_invalid)
 

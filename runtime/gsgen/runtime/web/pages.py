@@ -58,7 +58,7 @@ class ModelView:
 
     def attributes(self) -> str:
         """Return the HTML attributes that these settings give the element ``gsgen-model``."""
-        words = ["camera-controls", "loop"]
+        words = ["camera-controls", "loop", "file-drop"]
         if self.background is not None:
             words.append(f'background="{" ".join(f"{part:g}" for part in self.background)}"')
         if self.fov is not None:

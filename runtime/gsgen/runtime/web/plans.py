@@ -1,6 +1,6 @@
 """The document ``plans.json``: all frame plans and uniforms that the browser client uses."""
 
-__all__ = ["PLANS_FILE", "SHAPES", "plans_document", "plans_text", "written_plans"]
+__all__ = ["PAGE_RULES", "PLANS_FILE", "SHAPES", "plans_document", "plans_text", "written_plans"]
 
 import json
 from collections.abc import Mapping
@@ -11,7 +11,11 @@ from typing import Any, Final
 import numpy as np
 
 from gsgen.contract.model.buffer_copies import VARIADIC, VIEWS
-from gsgen.contract.spec.layout import ROW
+from gsgen.contract.rules.catalogue import builtin_rules
+from gsgen.contract.spec.layout import ROW, appearance_channels
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
+from gsgen.contract.spec.upgrades import CURRENT
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, stride
 from gsgen.runtime.kernels.project.live_counts import LiveCounts
@@ -45,6 +49,11 @@ Weighted sums have smaller tiles.
 
 _BOTH: Final = (False, True)
 
+PAGE_RULES: Final = (
+    "GM001", "GM002", "GM003", "GM004", "GM005", "GM006", "GM009", "GM015", "GM019",
+)  # fmt: skip
+"""Rules that the client checks by itself (findings.js)."""
+
 SHAPES: Final = tuple(
     Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
     for outputs, weighted, panorama, deep in product(_OUTPUTS, _BOTH, _BOTH, _BOTH)
@@ -76,6 +85,7 @@ def plans_document() -> dict[str, Any]:
             for each in APPEARANCES
         ],
         "generators": generators,
+        "contract": _contract(),
         "pairs": {"first": FIRST_PAIRS, "room": PAIRS_ROOM, "most": MOST_GROUPS * RANGE_BLOCK},
         "present": {
             "module": module,
@@ -87,6 +97,20 @@ def plans_document() -> dict[str, Any]:
             "JACOBIAN_MARGIN": JACOBIAN_MARGIN,
             "NO_HARMONICS": NO_HARMONICS,
             "PAGE_ROWS": PAGE_ROWS,
+        },
+    }
+
+
+def _contract() -> dict[str, Any]:
+    """Return what a page needs of the contract: its version, kinds, and rules that it checks."""
+    rules = {entry.id: entry for entry in builtin_rules()}
+    return {
+        "version": CURRENT,
+        "kinds": list(KINDS),
+        "channels": [appearance_channels("sh", degree, 4) for degree in range(MAX_DEGREE + 1)],
+        "rules": {
+            name: {"severity": rules[name].severity.word, "hint": rules[name].hint}
+            for name in PAGE_RULES
         },
     }
 

@@ -9,6 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.stores.http_store import HttpStore
+from gsgen.tiles.stores.ranged_file import RangedFile
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.stores.zip_store import ZipStore
 
@@ -20,14 +21,17 @@ def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tupl
 
     Args:
         source: ``tileset.json``, the folder that holds one, a ``.3tz`` archive, or an address
-            (http, https) of a ``tileset.json``.
+            (http, https) of a ``tileset.json`` or a ``.3tz`` archive.
         allow_origins: Other origins that redirects of a server may lead to.
     """
     address = address_of(source)
     if address:
-        name = urlsplit(address).path.rpartition("/")[2]
+        name = unquote(urlsplit(address).path.rpartition("/")[2])
+        if name.lower().endswith(".3tz"):
+            archive = RangedFile(HttpStore(address, allow_origins=allow_origins), name)
+            return ZipStore(archive, address), INDEX
         folder = address if name else f"{address}/"
-        return HttpStore(folder, allow_origins=allow_origins), unquote(name) or INDEX
+        return HttpStore(folder, allow_origins=allow_origins), name or INDEX
     path = Path(source)
     if path.suffix.lower() == ".3tz":
         return ZipStore(path), INDEX

@@ -13,9 +13,10 @@ import zipfile
 import zlib
 from pathlib import Path
 from threading import Lock
-from typing import BinaryIO, Final, final
+from typing import BinaryIO, Final, cast, final
 
 from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
+from gsgen.tiles.stores.ranged_file import RangedFile
 from gsgen.tiles.stores.store import MAX_FILE, Store, check_range, missing, too_large
 
 INDEX_NAME: Final = "@3dtilesIndex1@"
@@ -40,13 +41,13 @@ def index_record(path: str, offset: int) -> bytes:
 
 @final
 class ZipStore(Store):
-    """Reads single members of a .3tz archive."""
+    """Reads single members of a .3tz archive, a file or one of another store."""
 
-    def __init__(self, archive: Path) -> None:
-        self.name = str(archive)
+    def __init__(self, archive: Path | RangedFile, name: str = "") -> None:
+        self.name = name or str(archive)
         self._lock = Lock()
         try:
-            self._file: BinaryIO = archive.open("rb")
+            self._file = archive if isinstance(archive, RangedFile) else archive.open("rb")
         except OSError as error:
             raise StoreUnavailable(
                 f"the archive cannot be read: {error.strerror}",
@@ -62,7 +63,7 @@ class ZipStore(Store):
 
     def _list(self) -> dict[str, zipfile.ZipInfo]:
         try:
-            with zipfile.ZipFile(self._file) as archive:
+            with zipfile.ZipFile(cast(BinaryIO, self._file)) as archive:
                 members = archive.infolist()
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
             raise self._damaged(f"the zip archive cannot be listed ({error})") from error
@@ -135,6 +136,8 @@ class ZipStore(Store):
             raise self._damaged(f"an archived file cannot be unpacked ({error})") from error
 
     def _at(self, start: int, count: int) -> bytes:
+        if isinstance(self._file, RangedFile):
+            return self._file.read_at(start, count)
         with self._lock:
             try:
                 self._file.seek(start)

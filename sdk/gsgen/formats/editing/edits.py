@@ -37,10 +37,37 @@ class Option:
     Attributes:
         metavar: The form of its value; empty for a flag.
         parse: Returns the edit of a value.
+        by_rows: Whether each splat is edited without regard to the others.
     """
 
     metavar: str
     parse: Callable[[str], Edit]
+    by_rows: bool = True
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ParsedEdit:
+    """A splat edit of a command line, which raises if no splat is left.
+
+    Attributes:
+        text: The option and its value.
+        apply: Edits splats, of which none may be left.
+        by_rows: Whether each splat is edited without regard to the others.
+    """
+
+    text: str
+    apply: Edit
+    by_rows: bool
+
+    def __call__(self, splats: Splats) -> Splats:
+        """Return the edited splats."""
+        result = self.apply(splats)
+        if not len(result):
+            raise ValueInvalid(
+                f"{self.text} leaves none of {len(splats)} splats", expected="at least one splat"
+            )
+        return result
 
 
 def _numbers(text: str, metavar: str) -> tuple[float, ...]:
@@ -99,28 +126,18 @@ OPTIONS: Final[dict[str, Option]] = {
     "box": _numeric(within_box, "X,Y,Z,X,Y,Z"),
     "sphere": _numeric(within_sphere, "X,Y,Z,RADIUS"),
     "where": Option("CONDITION", lambda text: partial(where_value, condition=text)),
-    "drop_floaters": Option("SIZE,COUNT", _floaters),
-    "decimate": Option("N|N%", _decimation),
-    "morton": Option("", lambda text: morton_ordered),
+    "drop_floaters": Option("SIZE,COUNT", _floaters, by_rows=False),
+    "decimate": Option("N|N%", _decimation, by_rows=False),
+    "morton": Option("", lambda text: morton_ordered, by_rows=False),
 }
 """The edits by name."""
 
 
-def parse_edit(name: str, text: str) -> Edit:
-    """Return the splat edit ``name`` with a parsed value; the edit raises if no splat is left.
+def parse_edit(name: str, text: str) -> ParsedEdit:
+    """Return the splat edit ``name`` with a parsed value.
 
     Raises:
         ValueInvalid: The value has another form.
     """
-    edit = OPTIONS[name].parse(text)
-
-    def checked(splats: Splats) -> Splats:
-        result = edit(splats)
-        if not len(result):
-            raise ValueInvalid(
-                f"--{name.replace('_', '-')} {text} leaves none of {len(splats)} splats",
-                expected="at least one splat",
-            )
-        return result
-
-    return checked
+    option = OPTIONS[name]
+    return ParsedEdit(f"--{name.replace('_', '-')} {text}", option.parse(text), option.by_rows)

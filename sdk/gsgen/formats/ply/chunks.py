@@ -27,12 +27,14 @@ class PlyTable:
         degree: Their SH degree.
         first_byte: Offset of the first row.
         columns: Properties of a row, in the order of the file.
+        antialiased: Whether the header says that training used the filter of Mip-Splatting.
     """
 
     count: int
     degree: int
     first_byte: int
     columns: tuple[str, ...]
+    antialiased: bool = False
 
     @property
     def row_bytes(self) -> int:
@@ -61,6 +63,7 @@ def ply_table(path: FilePath) -> PlyTable | None:
             degree=splat_degree(types),
             first_byte=first_row(data, header, vertex),
             columns=tuple(types),
+            antialiased=header.antialiased,
         )
 
 
@@ -88,4 +91,5 @@ def read_ply_rows(path: FilePath, table: PlyTable, first: int, count: int) -> Sp
         log_scale=arrays["log_scale"],
         logit_opacity=arrays["logit_opacity"].reshape(-1),
         sh=arrays["sh"].reshape(count, -1, 3),
+        antialiased=table.antialiased,
     )

@@ -1,6 +1,6 @@
 """Writes splats and point clouds as PLY files."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import BinaryIO
 
 import numpy as np
@@ -38,9 +38,22 @@ def write_ply(
             raise ValueInvalid(shown(str(format)), where="format", expected=", ".join(ENCODINGS))
         columns = _splat_columns(content) if isinstance(content, Splats) else _points(content)
     with replacing(path) as file:
-        file.write(_header(columns, content, format))
+        is_antialiased = isinstance(content, Splats) and content.antialiased
+        file.write(_header(columns, len(content), format, antialiased=is_antialiased))
         for chunk in _chunks(columns, len(content)):
             _write_rows(file, chunk, format)
+
+
+def write_ply_parts(path: FilePath, parts: Iterable[Splats], count: int) -> None:
+    """Write ``count`` splats that come in parts of equal degree and flags as a binary PLY file."""
+    encoding: Encoding = "binary_little_endian"
+    with replacing(path) as file:
+        for index, part in enumerate(parts):
+            columns = _splat_columns(part)
+            if index == 0:
+                file.write(_header(columns, count, encoding, antialiased=part.antialiased))
+            for chunk in _chunks(columns, len(part)):
+                _write_rows(file, chunk, encoding)
 
 
 def _splat_columns(splats: Splats) -> Columns:
@@ -59,14 +72,13 @@ def _points(cloud: PointCloud) -> Columns:
     return properties | {name: ("u1", color[:, i]) for i, name in enumerate(COLORS[0])}
 
 
-def _header(columns: Columns, content: Splats | PointCloud, encoding: Encoding) -> bytes:
+def _header(columns: Columns, count: int, encoding: Encoding, *, antialiased: bool) -> bytes:
     words = {"f4": "float", "u1": "uchar"}
-    is_antialiased = isinstance(content, Splats) and content.antialiased
     lines = [
         "ply",
         f"format {encoding} 1.0",
-        *([ANTIALIASED_COMMENT] if is_antialiased else []),
-        f"element vertex {len(content)}",
+        *([ANTIALIASED_COMMENT] if antialiased else []),
+        f"element vertex {count}",
         *(f"property {words[code]} {name}" for name, (code, _) in columns.items()),
         "end_header\n",
     ]

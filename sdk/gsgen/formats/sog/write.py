@@ -4,8 +4,9 @@ import json
 import math
 import zipfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, Protocol, final
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
@@ -15,7 +16,7 @@ from gsgen.formats.shared.files import FilePath, naming, replacing
 from gsgen.formats.shared.morton import grid_order
 from gsgen.formats.shared.quantities import rounded, sigmoid, to_bytes, unit, without_largest
 from gsgen.formats.shared.splat_values import require_drawable
-from gsgen.formats.shared.splats import SH_COUNTS, Splats
+from gsgen.formats.shared.splats import Splats
 from gsgen.formats.sog.codebook import codes, make_codebook
 from gsgen.formats.sog.image import encode_image
 from gsgen.formats.sog.meta import (
@@ -28,7 +29,7 @@ from gsgen.formats.sog.meta import (
 )
 from gsgen.formats.sog.palette import make_palette, nearest_entries
 
-__all__ = ["sog_order", "write_sog"]
+__all__ = ["SplatColumns", "sog_order", "write_sog", "write_sog_columns"]
 
 _MOST_DEGREE: Final = 3
 _LAST_STEP: Final = 65535
@@ -38,6 +39,48 @@ _SMALL: Final = 1 << 10  # splats of a scene whose palette has an entry for each
 _WIDEST: Final = 16383  # pixels of a side, the limit of WebP
 
 Rows = Int64[np.ndarray, " m"]
+
+
+class SplatColumns(Protocol):
+    """Splats whose arrays are computed on demand: one at a time is in memory."""
+
+    @property
+    def antialiased(self) -> bool:
+        """Whether training used the filter of Mip-Splatting."""
+        ...
+
+    @property
+    def degree(self) -> int:
+        """The SH degree."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def column(self, name: str) -> Float32[np.ndarray, "n ..."]:
+        """Return the array of :class:`Splats` of a name."""
+        ...
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _InMemory:
+    """The arrays of splats in memory."""
+
+    splats: Splats
+
+    @property
+    def antialiased(self) -> bool:
+        return self.splats.antialiased
+
+    @property
+    def degree(self) -> int:
+        return self.splats.degree
+
+    def __len__(self) -> int:
+        return len(self.splats)
+
+    def column(self, name: str) -> Float32[np.ndarray, "n ..."]:
+        return np.asarray(getattr(self.splats, name))
 
 
 def write_sog(path: FilePath, splats: Splats) -> None:
@@ -53,6 +96,12 @@ def write_sog(path: FilePath, splats: Splats) -> None:
     """
     with naming(path):
         require_drawable(splats)
+    write_sog_columns(path, _InMemory(splats))
+
+
+def write_sog_columns(path: FilePath, splats: SplatColumns) -> None:
+    """Write splats, which can be drawn, as :func:`write_sog` does, one array at a time."""
+    with naming(path):
         if Path(path).name.lower() == STREAMED_META:
             raise NotSupported(
                 "the path is that of a streamed SOG, which gsgen cannot write",
@@ -82,7 +131,7 @@ def write_sog(path: FilePath, splats: Splats) -> None:
 
 def sog_order(splats: Splats) -> Int64[np.ndarray, " n"]:
     """Return the row order in which ``write_sog`` writes splats: Morton order of positions."""
-    return grid_order(_stored_positions(splats)[0])
+    return grid_order(_stored_positions(splats.position)[0])
 
 
 @final
@@ -108,45 +157,66 @@ class _Images:
         return name
 
 
-def _files(splats: Splats) -> dict[str, bytes]:
+def _files(splats: SplatColumns) -> dict[str, bytes]:
     """Return the content of each file of a SOG, meta.json last."""
-    steps, low, high = _stored_positions(splats)
+    steps, low, high = _stored_positions(splats.column("position"))
     images = _Images(grid_order(steps))
     meta: dict[str, Any] = {"version": 2, "count": len(splats)}
     if splats.antialiased:
         meta["model"] = ANTIALIASED
-    means = [
-        images.add("means_l.webp", lambda rows: (steps[rows] & 255).astype(np.uint8)),
-        images.add("means_u.webp", lambda rows: (steps[rows] >> 8).astype(np.uint8)),
-    ]
-    meta["means"] = {"mins": low.tolist(), "maxs": high.tolist(), "files": means}
-    log_scale = _finite_scales(splats.log_scale)
-    sizes, colors = make_codebook(log_scale), make_codebook(splats.sh[:, 0])
-    scales = images.add("scales.webp", lambda rows: codes(log_scale[rows], sizes))
-    meta["scales"] = {"codebook": _numbers(sizes), "files": [scales]}
-    turns = images.add("quats.webp", lambda rows: _turns(splats.rotation[rows]))
-    meta["quats"] = {"files": [turns]}
-
-    def colored(rows: Rows) -> UInt8[np.ndarray, "m 4"]:
-        alpha = to_bytes(sigmoid(splats.logit_opacity[rows]) * np.float32(255))
-        return np.column_stack([codes(splats.sh[rows, 0], colors), alpha])
-
-    meta["sh0"] = {"codebook": _numbers(colors), "files": [images.add("sh0.webp", colored)]}
+    meta["means"] = _add_means(steps, images) | {"mins": low.tolist(), "maxs": high.tolist()}
+    del steps
+    meta["scales"] = _add_scales(_finite_scales(splats.column("log_scale")), images)
+    meta["quats"] = _add_turns(splats.column("rotation"), images)
+    sh = splats.column("sh")
+    meta["sh0"] = _add_colors(sh[:, 0], splats.column("logit_opacity"), images)
     if splats.degree:
-        meta["shN"] = _add_palette(splats, images)
+        meta["shN"] = _add_palette(sh, images)
     return images.files | {META: json.dumps(meta, separators=(",", ":")).encode()}
 
 
+def _add_means(steps: Int64[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
+    """Add the SOG images of the low and the high bytes of positions; return their names."""
+    low = images.add("means_l.webp", lambda rows: (steps[rows] & 255).astype(np.uint8))
+    high = images.add("means_u.webp", lambda rows: (steps[rows] >> 8).astype(np.uint8))
+    return {"files": [low, high]}
+
+
+def _add_turns(rotation: Float32[np.ndarray, "n 4"], images: _Images) -> dict[str, Any]:
+    """Add the SOG image of rotations; return its JSON description."""
+    return {"files": [images.add("quats.webp", lambda rows: _turns(rotation[rows]))]}
+
+
+def _add_scales(log_scale: Float32[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
+    """Add the SOG image of scales; return its JSON description."""
+    book = make_codebook(log_scale)
+    name = images.add("scales.webp", lambda rows: codes(log_scale[rows], book))
+    return {"codebook": _numbers(book), "files": [name]}
+
+
+def _add_colors(
+    color: Float32[np.ndarray, "n 3"], logit_opacity: Float32[np.ndarray, " n"], images: _Images
+) -> dict[str, Any]:
+    """Add the SOG image of colours and opacities; return its JSON description."""
+    book = make_codebook(color)
+
+    def colored(rows: Rows) -> UInt8[np.ndarray, "m 4"]:
+        alpha = to_bytes(sigmoid(logit_opacity[rows]) * np.float32(255))
+        return np.column_stack([codes(color[rows], book), alpha])
+
+    return {"codebook": _numbers(book), "files": [images.add("sh0.webp", colored)]}
+
+
 def _stored_positions(
-    splats: Splats,
+    position: Float32[np.ndarray, "n 3"],
 ) -> tuple[Int64[np.ndarray, "n 3"], Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
     """Return positions, companded by sgn(x) ln(1 + |x|), as 16-bit steps, and their range."""
-    ends = np.stack([splats.position.min(axis=0), splats.position.max(axis=0)]).astype(np.float64)
+    ends = np.stack([position.min(axis=0), position.max(axis=0)]).astype(np.float64)
     low, high = np.sign(ends) * np.log1p(np.abs(ends))
     size = np.where(high > low, high - low, 1.0)
-    steps = np.empty((len(splats), 3), np.uint16)
-    for start in range(0, len(splats), _ROWS):
-        part = splats.position[start : start + _ROWS].astype(np.float64)
+    steps = np.empty((len(position), 3), np.uint16)
+    for start in range(0, len(position), _ROWS):
+        part = position[start : start + _ROWS].astype(np.float64)
         stored = np.sign(part) * np.log1p(np.abs(part))
         steps[start : start + _ROWS] = rounded((stored - low) / size * _LAST_STEP, 0, _LAST_STEP)
     return steps, low, high
@@ -171,14 +241,14 @@ def _turns(rotation: Float32[np.ndarray, "m 4"]) -> UInt8[np.ndarray, "m 4"]:
     )
 
 
-def _add_palette(splats: Splats, images: _Images) -> dict[str, Any]:
+def _add_palette(sh: Float32[np.ndarray, "n k 3"], images: _Images) -> dict[str, Any]:
     """Add the SOG images of the SH palette and of its labels; return their JSON description.
 
     The palette is rounded to its codebook before each splat takes the nearest entry.
     """
-    width = PALETTE_WIDTH * (SH_COUNTS[splats.degree] - 1)
-    higher = splats.sh[:, 1:].reshape(len(splats), -1)
-    palette = make_palette(higher, _palette_size(len(splats)))
+    width = PALETTE_WIDTH * (sh.shape[1] - 1)
+    higher = sh[:, 1:].reshape(len(sh), -1)
+    palette = make_palette(higher, _palette_size(len(sh)))
     members = np.bincount(nearest_entries(higher, palette), minlength=len(palette))
     book = make_codebook(palette, np.repeat(members, palette.shape[1]))
     coded = codes(palette, book)
@@ -194,7 +264,7 @@ def _add_palette(splats: Splats, images: _Images) -> dict[str, Any]:
 
     return {
         "count": len(palette),
-        "bands": splats.degree,
+        "bands": math.isqrt(sh.shape[1]) - 1,
         "codebook": _numbers(book),
         "files": [centroids, images.add("shN_labels.webp", label_pixels)],
     }

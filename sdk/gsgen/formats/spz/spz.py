@@ -4,6 +4,10 @@ The format is that of nianticlabs/spz.
 """
 
 import math
+from collections.abc import Iterable
+from contextlib import ExitStack
+from functools import partial
+from tempfile import TemporaryFile
 
 import numpy as np
 
@@ -16,7 +20,7 @@ from gsgen.formats.shared.splats import Splats
 from gsgen.formats.spz import container as container
 from gsgen.formats.spz import streams as streams
 
-__all__ = ["FRACTIONAL_BITS", "SH_BITS", "VERSION", "read_spz", "write_spz"]
+__all__ = ["FRACTIONAL_BITS", "SH_BITS", "VERSION", "read_spz", "write_spz", "write_spz_parts"]
 
 VERSION = 3
 """The default version of written files: version 4 needs zstd, and few viewers read it."""
@@ -29,6 +33,7 @@ AXES = "RUB"
 """The axes of the format: x right, y up, z back."""
 
 _LARGEST_HALF = 65504.0
+_PIECE = 1 << 20
 
 
 def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES, axes: str | None = None) -> Splats:
@@ -117,7 +122,7 @@ def write_spz(
     with naming(path):
         _require_options(version, sh_bits)
         require_drawable(splats)
-        fraction = _fractional_bits(splats, version)
+        fraction = _fractional_bits(float(np.abs(splats.position).max()), version)
         content = streams.encode(
             _turned(splats, axis_signs(axes)),
             version=version,
@@ -138,9 +143,51 @@ def write_spz(
         file.write(packed)
 
 
-def _fractional_bits(splats: Splats, version: int) -> int:
+def write_spz_parts(path: FilePath, parts: Iterable[Splats], count: int, reach: float) -> None:
+    """Write splats that come in parts of equal degree and flags as an SPZ file, version 3.
+
+    Encoded attributes are kept in temporary files until all parts are read.
+
+    Args:
+        path: The output path; an existing file is replaced.
+        parts: The splats.
+        count: The number of all splats.
+        reach: The largest absolute coordinate of all splats.
+
+    Raises:
+        ValueInvalid: A coordinate exceeds the range of the format.
+        FileUnwritable: The file cannot be written at ``path``.
+    """
+    with ExitStack() as stack:
+        files = {name: stack.enter_context(TemporaryFile()) for name in streams.NAMES}
+        fraction = _fractional_bits(reach, VERSION)
+        degree, antialiased = 0, False
+        for part in parts:
+            degree, antialiased = part.degree, part.antialiased
+            turned = _turned(part, axis_signs(AXES))
+            content = streams.encode(
+                turned, version=VERSION, fractional_bits=fraction, sh_bits=SH_BITS
+            )
+            for name, data in content.items():
+                files[name].write(data)
+        frame = container.Frame(
+            version=VERSION,
+            count=count,
+            degree=degree,
+            fractional_bits=fraction,
+            antialiased=antialiased,
+            streams={},
+        )
+        for attribute in files.values():
+            attribute.seek(0)
+        pieces = (iter(partial(attribute.read, _PIECE), b"") for attribute in files.values())
+        with replacing(path) as file:
+            file.writelines(container.pack_gzip(frame, pieces))
+            container.require_count(count, file.tell())
+
+
+def _fractional_bits(reach: float, version: int) -> int:
     """Return the largest number of fractional bits (up to 12) with which all positions fit."""
-    reach = float(np.abs(splats.position).max())
     half = version <= streams.HALF_POSITIONS
     limit = _LARGEST_HALF if half else float(streams.COORDINATE_LIMIT)
     if reach > limit:

@@ -48,9 +48,15 @@ export class GsgenModel extends HTMLElement {
     this._isDrawing = false;
     this._view.play.addEventListener("click", () => (this.paused ? this.play() : this.pause()));
     this._view.time.addEventListener("input", () => {
+      // The slider shows the present time again when the model pauses.
+      const share = Number(this._view.time.value) / 1000;
       this.pause();
-      this.currentTime = (Number(this._view.time.value) / 1000) * this.duration;
+      this.currentTime = share * this.duration;
     });
+    this.addEventListener("dragover", (event) => {
+      if (this.hasAttribute("file-drop")) event.preventDefault();
+    });
+    this.addEventListener("drop", (event) => this._drop(event));
     this._resizes = new ResizeObserver(() => this.requestFrame());
     this._visibility = new IntersectionObserver(([entry]) => this._see(entry.isIntersecting));
   }
@@ -163,6 +169,15 @@ export class GsgenModel extends HTMLElement {
     this.requestFrame();
   }
 
+  /** Show a file that was dropped on an element with the attribute `file-drop`. */
+  _drop(event) {
+    const file = event.dataTransfer?.files[0];
+    if (!file || !this.hasAttribute("file-drop")) return;
+    event.preventDefault();
+    this.setAttribute("name", file.name);
+    this.setAttribute("src", URL.createObjectURL(file));
+  }
+
   _release() {
     cancelAnimationFrame(this._frameRequest);
     this._frameRequest = 0;
@@ -219,7 +234,7 @@ export class GsgenModel extends HTMLElement {
     this._view.hideProgress();
     this._view.showPoster(null);
     this._view.say(`Loaded: ${this.getAttribute("alt") ?? name}`);
-    this.report = { manifest: model.manifest ?? null, errors: [] };
+    this.report = { manifest: model.manifest ?? null, errors: [], findings: model.findings ?? [] };
     this._tell("load", { count: model.buffers.count });
     this.requestFrame();
   }
@@ -241,8 +256,8 @@ export class GsgenModel extends HTMLElement {
   _fail(error) {
     this._view.hideProgress();
     this._view.showError(error);
-    const { rule = "", where = "", hint = "", message } = error;
-    this.report = { manifest: null, errors: [{ rule, where, message, hint }] };
+    const { rule = "", where = "", hint = "", message, findings = [] } = error;
+    this.report = { manifest: null, errors: [{ rule, where, message, hint }], findings };
     this._tell("error", { rule, where, message, hint });
     if (!(error instanceof GsgenError)) throw error;
   }

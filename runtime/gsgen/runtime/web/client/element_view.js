@@ -28,7 +28,7 @@ const TREE = `
 <div part="bar" role="progressbar" aria-label="Loading" aria-valuemin="0" aria-valuemax="100" hidden></div>
 <div part="player" hidden>
   <button part="play" type="button" aria-label="Play">▶</button>
-  <input part="time" type="range" min="0" max="1000" value="0" aria-label="Time">
+  <input part="time" type="range" min="0" max="1000" step="5" value="0" aria-label="Time">
 </div>
 <p part="error" role="alert" hidden></p>
 <div class="status" role="status"></div>

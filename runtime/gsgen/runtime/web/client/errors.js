@@ -4,13 +4,14 @@
 export class GsgenError extends Error {
   /**
    * @param {string} message The problem, with the actual and the expected value.
-   * @param {{where?: string, hint?: string, rule?: string}} [details]
+   * @param {{where?: string, hint?: string, rule?: string, findings?: any[]}} [details]
    */
-  constructor(message, { where = "", hint = "", rule = "" } = {}) {
+  constructor(message, { where = "", hint = "", rule = "", findings = [] } = {}) {
     super(where ? `${where}: ${message}` : message);
     this.name = "GsgenError";
     this.where = where;
     this.hint = hint;
     this.rule = rule;
+    this.findings = findings;
   }
 }

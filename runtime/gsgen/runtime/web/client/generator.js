@@ -6,9 +6,10 @@
  */
 
 import { GsgenError } from "./errors.js";
+import { findingsOf } from "./findings.js";
 import { GeneratorSession } from "./generator_session.js";
 import { extentOf } from "./model.js";
-import { manifestOf } from "./onnx_metadata.js";
+import { manifestText } from "./onnx_metadata.js";
 import { evaluate } from "./plan.js";
 import { readBuffer } from "./read.js";
 import { appearanceKind, degreeOf, pagesOf } from "./splat_buffers.js";
@@ -150,10 +151,20 @@ export class GeneratorModel {
    */
   static async open(kernels, data, name) {
     const bytes = new Uint8Array(data);
-    const manifest = manifestOf(bytes, name);
+    const findings = findingsOf(bytes, kernels.plans);
+    const fatal = findings.find(({ severity }) => severity === "error");
+    if (fatal) {
+      const { rule, where, actual, expected, hint } = fatal;
+      const command = "All rules: gsgen validate MODEL";
+      throw new GsgenError(`${where}: ${actual}, expected ${expected}`, {
+        where: name, hint: `${hint} ${command}`, rule, findings,
+      });
+    }
+    const manifest = JSON.parse(manifestText(bytes) ?? "");
     requireDrawable(manifest, name);
     const session = await GeneratorSession.open(kernels, bytes, manifest, name);
     const model = new GeneratorModel(kernels, session, manifest);
+    model.findings = findings;
     await model._survey();
     return model;
   }

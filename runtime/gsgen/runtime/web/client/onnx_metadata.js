@@ -1,11 +1,11 @@
 /** Reads what a page has to know of an ONNX file: its manifest, and what computes its outputs. */
 
-import { GsgenError } from "./errors.js";
-
 const KEYS = ["gsgen.manifest", "gaussian-generator.manifest"];
 const METADATA = 14; // ModelProto.metadata_props
 const [IR_VERSION, GRAPH] = [1, 7]; // ModelProto.ir_version, ModelProto.graph
 const [NODE, WEIGHT, INPUT, OUTPUT] = [1, 5, 11, 12]; // GraphProto
+const DTYPES = { 1: "float32", 6: "int32", 7: "int64", 9: "bool", 10: "float16", 11: "float64" };
+const EMPTY = new Uint8Array();
 const TENSOR_NAME = 8; // TensorProto.name
 const NODE_PARTS = { input: 1, output: 2, operator: 4 }; // NodeProto
 
@@ -51,22 +51,45 @@ export function isOnnx(bytes) {
   return false;
 }
 
-/**
- * Return the manifest of a model.
- * @param {Uint8Array} bytes
- * @param {string} name
- * @returns {Record<string, any>}
- */
-export function manifestOf(bytes, name) {
+/** Return the text of a model's manifest; null without one. @param {Uint8Array} bytes */
+export function manifestText(bytes) {
   const decoder = new TextDecoder();
   for (const [number, value] of fieldsOf(bytes)) {
     if (number !== METADATA || typeof value === "number") continue;
     const entry = new Map(fieldsOf(value));
     const text = (part) => decoder.decode(/** @type {Uint8Array} */ (entry.get(part)));
-    if (KEYS.includes(text(1))) return JSON.parse(text(2));
+    if (KEYS.includes(text(1))) return text(2);
   }
-  const hint = "Add one: gsgen inspect MODEL --emit-manifest";
-  throw new GsgenError("has no manifest", { where: name, hint, rule: "GM001" });
+  return null;
+}
+
+/** Return the bytes of a model's graph. @param {Uint8Array} bytes */
+function graphBytes(bytes) {
+  return /** @type {Uint8Array} */ ([...fieldsOf(bytes)].find(([number]) => number === GRAPH)?.[1]);
+}
+
+/**
+ * Return the inputs and outputs of a model's graph, as it declares them.
+ * @param {Uint8Array} bytes
+ * @returns {Record<"inputs" | "outputs", import("./findings.js").Tensor[]>}
+ */
+export function graphOf(bytes) {
+  const fields = [...fieldsOf(graphBytes(bytes))];
+  const tensors = (part) => fields.filter(([number]) => number === part).map(([, value]) => tensorOf(value));
+  return { inputs: tensors(INPUT), outputs: tensors(OUTPUT) };
+}
+
+/** Return name, dtype and dimensions of a ValueInfoProto. */
+function tensorOf(bytes) {
+  const decoder = new TextDecoder();
+  const info = new Map(fieldsOf(bytes));
+  const type = new Map(fieldsOf(new Map(fieldsOf(info.get(2) ?? EMPTY)).get(1) ?? EMPTY));
+  const shape = type.get(2) && [...fieldsOf(type.get(2))].filter(([number]) => number === 1);
+  const dims = shape?.map(([, dim]) => {
+    const [entry] = [...fieldsOf(dim)].filter(([number]) => number <= 2);
+    return entry ? (typeof entry[1] === "number" ? entry[1] : decoder.decode(entry[1])) : null;
+  });
+  return { name: decoder.decode(info.get(1)), dtype: DTYPES[type.get(1)] ?? "", dims: dims ?? null };
 }
 
 /**
@@ -83,8 +106,7 @@ export function outputsByOrigin(bytes, copies) {
   const nameOf = (value) => decoder.decode(new Map(fieldsOf(value)).get(1));
   const [outputs, changing, copied, weights] = [[], new Set(), new Set(), new Set()];
   const [inputs, nodes] = [[], []];
-  const graph = [...fieldsOf(bytes)].find(([number]) => number === GRAPH)?.[1];
-  for (const [number, value] of fieldsOf(/** @type {Uint8Array} */ (graph))) {
+  for (const [number, value] of fieldsOf(graphBytes(bytes))) {
     if (typeof value === "number") continue;
     if (number === OUTPUT) outputs.push(nameOf(value));
     else if (number === INPUT) inputs.push(nameOf(value));

@@ -1,0 +1,162 @@
+"""Converts PLY files larger than memory: reads, edits and writes their splats in parts."""
+
+__all__ = ["PART_WRITERS", "PlyParts", "open_parts", "with_degree"]
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats.editing.edits import ParsedEdit
+from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
+from gsgen.formats.ply.layout import splat_names
+from gsgen.formats.ply.methods import FILTER, require_still_splats, warn_of_unknown
+from gsgen.formats.ply.values import require_splats
+from gsgen.formats.ply.write import write_ply_parts
+from gsgen.formats.shared.errors import ValueInvalid
+from gsgen.formats.shared.files import FilePath, naming
+from gsgen.formats.shared.splats import SH_COUNTS, Splats
+from gsgen.formats.sog.write import write_sog_columns
+from gsgen.formats.spz.spz import write_spz_parts
+
+_ROWS: Final = 1 << 18
+_FLOAT_BYTES: Final = 4
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlyParts:
+    """The edited splats of a PLY file, in parts of up to 2¹⁸ rows; each iteration reads the file.
+
+    Attributes:
+        path: The file.
+        table: Where its rows lie.
+        edits: Edits of single rows, in their order.
+        most_degree: Harmonics above this degree are dropped.
+    """
+
+    path: FilePath
+    table: PlyTable
+    edits: Sequence[ParsedEdit]
+    most_degree: int
+
+    def __iter__(self) -> Iterator[Splats]:
+        """Yield the parts that the edits do not empty.
+
+        Raises:
+            ValueInvalid: A value cannot be drawn; rows count from the start of the part.
+        """
+        for start in range(0, self.table.count, _ROWS):
+            size = min(_ROWS, self.table.count - start)
+            part = read_ply_rows(self.path, self.table, start, size)
+            with naming(self.path):
+                try:
+                    require_splats(part)
+                except ValueInvalid as error:
+                    error.where = f"{error.where}, rows from {start} on"
+                    raise
+            for edit in self.edits:
+                part = edit.apply(part) if len(part) else part
+            if len(part):
+                yield with_degree(part, self.most_degree)
+
+    @property
+    def degree(self) -> int:
+        """The SH degree of the parts."""
+        return min(self.table.degree, self.most_degree)
+
+    def survey(self) -> tuple[int, float]:
+        """Return the number of splats that the edits leave, and the largest absolute coordinate.
+
+        Raises:
+            ValueInvalid: The edits leave no splat.
+        """
+        count, reach = 0, 0.0
+        for part in self:
+            count += len(part)
+            reach = max(reach, float(np.abs(part.position).max()))
+        if not count:
+            texts = " ".join(edit.text for edit in self.edits)
+            message = f"{texts} leaves none of {self.table.count} splats"
+            raise ValueInvalid(message, expected="at least one splat")
+        return count, reach
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Columns:
+    """The arrays of the splats of a PLY file; each is read from the file when it is needed."""
+
+    parts: PlyParts
+    count: int
+
+    @property
+    def antialiased(self) -> bool:
+        return self.parts.table.antialiased
+
+    @property
+    def degree(self) -> int:
+        return self.parts.degree
+
+    def __len__(self) -> int:
+        return self.count
+
+    def column(self, name: str) -> Float32[np.ndarray, "n ..."]:
+        arrays = (np.asarray(getattr(part, name)) for part in self.parts)
+        first = next(arrays)
+        table = np.empty((self.count, *first.shape[1:]), np.float32)
+        end = 0
+        for array in chain([first], arrays):
+            table[end : end + len(array)] = array
+            end += len(array)
+        return table
+
+
+PartWriter = Callable[[FilePath, PlyParts, int, float], None]
+PART_WRITERS: Final[dict[str, PartWriter]] = {
+    "ply": lambda path, parts, count, _: write_ply_parts(path, parts, count),
+    "sog": lambda path, parts, count, _: write_sog_columns(
+        path, _Columns(parts=parts, count=count)
+    ),
+    "spz": write_spz_parts,
+}
+"""Formats that are written in parts: path, parts, their total count and largest coordinate."""
+
+
+def with_degree(splats: Splats, degree: int) -> Splats:
+    """Return splats without harmonics above a degree."""
+    if splats.degree <= degree:
+        return splats
+    return replace(splats, sh=np.ascontiguousarray(splats.sh[:, : SH_COUNTS[degree]]))
+
+
+def open_parts(
+    path: FilePath,
+    edits: Sequence[Callable[[Splats], Splats]],
+    *,
+    most_degree: int = 4,
+    min_bytes: int,
+) -> PlyParts | None:
+    """Open a PLY file of many splats for reading in parts.
+
+    Returns:
+        None where the whole file has to be in memory, or may be: it is small or of another format,
+        its rows need Mip-Splatting's filter, or an edit regards several splats at once.
+    """
+    by_rows = [edit for edit in edits if isinstance(edit, ParsedEdit) and edit.by_rows]
+    if len(by_rows) < len(edits) or Path(path).suffix.lower() != ".ply" or not Path(path).is_file():
+        return None
+    table = ply_table(path)
+    if table is None or FILTER in table.columns:
+        return None
+    names = splat_names(table.degree)
+    if table.count * len(names) * _FLOAT_BYTES <= min_bytes:
+        return None
+    with naming(path):
+        require_still_splats(table.columns)
+    warn_of_unknown(table.columns, names, path)
+    return PlyParts(path=path, table=table, edits=by_rows, most_degree=most_degree)

@@ -1,0 +1,58 @@
+"""Frames of an element whose camera moves, and what they leave behind."""
+
+from dataclasses import dataclass
+from typing import Any
+
+_SCRIPT = """async (count) => {
+  const model = document.querySelector("gsgen-model");
+  const device = model._renderer.device;
+  const made = {};
+  for (const name of Object.getOwnPropertyNames(GPUDevice.prototype)) {
+    if (!name.startsWith("create") || name === "createCommandEncoder") continue;
+    const own = device[name].bind(device);
+    device[name] = (...rest) => { made[name] = (made[name] ?? 0) + 1; return own(...rest); };
+  }
+  let [finished, most] = [0, 0];
+  for (let frame = 1; frame <= count; frame++) {
+    model._orbit.orbit(0.01, 0);
+    await model._draw(performance.now());
+    most = Math.max(most, frame - finished);
+    const done = device.queue.onSubmittedWorkDone().then(() => finished++);
+    if (frame % 10 === 0) await done;
+  }
+  await device.queue.onSubmittedWorkDone();
+  return [made, most];
+}"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteadyFrames:
+    """What some frames left behind.
+
+    Attributes:
+        made: GPU objects that were made, by the name of the function.
+        in_flight: The most frames that were submitted and not finished.
+        heap_growth: Bytes by which the page's heap grew.
+    """
+
+    made: dict[str, int]
+    in_flight: int
+    heap_growth: int
+
+
+def steady_frames(page: Any, count: int) -> SteadyFrames:
+    """Draw frames of a page's small element, each from another camera."""
+    element = "document.querySelector('gsgen-model')"
+    page.evaluate(f"{element}.style.cssText = 'width: 64px; height: 48px; min-height: 0'; null")
+    page.wait_for_function(f"{element}.camera.width === 64")
+    page.wait_for_timeout(500)
+    profiler = page.context.new_cdp_session(page)
+    before = _heap_bytes(profiler)
+    made, in_flight = page.evaluate(_SCRIPT, count)
+    growth = _heap_bytes(profiler) - before
+    return SteadyFrames(made=made, in_flight=in_flight, heap_growth=growth)
+
+
+def _heap_bytes(profiler: Any) -> int:
+    profiler.send("HeapProfiler.collectGarbage")
+    return int(profiler.send("Runtime.getHeapUsage")["usedSize"])
