@@ -7,6 +7,7 @@ multiplications of its networks be done, both measured in the same run. Run by `
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +27,20 @@ from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
 from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
 from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
+from gsgen.reference_plugins.deformation.sc_gs import ScGs
+from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs
+from gsgen.reference_plugins.heads.gaussian_avatars import GaussianAvatars
+from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import read_gaussian_avatars
 from gsgen.reference_plugins.people.gauhuman import GauHuman
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.lhm import LHM
 from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
 from gsgen.reference_plugins.people.r3_avatar import R3Avatar
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
+from gsgen.reference_plugins.spacetime.rotor_4dgs import Rotor4DGS
+from gsgen.reference_plugins.spacetime.rotor_checkpoint import read_rotor
+from gsgen.reference_plugins.spacetime.spacetime_checkpoint import read_spacetime
+from gsgen.reference_plugins.spacetime.spacetime_gaussians import SpacetimeGaussians
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,
@@ -39,11 +48,15 @@ from gsgen.reference_plugins.synthetic import (
     write_deformable,
     write_duplex,
     write_gauhuman,
+    write_gaussian_avatar,
     write_hexplane,
     write_lhm,
     write_octree,
     write_r3,
+    write_rotor,
+    write_sc_gs,
     write_scaffold,
+    write_spacetime,
 )
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
@@ -170,9 +183,55 @@ def bench_hexplane_4dgs(tmp_path: Path) -> None:
     measure(generator, {"time": np.array([0.37], np.float32)}, tmp_path, baked)
 
 
+FRAME = np.array([0.37], np.float32)
+
+
+def bench_rotor_4dgs(tmp_path: Path) -> None:
+    read = read_rotor(write_rotor(tmp_path / "run", count=60_000))
+    measure(Rotor4DGS(read.splats, (0.0, 1.0)), {"time": FRAME}, tmp_path)
+
+
+def bench_spacetime_gaussians(tmp_path: Path) -> None:
+    read = read_spacetime(write_spacetime(tmp_path / "run", count=100_000))
+    measure(SpacetimeGaussians(read.splats), {"time": FRAME}, tmp_path)
+
+
+def bench_sc_gs(tmp_path: Path) -> None:
+    read = read_sc_gs(write_control_nodes(tmp_path / "run", count=60_000))
+    measure(ScGs(read), {"time": FRAME}, tmp_path)
+
+
+def bench_gaussian_avatars(tmp_path: Path) -> None:
+    read = read_gaussian_avatars(write_gaussian_avatar(tmp_path / "run", count=60_000, rings=50))
+    rng = np.random.default_rng(0)
+    feeds = {
+        "pose": rng.normal(0, 0.2, (5, 3)).astype(np.float32),
+        "expression": rng.normal(size=10).astype(np.float32),
+        "root_translation": np.zeros(3, np.float32),
+    }
+    measure(GaussianAvatars(read), feeds, tmp_path)
+
+
+def write_control_nodes(folder: Path, count: int) -> Path:
+    """Write an SC-GS checkpoint of the published sizes: 512 nodes in 11 dimensions."""
+    return write_sc_gs(folder, count=count, nodes=512, width=256, options={"hyper_dim": 8})
+
+
+def newer(folder: Path) -> Iterator[tuple[str, GaussianGenerator, int]]:
+    """Yield generators of four further families, at sizes where weights outweigh the graph."""
+    rotor = read_rotor(write_rotor(folder / "rotor", count=5_000)).splats
+    yield "rotor-4dgs", Rotor4DGS(rotor, (0.0, 1.0)), needed_tensors.of_splats(rotor)
+    moving = read_spacetime(write_spacetime(folder / "spacetime", count=20_000)).splats
+    yield "spacetime", SpacetimeGaussians(moving), needed_tensors.of_splats(moving)
+    nodes = read_sc_gs(write_control_nodes(folder / "nodes", count=10_000))
+    yield "sc-gs", ScGs(nodes), needed_tensors.of_nodes(nodes)
+    head = read_gaussian_avatars(write_gaussian_avatar(folder / "head", count=14_000, rings=50))
+    yield "avatars", GaussianAvatars(head), needed_tensors.of_head(head)
+
+
 def bench_sizes(tmp_path: Path) -> None:
     """Print bytes of files over bytes of the tensors that models need; nothing is timed."""
-    for name, generator, needed in sized(tmp_path):
+    for name, generator, needed in chain(sized(tmp_path), newer(tmp_path)):
         sizes = []
         for dtype in ("float32", "float16"):
             path = tmp_path / f"{dtype}.onnx"

@@ -5,6 +5,7 @@ import pytest
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared.subgroups import lanes
+from gsgen.runtime.kernels.tiles import blend_tiles
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
 from support.rendering.splat_scenes import SCENES
@@ -48,6 +49,24 @@ def test_quads_read_records(device: Device) -> None:
     records, arrays = (Renderer(one, rasteriser="quads") for one in (gpu_like(device), device))
     drawn = [renderer.render(scene, camera).rgba for renderer in (records, arrays)]
     np.testing.assert_array_equal(drawn[0], drawn[1])
+
+
+@pytest.mark.parametrize("name", ["many", "huge", "panorama_seam"])
+def test_narrow_cells_draw_the_same_picture(
+    device: Device, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Drivers on CPUs whose subgroups have four invocations blend in cells of 4×4 pixels."""
+    monkeypatch.setattr(blend_tiles, "lanes", lambda device: 4)
+    narrow = Renderer(device, rasteriser="tiles")
+    scene, camera = SCENES[name]()
+    seen = narrow.render(scene, camera, outputs=("color", "depth"))
+    assert narrow._kernels.blend(False, bool(camera.period), 0, False).shader == "blend_staged"
+    wanted = oracle.render(scene, camera)
+    error = np.abs(seen.rgba - wanted.rgba).max(axis=-1)
+    assert np.where(wanted.fragile, 0, error).max() <= 2e-5
+    np.testing.assert_array_equal(
+        seen.ids[~wanted.fragile_median], wanted.ids[~wanted.fragile_median]
+    )
 
 
 def test_subgroups_are_measured_where_there_are_any(device: Device) -> None:

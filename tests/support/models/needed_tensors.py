@@ -5,6 +5,7 @@ count, nor what no frame depends on. Of a body model only the vertices count tha
 """
 
 from collections.abc import Iterable
+from dataclasses import fields
 
 import numpy as np
 from torch import Tensor, nn
@@ -16,10 +17,14 @@ from gsgen.reference_plugins.bodies.body_models import Body
 from gsgen.reference_plugins.bodies.pose_networks import PoseNets
 from gsgen.reference_plugins.deformation.deformation_checkpoint import DeformationCheckpoint
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import HexPlaneCheckpoint
+from gsgen.reference_plugins.deformation.sc_gs_checkpoint import ScGsCheckpoint
+from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import GaussianAvatarsCheckpoint
 from gsgen.reference_plugins.loading.canonical import Canonical
 from gsgen.reference_plugins.people.lhm import expression_dirs
 from gsgen.reference_plugins.people.lhm_checkpoint import EXPRESSIONS, LHMCheckpoint
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import R3Checkpoint
+from gsgen.reference_plugins.spacetime.rotor_checkpoint import RotorSplats
+from gsgen.reference_plugins.spacetime.spacetime_checkpoint import SpacetimeSplats
 
 _TIME_PLANES = (2, 4, 5)
 
@@ -117,3 +122,30 @@ def of_r3(read: R3Checkpoint, used: int) -> int:
 def of_module(module: nn.Module) -> int:
     """Return the bytes of a network of images, which is exported as it was trained."""
     return _sum((*module.parameters(), *module.buffers()))
+
+
+def of_splats(splats: RotorSplats | SpacetimeSplats) -> int:
+    """Rotor 4DGS and SpacetimeGaussians, whose every tensor has a part in each frame."""
+    values = (getattr(splats, field.name) for field in fields(splats))
+    return _sum(value for value in values if isinstance(value, Tensor))
+
+
+def of_nodes(read: ScGsCheckpoint) -> int:
+    """SC-GS: Gaussians with hyper coordinates, nodes, and the network of the nodes."""
+    nodes, net = read.nodes, read.nodes.net
+    layers = [*net.layers, *net.warp, *(net.time or ()), net.rotation, net.scaling]
+    control = (nodes.position, nodes.hyper, nodes.log_radius, nodes.logit_weight)
+    return (
+        _canonical(read.canonical)
+        + _sum([read.hyper.expand(len(read.canonical), -1), *control])
+        + _sum(tensor for layer in layers for tensor in layer)
+    )
+
+
+def of_head(read: GaussianAvatarsCheckpoint) -> int:
+    """GaussianAvatars: of FLAME, only the triangles that Gaussians are bound to."""
+    body, triangles = read.body, np.unique(read.binding)
+    vertices = len(np.unique(body.faces[triangles]))
+    # Position, expressions, pose and skinning weights of a vertex; corners; the binding.
+    numbers = vertices * (3 + 3 * read.expressions + 3 * body.pose_dirs.shape[2] + body.joints)
+    return _canonical(read.canonical) + 4 * (numbers + 3 * len(triangles) + len(read.binding))

@@ -155,6 +155,27 @@ def test_a_small_pool_draws_a_coarser_cut_and_never_overflows(town: Path) -> Non
     session.close()
 
 
+def test_a_tile_that_another_one_displaces_in_its_own_frame_is_not_uploaded(town: Path) -> None:
+    """Tiles that are only prefetched fill the pool, more of them in a frame than it holds."""
+    session = open_session(town, replace(OPTIONS, max_splats=2000, predictor="none"))
+    reader = ContentReader(
+        FolderStore(town), load_tileset(FolderStore(town), "tileset.json"), session.tree, None
+    )
+    away = Frustum.from_camera(
+        Camera.look_at((900, 0, 0), (1000, 0, 0), up=(0, 0, 1), width=64, height=48)
+    )
+    pool, rng = Pool(session), np.random.default_rng(0)
+    for _ in range(10):
+        for tile in rng.choice(len(session.tree), 8, replace=False).tolist():
+            if not session.resident[tile]:
+                session._pending[tile] = reader.decode(tile, reader.fetch(tile, lambda count: None))
+        frame = session.frame(away)
+        assert not {entry.tile for entry in frame.arrivals} & set(frame.evicted)
+        pool.take(frame)
+        assert set(pool.slots) == set(np.flatnonzero(session.resident).tolist())
+    session.close()
+
+
 @pytest.mark.parametrize(
     "failures",
     [

@@ -27,7 +27,7 @@ class MovingSplats(GaussianGenerator, ABC):
     family = "4d"
     count_semantics = "upper-bound"
 
-    position: Tensor
+    origin: Tensor
     motion: Tensor
     rotation: Tensor
     omega: Tensor
@@ -39,9 +39,11 @@ class MovingSplats(GaussianGenerator, ABC):
 
     def __init__(self, splats: SpacetimeSplats) -> None:
         super().__init__()
-        for name in ("position", "rotation", "omega", "temporal_centre", "features"):
+        for name in ("rotation", "omega", "temporal_centre", "features"):
             self.register_buffer(name, getattr(splats, name))
-        self.register_buffer("motion", splats.motion.flatten(1))
+        # Planes [3, N], over which a row of times is contiguous.
+        self.register_buffer("origin", splats.position.t().contiguous())
+        self.register_buffer("motion", splats.motion.permute(1, 2, 0).contiguous())
         self.register_buffer("scale", torch.exp(splats.log_scale))
         self.register_buffer("opacity", torch.sigmoid(splats.logit_opacity))
         rate = torch.exp(-splats.log_duration.double()).clamp(max=_MAX_RATE)
@@ -50,11 +52,11 @@ class MovingSplats(GaussianGenerator, ABC):
     def moved(self, time: Float[Tensor, "1"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return dt, centres, opacities and upper triangles of covariances at a time, in rows."""
         dt = time.reshape(1, 1) - self.temporal_centre
-        first, second, third = (self.motion[:, i : i + 3] for i in (0, 3, 6))
-        position = self.position + dt * (first + dt * (second + dt * third))
         distance = dt * self.rate
         opacity = self.opacity * torch.exp(-(distance * distance))
         row = dt.reshape(1, -1)
+        first, second, third = self.motion.unbind(0)
+        position = (self.origin + row * (first + row * (second + row * third))).transpose(0, 1)
         rotation = [
             start + row * change
             for start, change in zip(planes_of(self.rotation), planes_of(self.omega), strict=True)

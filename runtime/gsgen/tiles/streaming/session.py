@@ -353,6 +353,7 @@ class TilesetSession:
         order = sorted(self._pending, key=lambda t: (not seen[t], level[t], -error[t], t))
         evicted: list[int] = []
         arrivals: list[TileArrival] = []
+        upgraded: set[int] = set()
         room = self.upload_budget
         for tile in order:
             is_resident = bool(self._residents.resident[tile])
@@ -374,8 +375,15 @@ class TilesetSession:
             if self._chooser:
                 self._chooser.held[list(victims)] = -1
                 self._chooser.held[tile] = arrival.quality
-            evicted += victims
+            # A tile that came in this very frame was never drawn: it is not uploaded at all.
+            recalled = {entry.tile for entry in arrivals if entry.tile in victims}
+            room += sum(entry.upload_bytes for entry in arrivals if entry.tile in recalled)
+            evicted += [
+                victim for victim in victims if victim not in recalled or victim in upgraded
+            ]
+            arrivals = [entry for entry in arrivals if entry.tile not in recalled]
             arrivals.append(arrival)
+            upgraded |= {tile} if is_resident else set()
             room -= arrival.upload_bytes
         for tile in [tile for tile in reversed(order) if tile in self._pending][:-_MOST_PENDING]:
             del self._pending[tile]

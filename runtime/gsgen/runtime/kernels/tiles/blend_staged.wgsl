@@ -1,25 +1,53 @@
-// Blend like blend_tiles.wgsl, for GPUs: splats are read through workgroup memory, in batches.
+// Blend like blend_tiles.wgsl, with splats that are read through workgroup memory, in batches.
 //
-// Each invocation reads another splat of a batch, and finds which cells of the tile it touches. A
-// cell has the pixels of LANES invocations, four above each other: as many as most GPUs run in
-// lockstep, so that they skip a splat together. Cells whose pixels are all finished take no part in
+// Each invocation reads another splat of a batch, and notes it for the cells of the tile that it
+// touches. A cell has the pixels of LANES invocations, four above each other: as many as run in
+// lockstep, so that they walk the same splats. Cells whose pixels are all finished take no part in
 // the next batch, and the tile ends when no cell does.
 
 //!include blend_tile
 //!include cells_touched
 
-const CELL_WIDTH = 16u;
-const CELL_HEIGHT = 8u;
 const THREADS = TILE * TILE / 4u;
 const BANDS = TILE / CELL_HEIGHT;
+const WORDS = (THREADS + 31u) / 32u;  // of a mask with a bit for each splat of a batch
 
 var<workgroup> batch_ids: array<u32, THREADS>;
-var<workgroup> batch_cells: array<u32, THREADS>;      // a bit for each touched cell
 var<workgroup> batch_shapes: array<vec4f, THREADS>;
 var<workgroup> batch_weights: array<vec3f, THREADS>;
 var<workgroup> batch_colors: array<vec3f, THREADS>;
-var<workgroup> unfinished: atomic<u32>;               // a bit for each cell with an open pixel
-var<workgroup> open: u32;                             // those of the last batch
+var<workgroup> cell_splats: array<atomic<u32>, THREADS / LANES * WORDS>;  // by cell: the splats that touch it
+var<workgroup> unfinished: atomic<u32>;  // a bit for each cell with an open pixel
+var<workgroup> open: u32;                // those of the last batch
+
+// Read the splat of a pair, and note it for all open cells that it touches.
+fn read_splat(pair: u32, slot: u32, tile: vec2u, open_cells: u32) {
+    let id = pair_splats[pair];
+    let shape = shapes[shape_at(id)];
+    let weight = weights[weight_at(id)];
+    batch_ids[slot] = id;
+    batch_shapes[slot] = shape;
+    batch_weights[slot] = weight.xyz;
+    batch_colors[slot] = colors[id].xyz;
+    var touched = open_cells & cells_touched(tile, shape, weight) & ((2u << (THREADS / LANES - 1u)) - 1u);
+    while (touched != 0u) {
+        let cell = firstTrailingBit(touched);
+        touched &= touched - 1u;
+        atomicOr(&cell_splats[cell * WORDS + slot / 32u], 1u << (slot % 32u));
+    }
+}
+
+// Blend the splats of a batch that touch a cell, nearest first.
+fn blend_batch(cell: u32) {
+    for (var word = 0u; word < WORDS; word++) {
+        var splats = atomicLoad(&cell_splats[cell * WORDS + word]);
+        while (splats != 0u && is_open()) {
+            let i = word * 32u + firstTrailingBit(splats);
+            splats &= splats - 1u;
+            blend_splat(batch_ids[i], batch_shapes[i], batch_weights[i], batch_colors[i], 0u);
+        }
+    }
+}
 
 @compute @workgroup_size(THREADS)
 fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_index) thread: u32) {
@@ -29,27 +57,19 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_index) th
     let range = begin_tile(tile.xy, first_lane + lane);
     var open_before = ~0u;
     for (var first = range.x; first < range.y; first += THREADS) {
-        // Step 1: read a batch.
-        let pair = first + thread;
-        if (pair < range.y) {
-            let id = pair_splats[pair];
-            let shape = shapes[shape_at(id)];
-            let weight = weights[weight_at(id)];
-            batch_ids[thread] = id;
-            batch_cells[thread] = open_before & cells_touched(tile.xy, shape, weight);
-            batch_shapes[thread] = shape;
-            batch_weights[thread] = weight.xyz;
-            batch_colors[thread] = colors[id].xyz;
+        // Step 1: clear the masks of the last batch.
+        for (var word = thread; word < THREADS / LANES * WORDS; word += THREADS) {
+            atomicStore(&cell_splats[word], 0u);
         }
         workgroupBarrier();
-        // Step 2: blend its splats over the cells that they touch, nearest first.
-        let count = min(THREADS, range.y - first);
-        for (var i = 0u; i < count && is_open(); i++) {
-            if ((batch_cells[i] & (1u << cell)) != 0u) {
-                blend_splat(batch_ids[i], batch_shapes[i], batch_weights[i], batch_colors[i], 0u);
-            }
+        // Step 2: read a batch.
+        if (first + thread < range.y) {
+            read_splat(first + thread, thread, tile.xy, open_before);
         }
-        // Step 3: end the tile when all cells are finished.
+        workgroupBarrier();
+        // Step 3: blend it.
+        blend_batch(cell);
+        // Step 4: end the tile when all cells are finished.
         if (is_open()) {
             atomicOr(&unfinished, 1u << cell);
         }
