@@ -28,7 +28,7 @@ def knot(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def page(browser: Any) -> Iterator[Any]:
-    context = browser.new_context(viewport={"width": 1000, "height": 340})
+    context = browser.new_context(viewport={"width": 1000, "height": 380})
     page = context.new_page()
     page.set_default_timeout(90_000)
     yield page
