@@ -7,7 +7,8 @@ import numpy as np
 from docs_parts.rules import ours
 from docs_parts.tables import code, table
 from gsgen.contract.probing.probes import default_probes
-from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.fields.json_schema import to_json
+from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, CELL_FIELDS, FIELDS, WORD_BYTES
 from gsgen.contract.spec.manifest import (
     Bounds,
@@ -18,7 +19,6 @@ from gsgen.contract.spec.manifest import (
     Tolerances,
 )
 from gsgen.contract.spec.reader_needs import PROFILES
-from gsgen.contract.spec.roles import ROLES
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings, config_schema

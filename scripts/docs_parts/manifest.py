@@ -5,10 +5,10 @@ from typing import Any
 
 from docs_parts.tables import code, table
 from gsgen.contract.spec import manifest
-from gsgen.contract.spec.json_schema import schema_of
+from gsgen.contract.spec.fields.json_schema import schema_of
+from gsgen.contract.spec.fields.roles import KINDS, ROLES
 from gsgen.contract.spec.manifest import manifest_type
 from gsgen.contract.spec.manifest_io import schema_name
-from gsgen.contract.spec.roles import KINDS, ROLES
 
 
 def kinds() -> str:

@@ -10,7 +10,7 @@ from gsgen.conformance.run import suites_of
 from gsgen.conformance.suite import BASIC, SUITES, find_suite
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.rules.catalogue import installed_rules
-from gsgen.contract.spec.roles import GENERATOR, TRAJECTORY
+from gsgen.contract.spec.fields.roles import GENERATOR, TRAJECTORY
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 

@@ -10,7 +10,7 @@ from gsgen.cli.app import build
 from gsgen.contract import _extensions
 from gsgen.contract._extensions import Command, find_commands
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.spec.roles import ROLES
+from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.sdk.commands import plugins as command
 
 EXPECTED_NAMES = {"deformable-3dgs", "hexplane-4dgs", "octree-gs", "scaffold-gs", "static"}

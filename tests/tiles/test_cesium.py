@@ -9,11 +9,10 @@ from scipy.ndimage import label
 
 from gsgen.formats import Splats
 from gsgen.tiles.validation import sketches
-from support.tiles import cesium
-from support.tiles.foreign_tiles import east_north_up
+from support.tiles import cesium, first_draft
+from support.tiles.foreign_tiles import east_north_up, write
 
 _EACH = 1500
-DATA = Path(__file__).with_name("data")
 
 
 @pytest.fixture(autouse=True)
@@ -82,9 +81,10 @@ def test_a_missing_tile_is_seen_to_fail(tmp_path: Path) -> None:
     assert [url for url in seen.failed if name in url]
 
 
-def test_the_first_draft_is_drawn_as_points() -> None:
+def test_the_first_draft_is_drawn_as_points(tmp_path: Path) -> None:
     """GT007 is right: without the required extensions, five splats are five dots."""
-    seen = cesium.view(DATA / "synthetic")
+    write(tmp_path, first_draft.five_splats())
+    seen = cesium.view(tmp_path)
     assert (seen.failed, seen.errors, seen.splats) == ([], [], 0)
     assert [url.rpartition("/set/")[2] for url in seen.loaded] == ["0/0.gltf"]
     _, dots = label(seen.picture.max(axis=2) > 20, structure=np.ones((3, 3)))

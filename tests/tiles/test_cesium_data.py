@@ -1,9 +1,9 @@
-"""The test data of CesiumJS are read with exact counts and positions, and judged rightly."""
+"""Tilesets like those of CesiumJS's tests: exact counts and positions, and the right verdict."""
 
 import json
-import shutil
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +14,9 @@ from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.leaves import read_leaves
 from gsgen.tiles.loading import open_tileset
 from support.commands import gsgen as run
+from support.tiles import first_draft
 from support.tiles import foreign_tiles as foreign
 
-DATA = Path(__file__).with_name("data")
 SH_C0 = 0.28209479177387814
 
 
@@ -24,45 +24,43 @@ def findings(path: Path) -> dict[str, str]:
     return {finding.rule: finding.certainty for finding in validate(path).findings}
 
 
-def test_the_first_draft_is_read_whole() -> None:
+def test_the_first_draft_is_read_whole(tmp_path: Path) -> None:
     """Five splats on a diagonal: the values of the buffer, and the node's quarter turn by hand."""
+    path = foreign.write(tmp_path, first_draft.five_splats())
     with pytest.warns(FormatWarning, match="_ROTATION, _SCALE"):
-        leaves = read_leaves(DATA / "synthetic" / "tileset.json")
+        leaves = read_leaves(path)
     steps = np.arange(-2, 3)
     expected = steps[:, None] + [2.0, 7.0, 12.0]
     assert np.abs(leaves.position - expected).max() < 1e-6
     assert np.allclose(np.exp(leaves.log_scale), np.exp(1 + 0.1 * np.arange(5))[:, None], 1e-6)
-    colors = np.column_stack([[127, 134, 141, 149, 156], [199, 206, 213, 221, 228], [255] * 5])
-    assert np.abs(leaves.sh[:, 0] * SH_C0 + 0.5 - colors / 255).max() < 1e-6
+    colors = first_draft.COLORS / 255
+    assert np.abs(leaves.sh[:, 0] * SH_C0 + 0.5 - colors[:, :3]).max() < 1e-6
     opacity = 1 / (1 + np.exp(-leaves.logit_opacity))
-    assert np.abs(opacity - np.array([140, 152, 164, 175, 186]) / 255).max() < 1e-6
+    assert np.abs(opacity - colors[:, 3]).max() < 1e-6
     # The first splat has no turn but that of the node, −90° about x, and of the viewer, +90°.
     assert np.abs(np.abs(leaves.rotation[0]) - [1, 0, 0, 0]).max() < 1e-6
 
 
-def test_the_first_draft_is_named_in_the_report() -> None:
+def test_the_first_draft_is_named_in_the_report(tmp_path: Path) -> None:
     """CesiumJS 1.145 draws points in place of its splats, as GT007 says; nothing else is wrong.
 
     A radius of 3σ is more than its box, which counts only for tilesets of gsgen's profile.
     """
-    found = findings(DATA / "synthetic" / "tileset.json")
+    found = findings(foreign.write(tmp_path, first_draft.five_splats()))
     assert found == {"GT003": "possible", "GT007": "confirmed", "GT019": "confirmed"}
 
 
-@pytest.mark.parametrize("name", ["tower", "tower_legacy"])
-def test_indices_on_the_globe(name: str, tmp_path: Path) -> None:
-    """Splats in the box of a real index stand within 5 mm of their positions on the globe."""
-    index = json.loads((DATA / name / "tileset.json").read_text())
+@pytest.mark.parametrize("legacy", [False, True])
+def test_indices_on_the_globe(legacy: bool, tmp_path: Path) -> None:
+    """Splats in a box far from the frame's origin stand within 5 mm of their positions."""
+    index: Any = first_draft.tower(is_legacy=legacy)
     box = np.array(index["root"]["boundingVolume"]["box"])
     cloud = foreign.cloud(11)
     cloud["position"] = np.asarray(cloud["position"] / 30, np.float32).astype(np.float64)
     node = np.eye(4)
     node[:3, 3] = [box[0], box[2], -box[1]]  # the viewer makes (x, −z, y) of it
-    content = foreign.spz_glb(cloud, node, drafts=name == "tower_legacy")
-    shutil.copytree(DATA / name, tmp_path, dirs_exist_ok=True)
-    foreign.write(tmp_path, {"0/0.glb": content})
-    path = tmp_path / "tileset.json"
-    legacy = name == "tower_legacy"
+    content = foreign.spz_glb(cloud, node, drafts=legacy)
+    path = foreign.write(tmp_path, {"tileset.json": json.dumps(index).encode(), "0/0.glb": content})
     with pytest.warns(FormatWarning, match="KHR_spz") if legacy else nullcontext():
         leaves = read_leaves(path)
     tileset = open_tileset(path)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.roles import GENERATOR, POST_PROCESS, TRAJECTORY
+from gsgen.contract.spec.fields.roles import GENERATOR, POST_PROCESS, TRAJECTORY
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import Target
 from gsgen.contract.validation.rule import Rule

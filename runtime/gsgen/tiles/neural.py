@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Final, final
 
-from gsgen.contract.spec.roles import ROLES
+from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.tiles.errors import Fault
 from gsgen.tiles.json_values import JsonDict, JsonObject
 from gsgen.tiles.uris import resolve_uri

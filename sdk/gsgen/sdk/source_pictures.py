@@ -20,7 +20,7 @@ from gsgen.contract.model.model_file import open_model, write_manifest_text
 from gsgen.contract.probing.probe_plan import make_plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
-from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.fields.json_schema import to_json
 from gsgen.contract.spec.manifest import GeneratorManifest, ReferenceImage
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target

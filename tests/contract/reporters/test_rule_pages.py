@@ -5,7 +5,7 @@ import pytest
 
 from gsgen.contract.reporters.rule_pages import FAMILIES, help_path, index, page, to_dict
 from gsgen.contract.rules.catalogue import installed_rules
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.rule import Registry
 from support.reports.rules import made_up

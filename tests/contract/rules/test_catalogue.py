@@ -6,7 +6,7 @@ import pytest
 
 from gsgen.contract.rules import catalogue as installed
 from gsgen.contract.rules.catalogue import builtin_rules, installed_rules
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings

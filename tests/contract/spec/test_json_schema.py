@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from gsgen.contract.reporters.document import schema as report_schema
-from gsgen.contract.spec.json_schema import DIALECT, Hint, from_json, schema_of, to_json
+from gsgen.contract.spec.fields.json_schema import DIALECT, Hint, from_json, schema_of, to_json
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.manifest_io import loads, parse, schema_name, schemas
-from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.validation.report import REPORT_SCHEMA_FILE
 from support.models.manifests import JSON, manifests
 

@@ -1,7 +1,7 @@
 import pytest
 
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.spec.roles import KINDS, ROLES, matching_shape, role
+from gsgen.contract.spec.fields.roles import KINDS, ROLES, matching_shape, role
 
 SPECIFIED = {
     "view": ("float32", ((4, 4),)),

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.fields.json_schema import to_json
 from gsgen.contract.spec.manifest_io import loads, schema_name
 from gsgen.contract.spec.upgrades import CURRENT, upgrade
 

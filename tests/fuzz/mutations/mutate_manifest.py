@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from fuzz.mutations.mutate_model import NUMBERS, TEXTS
-from gsgen.contract.spec.roles import KINDS, ROLES
+from gsgen.contract.spec.fields.roles import KINDS, ROLES
 
 Mutation = Callable[[str, random.Random], str]
 Place = tuple[Any, Any]  # a list or an object, and the index or key in it

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from hypothesis import strategies as st
 
-from gsgen.contract.spec.json_schema import Hint
+from gsgen.contract.spec.fields.json_schema import Hint
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.manifest import CONTRACT, manifest_type
-from gsgen.contract.spec.roles import KINDS
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),

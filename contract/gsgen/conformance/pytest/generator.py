@@ -14,7 +14,7 @@ from gsgen.conformance.run import ModelRun
 from gsgen.conformance.suite import SUITES, Suite
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.rules.catalogue import installed_rules
-from gsgen.contract.spec.roles import GENERATOR, POST_PROCESS
+from gsgen.contract.spec.fields.roles import GENERATOR, POST_PROCESS
 from gsgen.contract.validation.rule import Rule
 from gsgen.contract.validation.settings import Settings
 

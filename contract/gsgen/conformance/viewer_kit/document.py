@@ -9,7 +9,7 @@ __all__ = ["INDEX_SCHEMA_FILE", "RESULT_SCHEMA_FILE", "viewer_kit_schemas"]
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
-from gsgen.contract.spec.json_schema import Hint, schema_of
+from gsgen.contract.spec.fields.json_schema import Hint, schema_of
 
 INDEX_SCHEMA_FILE: Final = "viewer-kit-1.schema.json"
 """File name of the schema of index.json."""

@@ -45,8 +45,8 @@ def inspect(
 
 def _schema(kind: str) -> dict[str, object]:
     from gsgen.contract.errors import UnknownName
+    from gsgen.contract.spec.fields.roles import KINDS
     from gsgen.contract.spec.manifest_io import schema_name, schemas
-    from gsgen.contract.spec.roles import KINDS
 
     if kind not in KINDS:
         raise UnknownName.among("kind", kind, KINDS, "--schema")

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gsgen.contract.model.graph import Graph, Tensor, static_dims
+from gsgen.contract.spec.fields.roles import ROLES, Shape, matching_shape
 from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ROW
 from gsgen.contract.spec.manifest import (
     AppearanceOutput,
@@ -20,7 +21,6 @@ from gsgen.contract.spec.manifest import (
     Input,
     Space,
 )
-from gsgen.contract.spec.roles import ROLES, Shape, matching_shape
 from gsgen.contract.spec.spherical_harmonics import degree_of
 
 _INPUT_NAMES = {

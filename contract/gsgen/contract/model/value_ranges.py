@@ -10,8 +10,8 @@ from onnx import NodeProto, TensorProto
 
 from gsgen.contract.model.graph import Graph, Tensor
 from gsgen.contract.model.small_weights import small_array
+from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import Manifest
-from gsgen.contract.spec.roles import ROLES
 
 Interval = tuple[float, float]
 

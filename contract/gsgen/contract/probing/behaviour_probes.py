@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from gsgen.contract.probing.probes import Array, Probe, as_tensor
+from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest, TrajectoryManifest
-from gsgen.contract.spec.roles import ROLES
 
 # Suffix of the label of a probe that is run a second time.
 REPEATED = "once more"

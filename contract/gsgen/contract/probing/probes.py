@@ -23,9 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gsgen.contract._array_types import Float
+from gsgen.contract.spec.fields.roles import ROLES, STATE_SIZES
 from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.contract.spec.manifest import Bounds, GeneratorManifest, Input, Manifest
-from gsgen.contract.spec.roles import ROLES, STATE_SIZES
 
 Array = np.ndarray
 

@@ -21,9 +21,9 @@ from gsgen.contract.probing.probes import (
     Surroundings,
     as_tensor,
 )
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES, ROTATION_ROLES
 from gsgen.contract.spec.geometry import look_at
 from gsgen.contract.spec.manifest import GeneratorManifest, Input
-from gsgen.contract.spec.roles import CAMERA_ROLES, ROTATION_ROLES
 
 # Start of the label of a camera outside the bounds that looks at their centre.
 SIDE_LABEL = "from side"

@@ -9,7 +9,7 @@ __all__ = ["SCHEMA", "Document", "schema"]
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from gsgen.contract.spec.json_schema import Hint, schema_of
+from gsgen.contract.spec.fields.json_schema import Hint, schema_of
 
 SCHEMA = "gsgen-report/1"
 

@@ -27,7 +27,7 @@ from gsgen.contract.reporters.document import (
     WhereEntry,
 )
 from gsgen.contract.reporters.rule_pages import help_path
-from gsgen.contract.spec.json_schema import to_json as to_json_value
+from gsgen.contract.spec.fields.json_schema import to_json as to_json_value
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.digest import rules_digest
 from gsgen.contract.validation.finding import Example, Finding

@@ -52,7 +52,7 @@ from gsgen.contract.rules.values import (
     rows,
 )
 from gsgen.contract.rules.values import companions as companion_values
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.level_backend import LevelBackend

@@ -8,7 +8,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import ExternalRef
 from gsgen.contract.probing.probe_plan import probed_bytes, probed_shapes
 from gsgen.contract.probing.run_comparison import ProbeRuns
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Violation

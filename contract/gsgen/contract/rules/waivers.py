@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule

@@ -2,7 +2,7 @@
 
 These dataclasses, and those of :mod:`gsgen.contract.spec.fields`, are the single source of truth.
 The published JSON Schemas (``schemas/*.schema.json``) are generated from them by
-:mod:`gsgen.contract.spec.json_schema`.
+:mod:`gsgen.contract.spec.fields.json_schema`.
 """
 
 __all__ = [
@@ -42,6 +42,7 @@ from typing import Annotated, Literal
 
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.fields.inputs import Input, Joint
+from gsgen.contract.spec.fields.json_schema import Hint
 from gsgen.contract.spec.fields.outputs import (
     AppearanceOutput,
     CellsOutput,
@@ -64,7 +65,6 @@ from gsgen.contract.spec.fields.records import (
 )
 from gsgen.contract.spec.fields.scene import Bounds, Space, Tolerances, WeightedSum
 from gsgen.contract.spec.fields.values import ExtensionName, Fraction
-from gsgen.contract.spec.json_schema import Hint
 
 CONTRACT = "1.2"
 

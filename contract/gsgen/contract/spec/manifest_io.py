@@ -11,9 +11,9 @@ from importlib import resources
 from typing import Any
 
 from gsgen.contract.errors import ManifestInvalid
-from gsgen.contract.spec.json_schema import from_json, schema_of, to_json
+from gsgen.contract.spec.fields.json_schema import from_json, schema_of, to_json
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.manifest import Manifest, manifest_type
-from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.schema_check import accepts
 from gsgen.contract.spec.upgrades import CURRENT, Version, upgrade
 

@@ -16,7 +16,7 @@ from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probe_plan import make_plan
 from gsgen.contract.probing.sandbox import Execution, execute
 from gsgen.contract.process.limits import Limits
-from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.fields.json_schema import to_json
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target

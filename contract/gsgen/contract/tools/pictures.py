@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.spec.roles import GENERATOR
+from gsgen.contract.spec.fields.roles import GENERATOR
 from gsgen.contract.validation.gates import PACKED_ROWS
 from gsgen.contract.validation.report import Picture, Report
 from gsgen.contract.validation.settings import Settings

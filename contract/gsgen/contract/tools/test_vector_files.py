@@ -25,7 +25,7 @@ from gsgen.contract.probing.probe_plan import fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution
 from gsgen.contract.probing.sandbox_worker import digest_of
-from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.fields.json_schema import to_json
 from gsgen.contract.spec.manifest import TestVector, VectorFile
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.tools.recording import (

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.spec.roles import GENERATOR
+from gsgen.contract.spec.fields.roles import GENERATOR
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS

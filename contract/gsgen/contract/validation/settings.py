@@ -14,7 +14,7 @@ from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.process.limits import Limits
-from gsgen.contract.spec.json_schema import DIALECT, schema_of
+from gsgen.contract.spec.fields.json_schema import DIALECT, schema_of
 from gsgen.contract.spec.manifest import Tolerances
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target, known_targets, load_target

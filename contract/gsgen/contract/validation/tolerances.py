@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Any, Literal, get_type_hints
 
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.json_schema import Hint
+from gsgen.contract.spec.fields.json_schema import Hint
 from gsgen.contract.spec.manifest import Tolerances
 from gsgen.contract.validation.report import Tolerance
 

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.spec.roles import IMAGE_CHANNELS
+from gsgen.contract.spec.fields.roles import IMAGE_CHANNELS
 from gsgen.reference_plugins.images.diffusion_checkpoint import DiffusionCheckpoint, Noise
 from gsgen.sdk import PostProcess, inputs
 

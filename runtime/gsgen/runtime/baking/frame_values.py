@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import Input
-from gsgen.contract.spec.roles import ROLES
 from gsgen.runtime.playback.input_tracks import Track
 from gsgen.runtime.sources.source import GeneratorSource
 

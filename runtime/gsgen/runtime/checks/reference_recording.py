@@ -14,7 +14,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probe_plan import fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.fields.json_schema import to_json
 from gsgen.contract.spec.layout import CULL_OPACITY
 from gsgen.contract.spec.manifest import GeneratorManifest, ReferenceImage, Space
 from gsgen.contract.spec.severity import Level

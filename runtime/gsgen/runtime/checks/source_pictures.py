@@ -19,9 +19,9 @@ from gsgen.contract.errors import ConfigInvalid, InputUnreadable, UnknownName
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probe_plan import fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.fields.json_schema import to_json
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES
 from gsgen.contract.spec.manifest import ReferenceImage
-from gsgen.contract.spec.roles import CAMERA_ROLES
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.tools.recording import (
     RecordingRefused,

@@ -11,7 +11,7 @@ import typer
 
 from gsgen.contract.commands.options import Config, Memory, Timeout
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.fields.json_schema import to_json
 from gsgen.runtime.commands.options import AsJson
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import numpy as np
 
 from gsgen.contract.model.buffer_copies import VARIADIC, VIEWS
 from gsgen.contract.rules.catalogue import builtin_rules
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import ROW, appearance_channels
-from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.contract.spec.upgrades import CURRENT
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device

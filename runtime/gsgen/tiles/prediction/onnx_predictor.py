@@ -12,9 +12,9 @@ from jaxtyping import Float32, Float64
 
 from gsgen.contract.errors import InputUnreadable
 from gsgen.contract.model.model_file import open_model
+from gsgen.contract.spec.fields.roles import STATE_SIZES
 from gsgen.contract.spec.manifest import TrajectoryManifest
 from gsgen.contract.spec.manifest_io import loads
-from gsgen.contract.spec.roles import STATE_SIZES
 from gsgen.tiles.prediction.poses import Pose, interpolate, rotation_quaternion, rotation_vector
 from gsgen.tiles.prediction.predictor import Prediction
 

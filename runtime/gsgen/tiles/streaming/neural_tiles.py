@@ -25,7 +25,7 @@ from typing import Any, final
 import numpy as np
 
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.spec.roles import CAMERA_ROLES
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.generator_worker import FrameDelta, GeneratorWorker
 from gsgen.runtime.sources.placed_source import local_camera

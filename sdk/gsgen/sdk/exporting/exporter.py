@@ -16,6 +16,7 @@ import torch
 
 from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.process.atomic_files import refuse_folder
+from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import (
     AppearanceOutput,
     Bounds,
@@ -28,7 +29,6 @@ from gsgen.contract.spec.manifest import (
     ReferenceImage,
     Tolerances,
 )
-from gsgen.contract.spec.roles import ROLES
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.generator import GaussianGenerator

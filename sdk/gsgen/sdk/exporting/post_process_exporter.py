@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.process.atomic_files import refuse_folder
+from gsgen.contract.spec.fields.roles import IMAGE_CHANNELS, POST_PROCESS, ROLES
 from gsgen.contract.spec.manifest import (
     ImageOutput,
     Input,
@@ -25,7 +26,6 @@ from gsgen.contract.spec.manifest import (
     PostProcessOutputs,
     Producer,
 )
-from gsgen.contract.spec.roles import IMAGE_CHANNELS, POST_PROCESS, ROLES
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.module_checks import validate_module

@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from gsgen.contract.probing.run_comparison import ProbeRuns
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.level_backend import LevelBackend, LevelContext

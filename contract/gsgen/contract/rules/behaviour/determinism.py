@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probes import INPUT_PREFIX
 from gsgen.contract.probing.run_comparison import Behaviour, Comparison
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES, KINDS
 from gsgen.contract.spec.manifest import Input
-from gsgen.contract.spec.roles import CAMERA_ROLES, KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM, REPRODUCIBLE

@@ -10,9 +10,9 @@ from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, difference
 from gsgen.contract.probing.test_vectors import MOST_SEEDS, probed_seeds, vector_label
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import MOSTLY_INVISIBLE, OPACITY
 from gsgen.contract.spec.manifest import TestVector
-from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.agreement import FieldError, comparable_parts, field_errors
 from gsgen.contract.validation.finding import Location, Violation

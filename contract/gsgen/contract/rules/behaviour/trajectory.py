@@ -6,8 +6,8 @@ import numpy as np
 
 from gsgen.contract.probing.behaviour_probes import PATH_OFFSET
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, ProbeRuns
+from gsgen.contract.spec.fields.roles import STATE_SIZES, TRAJECTORY
 from gsgen.contract.spec.manifest import TrajectoryManifest
-from gsgen.contract.spec.roles import STATE_SIZES, TRAJECTORY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS, REPRODUCIBLE

@@ -10,8 +10,8 @@ from onnx import NodeProto
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.provider_placement import Cause, Placement, shape_arguments
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.operator_tables import FAILURES
-from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import WELL_FORMED

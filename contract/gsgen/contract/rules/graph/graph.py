@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from onnx import NodeProto
 
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN
-from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.provider_placement import Placement
 from gsgen.contract.model.value_ranges import Interval, intervals
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import WELL_FORMED

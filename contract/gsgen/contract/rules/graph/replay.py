@@ -7,8 +7,8 @@ from onnx import NodeProto
 from gsgen.contract.model.buffer_copies import is_copy
 from gsgen.contract.model.graph import Graph
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
-from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule

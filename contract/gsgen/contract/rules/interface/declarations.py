@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.spec.fields.roles import KINDS, ROLES
 from gsgen.contract.spec.manifest import ReferenceImage
-from gsgen.contract.spec.roles import KINDS, ROLES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Violation

@@ -6,11 +6,11 @@ import numpy as np
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import MANIFEST_KEY, NEUTRAL_KEY
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import ROW
 from gsgen.contract.spec.manifest import GeneratorManifest, TrajectoryManifest
 from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.reader_needs import PROFILES, REGISTERED
-from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import format_bytes
 from gsgen.contract.validation.finding import Violation

@@ -7,8 +7,7 @@ from math import prod
 
 from gsgen.contract.model.graph import static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.manifest import Input, TrajectoryManifest
-from gsgen.contract.spec.roles import (
+from gsgen.contract.spec.fields.roles import (
     CONVENTION_SHAPES,
     JOINTS,
     KINDS,
@@ -16,6 +15,7 @@ from gsgen.contract.spec.roles import (
     ROTATION_ROLES,
     matches_shape,
 )
+from gsgen.contract.spec.manifest import Input, TrajectoryManifest
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule

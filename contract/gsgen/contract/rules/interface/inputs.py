@@ -7,7 +7,7 @@ import numpy as np
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs
-from gsgen.contract.spec.roles import GENERATOR, KINDS, POST_PROCESS, ROLES, matching_shape
+from gsgen.contract.spec.fields.roles import GENERATOR, KINDS, POST_PROCESS, ROLES, matching_shape
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule

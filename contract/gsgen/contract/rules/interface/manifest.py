@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import MANIFEST_KEY
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import ITEMSIZE, appearance_channels
 from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput, GeneratorManifest
-from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.upgrades import CURRENT
 from gsgen.contract.validation.finding import Violation

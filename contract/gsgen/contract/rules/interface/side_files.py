@@ -6,8 +6,8 @@ from pathlib import Path
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.run_comparison import ProbeRuns
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.manifest import VectorFile
-from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MANIFEST_PARSED

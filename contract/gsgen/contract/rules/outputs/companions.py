@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.spec.fields.roles import POST_PROCESS, STATE_SIZES, TRAJECTORY
 from gsgen.contract.spec.manifest import ImageOutput, PostProcessManifest, TrajectoryManifest
-from gsgen.contract.spec.roles import POST_PROCESS, STATE_SIZES, TRAJECTORY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule

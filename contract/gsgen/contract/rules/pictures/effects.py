@@ -7,9 +7,9 @@ import numpy as np
 
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.manifest import Input
-from gsgen.contract.spec.roles import CAMERA_ROLES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.agreement import field_errors
 from gsgen.contract.validation.finding import Violation

@@ -10,10 +10,10 @@ from gsgen.contract.probing.drawn_sample import DrawnSample, draw_sample
 from gsgen.contract.probing.local_rotations import LocalRotations, fit_local_rotations
 from gsgen.contract.probing.outputs import read_outputs
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES
 from gsgen.contract.spec.geometry import rotation_matrix, symmetric
 from gsgen.contract.spec.layout import COVARIANCE
 from gsgen.contract.spec.manifest import Input
-from gsgen.contract.spec.roles import CAMERA_ROLES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE, VALID_ROWS

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from gsgen.contract.model.graph import Graph, Tensor, reads, tensor_bytes
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.provider_placement import frame_nodes
-from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.units import format_mebibytes
 from gsgen.contract.validation.finding import Violation

@@ -10,8 +10,8 @@ import numpy as np
 from gsgen.contract._array_types import Bool, Float
 from gsgen.contract.probing.probes import as_tensor
 from gsgen.contract.probing.run_comparison import ProbeRuns
+from gsgen.contract.spec.fields.roles import CAMERA_ROLES
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION, ROW
-from gsgen.contract.spec.roles import CAMERA_ROLES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from gsgen.contract.probing.run_comparison import ProbeRuns
+from gsgen.contract.spec.fields.roles import IMAGE_CHANNELS, POST_PROCESS
 from gsgen.contract.spec.manifest import PostProcessManifest
-from gsgen.contract.spec.roles import IMAGE_CHANNELS, POST_PROCESS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import MODEL_RUNS, NOT_RANDOM

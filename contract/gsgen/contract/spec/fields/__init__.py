@@ -1,1 +1,1 @@
-"""Which fields does a manifest have? The dataclasses of its parts, by subject."""
+"""Which fields does a manifest have? Its parts by subject, input roles, and JSON Schema."""

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+from gsgen.contract.spec.fields.json_schema import Hint
 from gsgen.contract.spec.fields.values import AboveZero, Name, Positive, RoleName
-from gsgen.contract.spec.json_schema import Hint
 
 # The rounding error of a time, as a share of a frame.
 _FRAME_ROUNDING = 1e-6

@@ -16,8 +16,8 @@ __all__ = [
 from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Literal
 
+from gsgen.contract.spec.fields.json_schema import Hint
 from gsgen.contract.spec.fields.values import Name, Positive
-from gsgen.contract.spec.json_schema import Hint
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,8 @@ __all__ = ["Cost", "ExternalData", "Producer", "ReferenceImage", "TestVector", "
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+from gsgen.contract.spec.fields.json_schema import Hint
 from gsgen.contract.spec.fields.values import AboveZero, Fraction, Sha256
-from gsgen.contract.spec.json_schema import Hint
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 import numpy as np
 
 from gsgen.contract._array_types import Float
+from gsgen.contract.spec.fields.json_schema import Hint
 from gsgen.contract.spec.fields.values import AboveZero, Fraction
-from gsgen.contract.spec.json_schema import Hint
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

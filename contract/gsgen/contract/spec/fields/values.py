@@ -4,8 +4,8 @@ __all__ = ["AboveZero", "ExtensionName", "Fraction", "Name", "Positive", "RoleNa
 
 from typing import Annotated
 
-from gsgen.contract.spec.json_schema import Hint
-from gsgen.contract.spec.roles import ROLES
+from gsgen.contract.spec.fields.json_schema import Hint
+from gsgen.contract.spec.fields.roles import ROLES
 
 RoleName = Annotated[str, Hint(text="What the input means.", enum=tuple(ROLES))]
 Name = Annotated[str, Hint(text="The tensor's name in the graph.", min_length=1)]
