@@ -1,4 +1,4 @@
-"""Takes pictures of the eager module at an export, and declares them in the exported model.
+"""Renders an eager module's output at an export, as reference images of the exported model.
 
 They are drawn from torch's own outputs, so that level ``render`` sees whatever later changes the
 picture: a tool that rewrites the file, swapped channels, a mirrored axis, other signs of SH.

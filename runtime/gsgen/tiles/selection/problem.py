@@ -177,7 +177,7 @@ def _solve_deadlines(problem: JsonObject) -> Choice:
     cells = len(tiles) * (max((tile.deadline for tile in tiles), default=0) + 1)
     if cells > MOST_CELLS:
         raise TilesetInvalid(
-            f"the problem has {cells:,} tiles × time slots",
+            f"the choice of tiles by deadlines has {cells:,} pairs of a tile and a time slot",
             location=problem.at("tiles"),
             expected=f"{MOST_CELLS:,} or fewer",
             hint="Use longer slots.",

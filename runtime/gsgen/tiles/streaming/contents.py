@@ -118,7 +118,7 @@ class ContentReader:
             raise TilesetInvalid(
                 f"the tile's contents have {count:,} splats",
                 location=self._located(entry.contents[0].uri),
-                expected=f"{declared:,}, as the metadata of the tile count",
+                expected=f"{declared:,}, as declared in the metadata of the tile",
                 fault=Fault.COUNTS,
             )
         channels = 3 * coefficients(self.sh_degree)

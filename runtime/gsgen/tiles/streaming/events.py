@@ -129,7 +129,9 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
         lines = path.read_bytes().splitlines()
     except OSError as error:
         raise InputUnreadable(
-            f"cannot be read: {error.strerror}", where=str(path), hint="Name a file of --log."
+            f"cannot be read: {error.strerror}",
+            where=str(path),
+            hint="Name an event log that was written with --log.",
         ) from error
     for number, line in enumerate(lines, 1):
         values: JsonDict = parse_object(line, f"{path}, line {number}, ").values

@@ -43,7 +43,7 @@ from gsgen.tiles.volumes import Box
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NeuralTilesOptions:
-    """The budgets of neural tiles.
+    """Limits on running the ONNX generators of tiles: open sessions, runs a second, bytes.
 
     Attributes:
         sessions: Most generators that are open at once.
@@ -60,7 +60,7 @@ class NeuralTilesOptions:
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
 class _Generator:
-    """An open generator of a tile.
+    """An ONNX generator that a tile holds, opened in a session of ONNX Runtime.
 
     Attributes:
         worker: Runs the model on a thread.

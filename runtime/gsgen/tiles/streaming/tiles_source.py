@@ -182,7 +182,7 @@ class TilesSource(Source):
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:
-        """The drawn and the missing tiles, the received bytes, the share of hits, generators."""
+        """Statistics for display: drawn and missing tiles, received bytes, hit rate, open models."""
         if self._last is None:
             return ()
         metrics = self._session.metrics

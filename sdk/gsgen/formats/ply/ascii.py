@@ -1,4 +1,4 @@
-"""Reads the rows of a text PLY file in chunks of columns."""
+"""Reads a text PLY file some rows at a time, as one array for each property."""
 
 import mmap
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Reads the rows of a binary PLY file in chunks of columns."""
+"""Reads a binary PLY file some rows at a time, as one array for each property."""
 
 import mmap
 from collections.abc import Iterator

@@ -100,9 +100,9 @@ def _leaves(root: object) -> Iterator[dict[str, Any]]:
         count += 1
         if not isinstance(node, dict) or depth > _MOST_DEPTH or count > _MOST_LEAVES:
             raise HeaderMalformed(
-                f"the tree has a node of type {type(node).__name__} at depth {depth}",
+                f"node {count} of the tree is a {type(node).__name__} at depth {depth}",
                 where=f"{STREAMED_META}, tree",
-                expected=f"objects, at most {_MOST_DEPTH} deep and {_MOST_LEAVES} in all",
+                expected=f"at most {_MOST_LEAVES} nodes, all of them objects, of depth {_MOST_DEPTH} or less",
             )
         children = node.get("children")
         if isinstance(children, list) and children:

@@ -137,7 +137,9 @@ class _Remainder:
             raise _Unprovable(f"{a.name} may leave the range of int32")
         most = max(abs(span[0]), abs(span[1])) * int(np.abs(factor).max(initial=0))
         if most + size > _LARGEST_INT32:
-            raise _Unprovable(f"{a.name} times a prime modulo {size} may leave the range of int32")
+            raise _Unprovable(
+                f"the product of {a.name} and a hash factor (modulo {size}) may leave the range of int32"
+            )
         product = self.write.op("Mul", self._cast(a), self._constant(factor))
         return self._reduced(product, -most, most)
 
