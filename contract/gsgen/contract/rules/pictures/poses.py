@@ -20,6 +20,9 @@ from gsgen.contract.validation.gates import REPRODUCIBLE, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
 _FEWEST_ROWS = 12
+# A scene whose motion bends everywhere has a few neighbourhoods that turn rigidly by chance; a limb
+# that turns is a larger fraction of the sample.
+_LEAST_FRACTION = 0.05
 # Rows count whose neighbourhood turns rigidly by at least this angle, and whose covariance should
 # change by at least this fraction of its size.
 _TURNED, _CHANGED = 0.2, 0.1
@@ -81,7 +84,7 @@ def _deviation(
     size = np.maximum(np.linalg.norm(before, axis=(1, 2)), np.finfo(float).tiny)
     change = np.linalg.norm(turned - before, axis=(1, 2)) / size
     counts = motion.is_rigid & (motion.angle > _TURNED) & (change > _CHANGED)
-    if np.count_nonzero(counts) < _FEWEST_ROWS:
+    if np.count_nonzero(counts) < max(_FEWEST_ROWS, _LEAST_FRACTION * len(counts)):
         return None
     error = np.linalg.norm(after - turned, axis=(1, 2)) / size
     stays = np.linalg.norm(after - before, axis=(1, 2)) / size
