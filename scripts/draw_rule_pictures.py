@@ -49,7 +49,7 @@ _TURN = Rotation.from_rotvec([0.4, 1.1, 0.3]).as_matrix().astype(np.float32)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Driven:
-    """A pair of models with inputs, or one model at two frames.
+    """Two fixture models with inputs, or one at two frames, for the picture of a rule.
 
     Attributes:
         right: The fixture on the left, and `wrong` that on the right.
@@ -104,7 +104,7 @@ def _drawn(renderer: Renderer, spec: ModelSpec) -> Image.Image:
 
 
 def _driven(renderer: Renderer, pair: Driven) -> list[Image.Image]:
-    """Draw two models with inputs, from one camera around the right one."""
+    """Draw a correct and a wrong model with inputs, from one camera around the correct model."""
     pictures, camera = [], None
     for name, values in ((pair.right, pair.values), (pair.wrong, pair.values | pair.wrong_values)):
         spec = find(name).draw()
@@ -123,7 +123,7 @@ def _driven(renderer: Renderer, pair: Driven) -> list[Image.Image]:
 def _run(
     spec: ModelSpec, values: dict[str, np.ndarray], camera: Camera | None
 ) -> dict[str, np.ndarray]:
-    """Return the outputs of a model by name; its view matrix is the identity without a camera."""
+    """Run a model and return its outputs by name; without a camera, the view is the identity."""
     view = np.eye(4) if camera is None else np.asarray(camera.view)
     with tempfile.TemporaryDirectory() as folder:
         spec.write(Path(folder) / "model.onnx")
@@ -135,7 +135,7 @@ def _run(
 
 
 def main(rules: list[str]) -> None:
-    """Draw the pictures of some rules, or all pictures without any."""
+    """Draw the documentation pictures of the given rules, or of all rules if none is given."""
     ASSETS.mkdir(parents=True, exist_ok=True)
     renderer = Renderer(rasteriser="tiles")
     for rule in rules or (*PICTURES, *DRIVEN):

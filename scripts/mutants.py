@@ -96,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def read_outcomes(path: Path) -> dict[str, str]:
-    """Return the mutants that an earlier run killed, and make the folder of the file.
+    """Return the code mutants that earlier test runs killed; create the result file's folder.
 
     The others run again, since there may be a new test; a mutant of code that has changed since
     has another diff.
@@ -153,7 +153,7 @@ def _diff(before: str, after: str) -> str:
 
 
 def tests_of(path: Path, root: Path) -> list[str]:
-    """Return the test files of a module: of its name, then that import it, then of its subject."""
+    """Return a module's test files: first by name, then by imports, then by related subject."""
     dotted = ".".join(path.with_suffix("").parts[1:])
     files = sorted((root / "tests").rglob("test_*.py"))
     named = [file for file in files if file.stem.removeprefix("test_") == path.stem]
@@ -196,7 +196,7 @@ def evaluate(mutant: Mutant, tests: tuple[str, ...], copy: Path) -> str:
 
 @cache
 def original_passes(tests: tuple[str, ...], copy: Path) -> bool:
-    """Return whether the tests pass on the code as it is."""
+    """Return whether the tests pass on the original code, without a mutation."""
     return passes(tests, copy)
 
 

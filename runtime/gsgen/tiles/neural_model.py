@@ -27,7 +27,7 @@ _BOUNDS_HOLD: Final = "GV021"  # a warning for a model, as no viewer culls by it
 
 
 def check_digest(data: bytes, neural: NeuralTile, location: str) -> Iterator[Violation]:
-    """Yield a violation if the bytes of a model do not have the declared digest."""
+    """Yield a violation if the SHA-256 of a model file differs from the declared digest."""
     digest = hashlib.sha256(data).hexdigest()
     if digest != neural.sha256:
         yield Violation.at(
@@ -36,7 +36,7 @@ def check_digest(data: bytes, neural: NeuralTile, location: str) -> Iterator[Vio
 
 
 def validate_model(path: Path) -> Report:
-    """Validate the generator of a neural tile, whose bounds have to hold at every probe."""
+    """Validate a neural tile's generator, whose bounds have to hold for all test inputs."""
     from gsgen.contract import Level, Settings, validate
 
     return validate(path, Settings(level=Level.VALUES, severities={_BOUNDS_HOLD: Severity.ERROR}))
@@ -45,7 +45,7 @@ def validate_model(path: Path) -> Report:
 def check_neural_model(
     path: Path, tile: Tile, neural: NeuralTile, location: str
 ) -> Iterator[Violation]:
-    """Check a neural tile's generator against the contract, whose probes test its bounds.
+    """Check a neural tile's generator against the contract and the tile's declaration.
 
     Args:
         path: The model.

@@ -1,4 +1,4 @@
-"""Reads the files of a tileset's tiles at several qualities, which sibling tilesets name."""
+"""Finds the content files of tiles at several qualities, which sibling tilesets name."""
 
 __all__ = ["QualityLadder", "load_ladder"]
 
@@ -21,7 +21,7 @@ SSIM: Final = (0.9997, 0.9958, 0.9844, 0.9840, 0.9661)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class QualityLadder:
-    """The files of each tile at some qualities, finest first.
+    """The content files of each tile at several qualities, finest quality first.
 
     Attributes:
         tiles: Tiles of each quality, depth first; they differ in their contents alone.
@@ -35,7 +35,7 @@ class QualityLadder:
 
 
 def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | None:
-    """Read the tilesets ``tileset-qN.json`` beside an index, from its own quality down.
+    """Read the files ``tileset-qN.json`` beside a tileset, down from the tileset's quality.
 
     Args:
         store: Of the tileset.

@@ -156,7 +156,7 @@ def _compared(
 def _convert_parts(
     parts: PlyParts, target: FilePath, codec: Codec, step: Callable[[str], None]
 ) -> Conversion:
-    """Convert a PLY file by reading it twice or more: to count what the edits leave, and to write."""
+    """Convert a large PLY file in parts: read once to count the edited splats, again to write."""
     step(f"reading {parts.path}")
     count, reach = parts.survey()
     step(f"writing {target}")

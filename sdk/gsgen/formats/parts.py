@@ -45,7 +45,7 @@ class PlyParts:
     most_degree: int
 
     def __iter__(self) -> Iterator[Splats]:
-        """Yield the parts that the edits do not empty.
+        """Yield the edited parts of the PLY file that still have splats.
 
         Raises:
             ValueInvalid: A value cannot be drawn; rows count from the start of the part.
@@ -66,7 +66,7 @@ class PlyParts:
 
     @property
     def degree(self) -> int:
-        """The SH degree of the parts."""
+        """The SH degree of the splats that are read from the PLY file."""
         return min(self.table.degree, self.most_degree)
 
     def survey(self) -> tuple[int, float]:
@@ -128,7 +128,7 @@ PART_WRITERS: Final[dict[str, PartWriter]] = {
 
 
 def with_degree(splats: Splats, degree: int) -> Splats:
-    """Return splats without harmonics above a degree."""
+    """Return splats without spherical harmonics above a degree."""
     if splats.degree <= degree:
         return splats
     return replace(splats, sh=np.ascontiguousarray(splats.sh[:, : SH_COUNTS[degree]]))

@@ -179,7 +179,7 @@ def compare(
 
 
 def _in_order_of(reference: Reference, output: ModelOutput) -> ModelOutput:
-    """Return a model's rows in the order of the expected rows that are most like them.
+    """Return a model's output rows, reordered to match the most similar expected rows.
 
     Both sets are sorted by one random projection of all numbers of a row.
     """

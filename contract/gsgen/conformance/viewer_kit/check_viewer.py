@@ -115,7 +115,7 @@ def _check_frame(
         actual = read_picture(pictures, name)
         if actual.shape != expected.shape:
             raise PictureUnreadable(
-                f"{name}: is {actual.shape[1]}×{actual.shape[0]} pixels, "
+                f"{name}: the picture is {actual.shape[1]}×{actual.shape[0]} pixels, "
                 f"expected {expected.shape[1]}×{expected.shape[0]}"
             )
     except PictureUnreadable as error:

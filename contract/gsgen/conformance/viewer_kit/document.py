@@ -1,4 +1,4 @@
-"""Dataclasses of a viewer kit's index.json and result, which define their published schemas.
+"""Dataclasses of a viewer test kit's index.json and result file, and of their JSON Schemas.
 
 The kit itself is written and checked without them, so that its script needs NumPy alone. A major
 version of a schema may gain fields, but no field changes its meaning.
@@ -28,7 +28,7 @@ RuleId = Annotated[str, Hint(pattern="^[A-Z]{2}[0-9]{3}$")]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tool:
-    """The name and version of the program that wrote the kit."""
+    """The name and version of the program that wrote a viewer test kit."""
 
     name: str
     version: str
@@ -36,7 +36,7 @@ class Tool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerance:
-    """The largest differences with which a picture passes."""
+    """The largest differences from the reference with which a viewer's picture passes."""
 
     pixel: Annotated[Share, Hint(text="Difference of a channel of a pixel.")]
     share: Annotated[Share, Hint(text="Share of the pixels that may differ by more.")]
@@ -45,7 +45,7 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """A fault of viewers, and the cases that it spoils."""
+    """A rendering fault of viewers, and the test cases whose pictures the fault changes."""
 
     id: str
     title: Annotated[str, Hint(text="What the viewer does.")]
@@ -83,7 +83,7 @@ class FrameEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseEntry:
-    """A model, and the frames that a viewer draws of it in one session."""
+    """A viewer test case: a model, and the frames that one session draws of that model."""
 
     name: CaseName
     tests: Annotated[str, Hint(text="What the pictures depend on.")]
@@ -95,7 +95,7 @@ class CaseEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Index:
-    """The index.json of a viewer kit: cases, faults and tolerance."""
+    """The index.json of a viewer test kit: test cases, viewer faults and image tolerance."""
 
     schema: Literal["gsgen-viewer-kit/1"]
     tool: Tool
@@ -106,7 +106,7 @@ class Index:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counts:
-    """The number of cases of each verdict."""
+    """The number of viewer test cases that passed, and of those that failed."""
 
     passed: Annotated[int, Hint(minimum=0)]
     failed: Annotated[int, Hint(minimum=0)]
@@ -114,7 +114,7 @@ class Counts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameResult:
-    """The differences of one frame, or the problem of a picture that cannot be read."""
+    """One frame's differences from the reference picture, or why a picture cannot be read."""
 
     picture: Picture
     verdict: Verdict
@@ -126,7 +126,7 @@ class FrameResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseResult:
-    """The verdict on one case."""
+    """The verdict on one viewer test case, and the results of the case's frames."""
 
     name: CaseName
     verdict: Verdict
@@ -136,7 +136,7 @@ class CaseResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """The result of comparing a viewer's pictures with those of a kit."""
+    """The result of comparing a viewer's pictures with a test kit's reference pictures."""
 
     schema: Literal["gsgen-viewer-kit-result/1"]
     verdict: Verdict
@@ -147,7 +147,7 @@ class Result:
 
 
 def viewer_kit_schemas() -> dict[str, dict[str, object]]:
-    """Return the JSON Schemas of a kit's index.json and of its result, by file name."""
+    """Return the JSON Schemas of a viewer test kit's index.json and result file, by file name."""
     index = schema_of(Index, title="gsgen viewer kit: index.json")
     definitions = index["$defs"]
     assert isinstance(definitions, dict)

@@ -80,7 +80,7 @@ def _open_display() -> "Progress":
 
 
 def display_of(*columns: "ProgressColumn") -> "Progress":
-    """Return a rich progress display on stderr with these columns, which is erased at its end."""
+    """Return a progress display of the rich library on stderr, which is erased when work ends."""
     from rich.console import Console
     from rich.progress import Progress
 

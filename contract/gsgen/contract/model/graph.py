@@ -324,7 +324,7 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
 
 
 def _squeeze(node: NodeProto) -> NodeProto:
-    """Make a node's scalar output a vector of length 1; return a Squeeze node that undoes it."""
+    """Make a node's scalar output a vector of length 1; return a Squeeze node back to a scalar."""
     name = node.output[0]
     node.output[0] = f"{name}/stub"
     return NodeProto(op_type="Squeeze", input=node.output, output=[name])

@@ -66,7 +66,7 @@ class ProbeRun:
 
     @property
     def extremes(self) -> Extremes | None:
-        """The row count, and the minimum and maximum of each column, of a run with survey inputs."""
+        """The row count and each column's extremes, where a model run kept no output rows."""
         return self.sample.extremes if self.sample is not None else None
 
     @property

@@ -63,7 +63,7 @@ def to_dict(entry: Entry) -> dict[str, Any]:
 
 
 def finding_to_dict(finding: Finding, rule: Rule) -> dict[str, Any]:
-    """Convert a finding of a rule to JSON types, as a validation report has it."""
+    """Convert a finding of a validation rule to JSON types, as validation reports hold it."""
     data: dict[str, Any] = to_json_value(_finding(finding, rule))
     return data
 

@@ -53,7 +53,7 @@ def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None:
-    """Return the fault of an external weight reference, and the expected value, or None."""
+    """Return the fault of an external weight file's path, and the expected path; None if valid."""
     windows, posix = PureWindowsPath(ref.location), PurePosixPath(ref.location)
     if not ref.location or "\0" in ref.location:
         return "no file name", "a file beside the model"

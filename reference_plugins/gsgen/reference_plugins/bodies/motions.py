@@ -60,7 +60,7 @@ class Motion:
 
     @property
     def up(self) -> UpAxis:
-        """The upward axis of the world that a body moves in: where its y axis points on average."""
+        """The upward world axis of a body motion: where the body's y axis points on average."""
         turns = rodrigues(self.pose[:, 0])
         spine = (turns if self.turn is None else self.turn @ turns)[:, :, 1].mean(axis=0)
         axis = int(np.abs(spine).argmax())

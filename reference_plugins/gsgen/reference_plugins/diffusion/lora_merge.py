@@ -30,7 +30,7 @@ def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str
     ]
     if troubles or not adapter.pairs:
         raise CheckpointInvalid(
-            f"{len(troubles)} of {len(adapter.pairs)} layers do not fit the networks: "
+            f"{len(troubles)} of {len(adapter.pairs)} LoRA layers do not fit the networks: "
             f"{first_names(troubles, '; ')}",
             where=str(adapter.path),
             hint="The LoRA may have been trained for another network.",

@@ -80,7 +80,7 @@ def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Pat
 
 
 def last_iteration(folder: Path) -> Path:
-    """Return the last iteration's folder of a training run, or the run's folder without any."""
+    """Return the folder of a training run's last iteration; the run's folder if none is saved."""
     parent = folder / _CLOUD
     iterations = _iterations(parent) if parent.is_dir() else {}
     return iterations[max(iterations)] if iterations else folder

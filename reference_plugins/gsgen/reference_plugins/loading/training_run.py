@@ -40,7 +40,7 @@ def open_run(
 def open_cloud(
     method: str, path: Path, iteration: int | None, content: str
 ) -> tuple[TrainingRun, Path]:
-    """Find the point cloud of a training run, or take a PLY of any name as one without a run.
+    """Find the point cloud in a training run's folder; a PLY path is the point cloud itself.
 
     ``content`` describes the point cloud, for the error if it is missing.
     """

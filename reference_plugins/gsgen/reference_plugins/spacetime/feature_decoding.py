@@ -27,14 +27,14 @@ _FARTHEST = 1e4  # bound of the camera's coordinates, in the scene's unit
 
 @dataclass(frozen=True, slots=True)
 class FeatureScale:
-    """The bounds of each of the nine features while time goes from 0 to 1, with 0 between them."""
+    """Bounds, which include 0, of SpacetimeGaussians' nine features over times from 0 to 1."""
 
     low: Float[Tensor, "9"]
     width: Float[Tensor, "9"]
 
     @classmethod
     def of(cls, splats: SpacetimeSplats) -> "FeatureScale":
-        """Compute the bounds of features; those that are linear in time have theirs at its ends."""
+        """Compute feature bounds; features linear in time are extreme at time 0 or at time 1."""
         constant, linear = splats.features[:, :6], splats.features[:, 6:]
         ends = [linear * (end - splats.temporal_centre) for end in (0.0, 1.0)]
         low = torch.cat([constant.amin(dim=0), torch.cat(ends).amin(dim=0)]).clamp(max=0.0)

@@ -50,7 +50,7 @@ class MovingSplats(GaussianGenerator, ABC):
         self.register_buffer("rate", rate.float())
 
     def moved(self, time: Float[Tensor, "1"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return dt, centres, opacities and upper triangles of covariances at a time, in rows."""
+        """Return time offsets, centres, opacities and covariances' upper triangles at a time."""
         dt = time.reshape(1, 1) - self.temporal_centre
         distance = dt * self.rate
         opacity = self.opacity * torch.exp(-(distance * distance))

@@ -30,7 +30,7 @@ _MAX_RATE = 1e30
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeSlices:
-    """Constants (float64) from which the 3-D slices of N 4-D Gaussians follow, time in 0 … 1."""
+    """Constants (float64) that give the 3-D slices of N 4-D Gaussians at times from 0 to 1."""
 
     velocity: Float[Tensor, "n 3"]  # movement of the centre
     covariance: Float[Tensor, "n 6"]  # xx xy xz yy yz zz of each slice

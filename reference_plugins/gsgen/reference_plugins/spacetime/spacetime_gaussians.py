@@ -1,4 +1,4 @@
-"""SpacetimeGaussians with a colour for each Gaussian.
+"""A generator of a SpacetimeGaussians checkpoint that gives each Gaussian a colour.
 
 Colours of the lite model are constant; those of the full model are decoded from features.
 """

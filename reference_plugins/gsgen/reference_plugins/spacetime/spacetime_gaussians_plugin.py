@@ -68,7 +68,7 @@ def build(
 def _model(
     read: "SpacetimeCheckpoint", time: Input, decode: str | None, size: str
 ) -> "GaussianGenerator | PostProcess":
-    """Return the model that --decode names; raise if the checkpoint is of another variant."""
+    """Return the model that the option --decode selects; raise if the checkpoint lacks it."""
     from gsgen.reference_plugins.loading.errors import NotInCheckpoint
     from gsgen.reference_plugins.spacetime.feature_decoding import (
         FeaturePasses,
@@ -79,7 +79,7 @@ def _model(
 
     if read.decoder is None:
         if decode is not None:
-            message = "is a lite model, whose colours need no decoder"
+            message = "the checkpoint is a lite model, whose colours need no decoder"
             raise NotInCheckpoint(message, where=str(read.cloud), hint="Leave out --decode.")
         generator = SpacetimeGaussians(read.splats, None, time)
         if generator.color_range is not None:
@@ -97,7 +97,7 @@ def _model(
             return FeaturePasses(read.splats, time)
         case "decoder":
             return PixelDecoder(read.decoder, FeatureScale.of(read.splats), _sides(size))
-    message = "is a full model, whose features are blended and then decoded in each pixel"
+    message = "the checkpoint is a full model, whose features are blended and decoded per pixel"
     hint = (
         "Give --decode features and --decode decoder, a model each, or --decode per-splat, which "
         "decodes each Gaussian by itself: an approximation."

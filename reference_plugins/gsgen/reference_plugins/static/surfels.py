@@ -30,18 +30,18 @@ class SurfelCheckpoint:
     splats: Splats  # their third scale is 0: its logarithm is −∞
 
     def describe(self) -> str:
-        """Return the number of Gaussians and their SH degree as one line."""
+        """Return a line with the Gaussian count and the SH degree of a 2DGS checkpoint."""
         splats = self.splats
         return f"{self.cloud}: {len(splats):,} flat Gaussians of SH degree {splats.degree}"
 
 
 def read_surfels(path: Path, iteration: int | None = None) -> SurfelCheckpoint:
-    """Read a checkpoint of 2DGS: the folder of a run, or a PLY of any name."""
+    """Read a 2DGS checkpoint: the folder of a training run, or a PLY file of any name."""
     run, cloud = open_cloud("2dgs", path, iteration, "the flat Gaussians")
     with format_faults(cloud):
         names = ply_properties(cloud)
         if _NORMAL_SCALE in names:
-            message = "has three scales, expected the two of 2DGS"
+            message = "the PLY has three scales per Gaussian, expected the two of 2DGS"
             hint = f"Export it with `gsgen export static {cloud}`."
             raise CheckpointInvalid(message, where=str(cloud), hint=hint)
         groups = splat_groups(splat_degree([*names, _NORMAL_SCALE])) | {"log_scale": _SCALES}

@@ -208,7 +208,7 @@ def _writer(
 
 
 def _reader(spz_axes: str | None, *, drop_invalid: bool) -> Callable[[FilePath], Content] | None:
-    """Return a reader that takes SPZ files in the given axes; None for the usual reader."""
+    """Return a splat-file reader that assumes the given SPZ axes; None if no axes are given."""
     if spz_axes is None:
         return None
     from gsgen.formats.open import open_splats

@@ -37,7 +37,7 @@ class Staging:
             encoder.copy_buffer_to_buffer(source, 0, self._buffer, self._offsets[name], source.size)
 
     def begin(self) -> None:
-        """Begin to read what was submitted; :meth:`read` then waits only if it is not done yet."""
+        """Begin to map the staging buffer; :meth:`read` then waits only while the GPU is busy."""
         self._mapping = self._buffer.map_async("READ")
 
     def read_words(self) -> dict[str, np.ndarray]:

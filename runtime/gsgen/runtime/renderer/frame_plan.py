@@ -154,7 +154,7 @@ class Plan:
         return self.buffers[name]
 
     def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
-        """Allocate the splats; return the buffers for the projection, and for the other kernels."""
+        """Allocate projected-splat buffers; return those of the projection and of other kernels."""
         if not self._records:
             arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
             return arrays, arrays
@@ -379,7 +379,7 @@ class Plan:
         device.submit(encoder)
 
     def counts_staging(self) -> Staging:
-        """Return a new staging buffer for the frame's counts."""
+        """Return a new staging buffer through which a frame's GPU counters are read."""
         return Staging(self._device, self._held)
 
     def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -436,7 +436,7 @@ def _sorted(placed: Sequence[Placed]) -> list[Placed]:
 def frame_counts(
     device: Device, kernels: Kernels, counts: Sequence[UInt32[np.ndarray, " n"]]
 ) -> UInt32[np.ndarray, " n"]:
-    """Add up the frame counters of sorted and weighted splats; pair capacities stay separate.
+    """Add up the GPU counters of a frame's sorted and weighted splats, except pair capacities.
 
     Raises:
         CapacityExceeded: More splats are drawn than one GPU dispatch can assign to tiles.

@@ -94,7 +94,7 @@ class Kernels:
         self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
 
     def records(self, gaussians: int) -> bool:
-        """Return whether each splat is one record: on GPUs, where a binding holds them all."""
+        """Return whether projected splats are structs in one buffer, which must fit a binding."""
         is_possible = self.cut.tile != TILE and not self._one_shape
         return is_possible and RECORD * gaussians <= self._largest_binding
 

@@ -1,4 +1,4 @@
-"""Reads the counts of frames two frames later, so that the host does not wait for the GPU."""
+"""Reads a frame's GPU counters two frames later, so that the host does not wait for the GPU."""
 
 __all__ = ["FRAMES_LATE", "LateCounts"]
 
@@ -17,7 +17,7 @@ FRAMES_LATE: Final = 2
 
 @final
 class LateCounts:
-    """The counts of frames in flight, oldest first.
+    """The GPU counters of frames that are still being drawn, oldest frame first.
 
     Attributes:
         waited: Seconds that the host waited for the GPU before the last frame; 0 if it kept up.
@@ -33,18 +33,18 @@ class LateCounts:
         return bool(self._in_flight)
 
     def staging(self, plan: Plan) -> Staging:
-        """Return a staging buffer for the counts of a plan that no frame in flight uses."""
+        """Return a staging buffer for a frame plan's counters that no unfinished frame uses."""
         if self._layout is not plan.inputs:  # another plan has other buffers to copy from
             self._free, self._layout = [], plan.inputs
         return self._free.pop() if self._free else plan.counts_staging()
 
     def add(self, staging: Staging) -> None:
-        """Begin to read the counts of a frame that was just submitted."""
+        """Begin to read the GPU counters of a frame that was just submitted."""
         staging.begin()
         self._in_flight.append((staging, self._free))
 
     def read(self, *, in_flight: int = FRAMES_LATE - 1) -> list[list[np.ndarray]]:
-        """Return the counts of all frames but the newest ``in_flight``, oldest first.
+        """Return the GPU counters of all frames but the newest ``in_flight``, oldest frame first.
 
         Those of a frame are several if it has cells: see
         :func:`gsgen.runtime.renderer.frame_plan.frame_counts`.

@@ -96,7 +96,7 @@ def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> 
 
 
 def explain(device: Device) -> str:
-    """Return which kernels and which rasteriser a device gets, and why; measures if needed."""
+    """Return a line that explains a device's kernels and rasteriser, after measuring if needed."""
     cut = cut_for(device)
     kind = "CPUs, which is where the driver runs" if device.software else "GPUs"
     text = f"kernels for {kind}; tiles of {cut.tile} pixels, {cut.digit_bits} bits a sort pass; "

@@ -213,7 +213,7 @@ class Renderer:
             raise _too_large(scene, camera, error, compact=self._compact) from error
 
     def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
-        """Return the GPU pages and meshes of a scene, after uploading what has changed."""
+        """Upload the changed splats and meshes of a scene; return its GPU pages and meshes."""
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
         pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
@@ -231,7 +231,7 @@ class Renderer:
         *,
         fetch: bool,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
-        """Draw until all pairs fit and ties are sorted; read images only if ``fetch``."""
+        """Draw until splat-tile pairs fit and depth ties are sorted; read images if ``fetch``."""
         plan = self.plan(placed, camera, requested, meshes)
         plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
         counts, images = plan.collect(fetch=fetch)
@@ -248,7 +248,7 @@ class Renderer:
     def _drawn_late(
         self, scene: Scene, camera: Camera, behind: np.ndarray, requested: frozenset[Output]
     ) -> tuple[Plan, np.ndarray]:
-        """Draw a scene by the counts of earlier frames, unless it is the first of its kind."""
+        """Draw a frame by GPU counters of earlier frames; wait for the GPU if there are none."""
         for parts in self.late.read():
             self._take(parts)
         placed, meshes = self._uploaded(scene)
@@ -266,7 +266,7 @@ class Renderer:
         return plan, self._steady[1]
 
     def _take(self, parts: list[np.ndarray]) -> bool:
-        """Take the counts of an earlier frame; return whether it lacked splats or their order."""
+        """Use an earlier frame's counters; return whether that frame lacked splats or order."""
         counts = frame_counts(self.device, self._kernels, parts)
         incomplete = self._must_redraw(counts)
         if self._steady is not None:
@@ -277,7 +277,7 @@ class Renderer:
         return incomplete
 
     def settle(self) -> bool:
-        """Wait for the frames of ``draw(wait=False)``; return whether the last was incomplete."""
+        """Wait for frames of ``draw(wait=False)``; return whether the last frame is incomplete."""
         incomplete = False
         with self.device.translate_errors():
             for parts in self.late.read(in_flight=0):
@@ -359,7 +359,7 @@ class Renderer:
 
     @property
     def _most_pairs(self) -> int:
-        """The most pairs of a splat and a tile that the device can hold."""
+        """The largest number of splat-tile pairs that the GPU device can hold."""
         return int(min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK))
 
     def _grow(self, pairs: int) -> None:

@@ -280,7 +280,7 @@ def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, P
 
 
 def _cells(page: Page) -> int:
-    """Return the number of cells of a page's set; buffers are padded by less than a cell."""
+    """Return the number of cells of a GPU page's splat set, from the size of the cell buffer."""
     return 0 if page.cells is None else page.cells.size // (4 * layout.ROW)
 
 

@@ -141,7 +141,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Replace the rows of a tile in the slots that it holds, as for :meth:`insert`.
+        """Replace a tile's Gaussians in its slots of the splat pool, as for :meth:`insert`.
 
         Raises:
             CapacityExceeded: The slots of the tile do not suffice.
@@ -173,7 +173,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Describe the slots of a tile in the slot table, and queue the writes of its rows."""
+        """Update the pool's table of a tile's slots, and queue GPU writes of the tile's rows."""
         reach = _REACH * np.sqrt(np.maximum(rows[:, [4, 7, 9]], 0))
         lows, highs = rows[:, :3] - reach, rows[:, :3] + reach
         for index, slot in enumerate(slots):

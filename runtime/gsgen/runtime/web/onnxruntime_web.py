@@ -46,7 +46,9 @@ def ort_folder(user_folder: Path | None) -> Path:
         missing = [name for name in ORT_FILES if not (user_folder / name).is_file()]
         if missing:
             hint = f"Name the folder `dist` of the npm package {_PACKAGE}@{ORT_VERSION}."
-            raise InputUnreadable(f"has no {', '.join(missing)}", where=str(user_folder), hint=hint)
+            raise InputUnreadable(
+                f"the folder lacks {', '.join(missing)}", where=str(user_folder), hint=hint
+            )
         return user_folder
     folder = cached_ort()
     if not all((folder / name).is_file() for name in ORT_FILES):

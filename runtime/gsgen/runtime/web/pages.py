@@ -40,7 +40,7 @@ gsgen-model { aspect-ratio: auto; min-height: 20rem; height: 100% }
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelView:
-    """Settings of a page that shows models, such as the background and the controls.
+    """Settings of a web page that shows models, such as the background and the controls.
 
     Attributes:
         background: Red, green, blue from 0 to 1; None for black.
@@ -57,7 +57,7 @@ class ModelView:
     play: bool = True
 
     def attributes(self) -> str:
-        """Return the HTML attributes that these settings give the element ``gsgen-model``."""
+        """Return the HTML attributes of the element ``gsgen-model`` for a page's view settings."""
         words = ["camera-controls", "loop", "file-drop"]
         if self.background is not None:
             words.append(f'background="{" ".join(f"{part:g}" for part in self.background)}"')
@@ -85,7 +85,7 @@ def client_file(name: str) -> bytes:
 
 
 def model_bytes(path: Path) -> bytes:
-    """Return the bytes of a model for a page; splat files but SPZ 1 to 3 become a binary PLY.
+    """Return a model file's bytes for a web page; splats other than SPZ 1 to 3 become a PLY.
 
     Raises:
         SceneUnreadable: The file cannot be read, or holds no splats that a page draws.

@@ -102,7 +102,7 @@ class _PlanWriter:
         }
 
     def _steps(self, steps: list[Step]) -> list[int | dict[str, int]]:
-        """Return the row indices of a stage's steps.
+        """Return the indices of a drawing stage's GPU steps in the frame plan's table of steps.
 
         Steps repeated per GPU page are a mapping by the page's kind; those per set, by ``set``.
         """
@@ -139,7 +139,7 @@ class _PlanWriter:
         return slots.pop() if slots else None
 
     def _binds(self, step: Step, slots: Mapping[RecordedBuffer, int]) -> set[int]:
-        """Return the slots of those buffers of a mapping that a step binds."""
+        """Return the indices, from a mapping by buffer, of those buffers that a GPU step binds."""
         entries = [entry for bind in step.binds for entry in bind.entries]
         return {slots[buffer] for buffer, _, _ in entries if buffer in slots}
 

@@ -102,7 +102,7 @@ def plans_document() -> dict[str, Any]:
 
 
 def _contract() -> dict[str, Any]:
-    """Return what a page needs of the contract: its version, kinds, and rules that it checks."""
+    """Return the contract data for the browser client: version, model kinds, rules to check."""
     rules = {entry.id: entry for entry in builtin_rules()}
     return {
         "version": CURRENT,

@@ -132,7 +132,7 @@ def record(shape: Shape) -> RecordedPlan:
 def recorded_pages(
     kinds: Sequence[Appearance], capacities: Sequence[int], cells: Sequence[int] | None = None
 ) -> list[Placed]:
-    """Return an empty GPU page per appearance format and capacity, each with its own splat set.
+    """Return an empty GPU page of Gaussians, with a splat set, per appearance and capacity.
 
     Args:
         kinds: The format of each page's appearance.

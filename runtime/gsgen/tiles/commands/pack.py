@@ -18,7 +18,7 @@ def pack(
         Path, typer.Option("-o", "--output", help="The .3tz archive.", show_default=False)
     ],
 ) -> None:
-    """Pack FOLDER into a .3tz archive, which is read by ranges from a disk or a web server.
+    """Pack the tileset in FOLDER into a .3tz archive, which servers send by byte ranges.
 
     Equal folders give equal archives. Exits 0, 2 if the archive cannot be written, 4 if FOLDER
     has no tileset.json.
@@ -28,7 +28,7 @@ def pack(
 
     if not (folder / INDEX).is_file():
         raise InputUnreadable(
-            f"the folder has no {INDEX}; expected that of a tileset",
+            f"the folder has no {INDEX}; expected the folder of a tileset",
             where=str(folder),
             hint="`gsgen tiles build SCENE -o FOLDER` builds one.",
         )

@@ -1,4 +1,4 @@
-"""Improves a choice of tiles by spending the part of the budget that it leaves unused.
+"""Improves a choice of drawn tiles by spending the unused part of the cost budget.
 
 Where tiles are worth what they are independently of the tiles below them, a step of the root's
 frontier may cost a large part of the budget: it opens a whole subtree. The last point within the
@@ -25,7 +25,7 @@ MAX_DEPTH: Final = 128
 
 
 def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
-    """Return a choice of tiles within a budget whose utility is that of ``choice`` or more.
+    """Return a choice of tiles within a cost budget, with at least the utility of ``choice``.
 
     A node takes its best option that fits, or the steps of its children by falling gain for cost,
     whichever is worth more; a child whose next step does not fit is solved the same way, with
@@ -77,7 +77,7 @@ class _SubtreeSolver:
         self._children = [self._children_of(depth) for depth in range(len(self._levels) - 1)]
 
     def _children_of(self, depth: int) -> list[Int64[np.ndarray, " m"]]:
-        """Return the children of each tree node at a depth, as positions at the next depth."""
+        """Return the children of each tile-tree node at a depth, as positions at the next depth."""
         level, below = self._levels[depth], self._levels[depth + 1]
         owner = np.searchsorted(level.nodes, self._options.parent[below.nodes])
         order = np.argsort(owner, kind="stable")
@@ -85,7 +85,7 @@ class _SubtreeSolver:
         return [order[start:end] for start, end in pairwise(limits)]
 
     def solve(self, depth: int, position: int, budget: float) -> _Solution | None:
-        """Return well chosen tiles of a node's subtree; None if all choices exceed the budget."""
+        """Choose tiles of a tree node's subtree greedily; None if all choices exceed the budget."""
         node = int(self._levels[depth].nodes[position])
         best: _Solution | None = None
         # 1. The node's own best option.
@@ -146,12 +146,12 @@ class _SubtreeSolver:
         )
 
     def _potential(self, depth: int, child: int, point: dict[int, int], left: float) -> float:
-        """Return the utility that a child's next frontier step would gain for the budget left."""
+        """Return the utility of a child node's next improvement, scaled to the remaining budget."""
         row, costs, values = point[child], self._costs[depth], self._values[depth]
         return (values[row + 1] - values[row]) * left / (costs[row + 1] - costs[row])
 
     def _at_point(self, depth: int, position: int, row: int) -> _Solution:
-        """Return the chosen tiles at a point of a node's frontier (cost, utility)."""
+        """Return the tiles chosen at one point of a tree node's frontier of cost and utility."""
         level = self._levels[depth]
         cost, value = self._costs[depth][row], self._values[depth][row]
         if level.option[row] >= 0:

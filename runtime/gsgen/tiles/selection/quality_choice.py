@@ -1,4 +1,4 @@
-"""Chooses the quality of each file that is fetched, by the measured rate of the network."""
+"""Chooses the quality of each tile file to fetch, by the measured network rate."""
 
 __all__ = ["QualityChooser"]
 
@@ -18,7 +18,7 @@ _WINDOW: Final = 4.0  # seconds over which the rate is measured
 
 @final
 class QualityChooser:
-    """Chooses qualities of missing tiles, so that they are worth the most within a byte budget.
+    """Chooses file qualities of missing tiles that are worth the most within a byte budget.
 
     The budget is the measured rate times the horizon. A tile that it leaves out is fetched at
     the coarsest quality, and so are all tiles until a rate is known. Finer files of the tiles in
@@ -46,21 +46,21 @@ class QualityChooser:
 
     @property
     def rate(self) -> float | None:
-        """Bytes a second while requests were under way; None before the first answer."""
+        """The bytes received per second while requests ran; None before the first response."""
         busy = sum(seconds for _, seconds, _ in self._received)
         total = sum(size for _, _, size in self._received)
         return total / busy if busy > 0 and total else None
 
     def size(self, tile: int, quality: int) -> int:
-        """Return the bytes of a tile's file at a quality."""
+        """Return the number of bytes of a tile's content file at a quality."""
         return int(self._ladder.size[tile, quality])
 
     def sizes(self, rows: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, " m"]:
-        """Return the bytes of the files that some tiles are asked for next."""
+        """Return, for each given tile, the size in bytes of the file to request next."""
         return np.asarray(self._ladder.size[rows, self.quality[rows]])
 
     def is_finest(self, tiles: Bool[np.ndarray, " n"]) -> bool:
-        """Return whether none of some tiles holds a file that has a finer one."""
+        """Return whether all loaded files of the given tiles have the finest quality."""
         return not bool((tiles & (self.held > 0)).any())
 
     def observe(self, time: float, received: int, *, busy: bool) -> None:
@@ -78,7 +78,7 @@ class QualityChooser:
             self._received.popleft()
 
     def choose(self, eye: Float64[np.ndarray, " 3"], missing: Bool[np.ndarray, " n"]) -> None:
-        """Choose the qualities of missing tiles, whose requests have not begun."""
+        """Choose the file qualities of missing tiles whose requests have not begun."""
         rows = np.flatnonzero(missing & np.isfinite(self._ladder.size[:, 0]))
         coarsest = len(self._ladder.worth) - 1
         self.quality[rows] = coarsest
@@ -93,7 +93,7 @@ class QualityChooser:
         self.quality[rows] = np.where(choice.option < 0, coarsest, choice.option)
 
     def upgrade(self, eye: Float64[np.ndarray, " 3"], drawn: Bool[np.ndarray, " n"]) -> int | None:
-        """Return the drawn tile that gains the most by a finer file, and ask for that file.
+        """Return the drawn tile that gains most from its finest file, which is requested next.
 
         A finer file is fetched whole, and replaces the rows of the coarser one.
         """
@@ -109,7 +109,7 @@ class QualityChooser:
     def _weight(
         self, eye: Float64[np.ndarray, " 3"], rows: Int64[np.ndarray, " m"]
     ) -> Float64[np.ndarray, " m"]:
-        """Return the squared apparent size of tiles, at most 1: their share of the picture."""
+        """Return each tile's share of the picture: the squared apparent size, at most 1."""
         reach = np.linalg.norm(self._tree.half_axes[rows], axis=(1, 2))
         distance = np.linalg.norm(self._tree.center[rows] - eye, axis=1)
         return np.asarray(np.minimum(reach / np.maximum(distance, 1e-9), 1.0) ** 2)

@@ -41,7 +41,7 @@ def index_record(path: str, offset: int) -> bytes:
 
 @final
 class ZipStore(Store):
-    """Reads single members of a .3tz archive, a file or one of another store."""
+    """Reads single files of a .3tz archive, which is a local file or one of a web server."""
 
     def __init__(self, archive: Path | RangedFile, name: str = "") -> None:
         self.name = name or str(archive)

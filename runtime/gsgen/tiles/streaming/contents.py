@@ -76,7 +76,7 @@ class ContentReader:
         return files
 
     def read_model(self, neural: NeuralTile) -> bytes:
-        """Read the model of a neural tile.
+        """Return the bytes of the ONNX model of a neural tile's generator.
 
         Raises:
             TilesetInvalid: The file is missing, or cannot be read.
@@ -90,7 +90,7 @@ class ContentReader:
         limit: int = MAX_CONTENT,
         digest: str | None = None,
     ) -> bytes:
-        """Read a file of the tileset; those of servers come from the disk cache, if they can."""
+        """Read a file of the tileset; files of web servers come from the disk cache if cached."""
         if not isinstance(self._store, HttpStore):
             return self._store.read(uri, limit=limit)
         data = self._cache.get(self._store.name, uri, digest) if self._cache else None
@@ -140,7 +140,7 @@ class ContentReader:
         )
 
     def _entry(self, tile: int) -> Tile:
-        """Return a tile with the contents of the quality that was read last."""
+        """Return a tile with its content files of the quality that was read last."""
         if self._ladder is None:
             return self._tree.tiles[tile]
         return self._ladder.tiles[self._fetched[tile]][tile]

@@ -88,7 +88,7 @@ class DiskCache:
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[BinaryIO]:
-        """Open and lock the file beside the folder that holds the sum of the cached bytes."""
+        """Open and lock the file ``FOLDER.lock``, which holds the total of the cached bytes."""
         beside = self._folder.with_name(f"{self._folder.name}.lock")
         with open(os.open(beside, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0) as file:
             _lock(file.fileno())  # until the file is closed
@@ -108,7 +108,7 @@ class DiskCache:
         return files
 
     def _with_room(self, total: int | None, size: int) -> int:
-        """Delete the least recently used files until a new one fits the cap; return the new sum.
+        """Delete the least recently used files until a new file fits; return the new total bytes.
 
         Args:
             total: Sum of the bytes of all files, or more; None if it is not known.

@@ -87,7 +87,7 @@ class EventLog:
         self._file.write(json.dumps(event) + "\n")
 
     def neural(self, time: float, events: NeuralEvents) -> None:
-        """Write the events of neural tiles, on a line of their own, which a replay skips."""
+        """Write a frame's neural-tile events as one line of the event log, which replays skip."""
         self._file.write(json.dumps({"t": time, "neural": asdict(events)}) + "\n")
 
     def close(self) -> None:
@@ -129,7 +129,7 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
         lines = path.read_bytes().splitlines()
     except OSError as error:
         raise InputUnreadable(
-            f"cannot be read: {error.strerror}",
+            f"the event log cannot be read: {error.strerror}",
             where=str(path),
             hint="Name an event log that was written with --log.",
         ) from error

@@ -31,7 +31,7 @@ class GeneratorOpener:
         self._conforming: set[int] = set()
 
     def open(self, tile: int) -> tuple[GeneratorWorker, int]:
-        """Read, check and open the generator of a tile; return its worker and the model's bytes.
+        """Read, check and open a tile's generator; return its worker and the model size in bytes.
 
         Raises:
             TilesetInvalid: The model cannot be had, or breaks a promise of the tile.

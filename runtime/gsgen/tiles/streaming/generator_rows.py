@@ -30,7 +30,7 @@ def tile_rows(
     box: Box,
     sh_degree: int,
 ) -> TileArrival:
-    """Return the output of a tile's generator as rows of the splat pool, in the root frame.
+    """Convert a tile generator's output to splat-pool rows, in the root tile's coordinates.
 
     Args:
         tile: Key of the tile.
@@ -62,7 +62,7 @@ def tile_rows(
 def _transformed(
     rows: Float[np.ndarray, "n 10"], linear: Float64[np.ndarray, "3 3"]
 ) -> Float32[np.ndarray, "n 10"]:
-    """Return packed rows transformed by a 3 × 3 matrix M: Σ becomes M Σ Mᵀ."""
+    """Return packed Gaussians transformed by a 3 × 3 matrix M: covariance Σ becomes M Σ Mᵀ."""
     moved = rows.astype(np.float32)
     if np.array_equal(linear, np.eye(3)):
         return moved
@@ -75,7 +75,7 @@ def _transformed(
 def _harmonics(
     appearance: Float[np.ndarray, "n c"], space: Literal["sh", "rgb"]
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Return appearance rows as SH coefficients; a raw colour becomes one of degree 0."""
+    """Return the Gaussians' appearance as SH coefficients; RGB colours become degree 0."""
     if space == "rgb":
         return ((appearance[:, None, :3].astype(np.float32) - 0.5) / _SH_C0).astype(np.float32)
     degree = degree_of(appearance.shape[1] // 3)

@@ -1,4 +1,4 @@
-"""Runs the generators of neural tiles: the Gaussians of a run replace the tile's splats.
+"""Runs the generators of neural tiles, whose output Gaussians replace the tiles' splats.
 
 Of the drawn neural tiles, the largest ones in view have a generator, at most as many as there are
 sessions. Each frame, in this order:
@@ -85,7 +85,7 @@ class _Generator:
 
 @final
 class NeuralTiles:
-    """The generators of a tileset's neural tiles, which run within budgets.
+    """The generators of a tileset's neural tiles, run within time and upload budgets.
 
     Attributes:
         time_range: First and last time of all neural tiles; None without an input ``time``.
@@ -148,11 +148,11 @@ class NeuralTiles:
 
     @property
     def tiles(self) -> tuple[int, ...]:
-        """The tiles whose generators may run."""
+        """The keys of the neural tiles whose generators may run."""
         return tuple(self._neural)
 
     def splats_max(self, tile: int) -> int:
-        """Return the most Gaussians of a tile's generator, as declared."""
+        """Return the declared maximum number of Gaussians of a tile's generator."""
         return self._neural[tile].splats_max
 
     @property
@@ -162,16 +162,16 @@ class NeuralTiles:
 
     @property
     def unsettled(self) -> tuple[int, ...]:
-        """The tiles that do not show the Gaussians of the last frame's inputs yet."""
+        """The neural tiles that do not show their Gaussians for the last frame's inputs yet."""
         return self._unsettled
 
     def arrive(self, arrival: TileArrival) -> None:
-        """Record the content of a tile that was copied into the splat pool."""
+        """Record a neural tile's stored splats, which were copied into the splat pool."""
         if arrival.tile in self._neural:
             self._contents[arrival.tile] = self._in_pool[arrival.tile] = arrival
 
     def evict(self, tile: int) -> None:
-        """Forget the content of a tile that left the splat pool."""
+        """Forget the splats of a neural tile that was evicted from the splat pool."""
         self._contents.pop(tile, None)
         self._in_pool.pop(tile, None)
 
@@ -184,7 +184,7 @@ class NeuralTiles:
         uploaded: int,
         is_complete: bool,
     ) -> list[TileArrival]:
-        """Advance loads and runs; return the rows that replace those of tiles in the pool.
+        """Open and run generators; return the Gaussians that replace tiles' rows in the splat pool.
 
         Args:
             camera: In the root frame.
@@ -211,19 +211,19 @@ class NeuralTiles:
         return updates
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a generator is open or a run ends, for a limited time."""
+        """Sleep until a generator is open or a model run ends, for a limited time."""
         pending: list[Future[Any]] = [*self._loading.values()]
         pending += [entry.pending for entry in self._open.values() if entry.pending]
         if pending:
             wait_for(pending, timeout=seconds, return_when=FIRST_COMPLETED)
 
     def interrupt(self) -> None:
-        """Stop all pending runs, which then fail."""
+        """Stop all pending model runs of generators, which then fail."""
         for entry in self._open.values():
             entry.worker.interrupt()
 
     def close(self) -> None:
-        """Stop all runs, and release all generators."""
+        """Stop all model runs, and release all generators."""
         self.interrupt()
         for load in self._loading.values():
             load.cancel()
@@ -261,7 +261,7 @@ class NeuralTiles:
                 self._fail(tile, error, time)
 
     def _take(self, tile: int, entry: _Generator, delta: FrameDelta) -> None:
-        """Convert the changed outputs of a run to rows of the pool."""
+        """Convert the changed outputs of a generator's run to rows of the splat pool."""
         entry.rows = entry.rows if delta.rows is None else delta.rows
         entry.appearance = entry.appearance if delta.appearance is None else delta.appearance
         entry.shown = entry.begun
@@ -275,7 +275,7 @@ class NeuralTiles:
         neural, tree = self._neural[tile], self._tree
         if delta.count > neural.splats_max:
             raise TilesetInvalid(
-                f"a run gives {delta.count:,} Gaussians",
+                f"a run of the generator gives {delta.count:,} Gaussians",
                 expected=f"{neural.splats_max:,} or fewer, as declared",
                 fault=Fault.NEURAL,
             )
@@ -292,7 +292,7 @@ class NeuralTiles:
         )
 
     def _fail(self, tile: int, error: GsgenError, time: float) -> None:
-        """Fall back to the splats of a tile, and report why in one line that names the tile."""
+        """Draw a tile's stored splats in place of its failed generator, and report the reason."""
         self._release(tile)
         may_pass = isinstance(error, StoreUnavailable)
         self._retry_at[tile] = time + RETRY_AFTER if may_pass else np.inf
@@ -313,7 +313,7 @@ class NeuralTiles:
     # ---- 2. and 3. Which generators are open
 
     def _largest(self, camera: Camera, tiles: Sequence[int], time: float) -> list[int]:
-        """Return the tiles that should have a generator: the largest ones in view."""
+        """Return the neural tiles whose generators should be open: the largest ones in view."""
         centers, axes = self._tree.center, self._tree.half_axes
         size = {
             tile: float(
@@ -326,7 +326,7 @@ class NeuralTiles:
         return sorted(size, key=lambda tile: (-size[tile], tile))[: self._options.sessions]
 
     def _close_others(self, tiles: Sequence[int], time: float) -> None:
-        """Close generators, the longest unused first, that the tiles of this frame need."""
+        """Close the longest unused generators, as many as new generators of this frame need."""
         for tile in tiles:
             if tile in self._open:
                 self._open[tile].last_drawn = time
@@ -340,7 +340,7 @@ class NeuralTiles:
             self._release(tile)
 
     def _load(self, tiles: Sequence[int]) -> None:
-        """Begin to open the generator of the largest tile without one; one at a time."""
+        """Begin to open the generator of the largest tile without an open one, one at a time."""
         for tile in tiles:
             has_room = len(self._open) < self._options.sessions
             if tile not in self._open and not self._loading and has_room:
@@ -349,14 +349,14 @@ class NeuralTiles:
     # ---- 4. Runs
 
     def _inputs(self, tile: int, camera: Camera, values: Mapping[str, object]) -> object:
-        """Return a key of the inputs of a tile's generator in this frame."""
+        """Return a comparable key of the inputs that a tile's generator gets in this frame."""
         roles = self._neural[tile].inputs
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         seen = (camera.view.tobytes(), *lens) if set(roles) & set(CAMERA_ROLES) else None
         return seen, self._time(tile, values)
 
     def _time(self, tile: int, values: Mapping[str, object]) -> float | None:
-        """Return the time of a tile's generator, within the tile's range; None without one."""
+        """Return the time input of a tile's generator, clamped to its range; None without time."""
         span = self._neural[tile].time_range
         if span is None:
             return None
@@ -364,7 +364,7 @@ class NeuralTiles:
         return min(max(value, span[0]), span[1])
 
     def _run(self, inputs: Mapping[int, object], camera: Camera, time: float) -> None:
-        """Begin runs of generators whose inputs changed."""
+        """Begin model runs of generators whose inputs changed, up to the limit a second."""
         rate = self._options.runs_per_second
         if np.isfinite(rate):
             self._tokens += rate * (time - self._token_time)
@@ -392,12 +392,12 @@ class NeuralTiles:
     # ---- 5. Uploads
 
     def _expected(self, tile: int) -> TileArrival:
-        """Return the rows that a tile's slots should hold: of its generator, or of its content."""
+        """Return the Gaussians that a tile should show: generator output, or stored splats."""
         entry = self._open.get(tile)
         return self._contents[tile] if entry is None or entry.result is None else entry.result
 
     def _updates(self, uploaded: int) -> list[TileArrival]:
-        """Return rows for slots that hold others, within the upload budget."""
+        """Return Gaussians that tiles should show and the pool lacks, within the upload budget."""
         updates: list[TileArrival] = []
         for tile in sorted(self._in_pool):
             rows = self._expected(tile)

@@ -245,7 +245,7 @@ class TilesetSession:
         )
 
     def _reserved_rows(self) -> Int64[np.ndarray, " n"]:
-        """Return the rows that the generator of each tile may write; 0 if it is never run."""
+        """Return the most splat-pool rows that each tile's generator may write; 0 without one."""
         reserved = np.zeros(len(self.tree), np.int64)
         if self.neural:
             for tile in self.neural.tiles:
@@ -405,7 +405,7 @@ class TilesetSession:
     def _choose_qualities(
         self, chooser: QualityChooser, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]
     ) -> None:
-        """Choose the files of tiles that will be requested, and request a finer one if idle."""
+        """Choose the file qualities of tiles to request; if idle, request one finer file."""
         assert self._frustum is not None
         in_flight = self._planner.in_flight
         missing = ~loaded

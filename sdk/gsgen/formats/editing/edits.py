@@ -48,7 +48,7 @@ class Option:
 @final
 @dataclass(frozen=True, slots=True)
 class ParsedEdit:
-    """A splat edit of a command line, which raises if no splat is left.
+    """A splat edit from a command-line option, which raises if no splat is left.
 
     Attributes:
         text: The option and its value.
@@ -61,7 +61,7 @@ class ParsedEdit:
     by_rows: bool
 
     def __call__(self, splats: Splats) -> Splats:
-        """Return the edited splats."""
+        """Apply the edit and return the edited splats; raise if no splat is left."""
         result = self.apply(splats)
         if not len(result):
             raise ValueInvalid(

@@ -51,20 +51,20 @@ class SplatColumns(Protocol):
 
     @property
     def degree(self) -> int:
-        """The SH degree."""
+        """The SH degree of the splats."""
         ...
 
     def __len__(self) -> int: ...
 
     def column(self, name: str) -> Float32[np.ndarray, "n ..."]:
-        """Return the array of :class:`Splats` of a name."""
+        """Return the array of the named field of :class:`Splats`, such as ``position``."""
         ...
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class _InMemory:
-    """The arrays of splats in memory."""
+    """Splats whose arrays are all in memory, for :func:`write_sog_columns`."""
 
     splats: Splats
 
@@ -100,7 +100,7 @@ def write_sog(path: FilePath, splats: Splats) -> None:
 
 
 def write_sog_columns(path: FilePath, splats: SplatColumns) -> None:
-    """Write splats, which can be drawn, as :func:`write_sog` does, one array at a time."""
+    """Write valid splats as a SOG file, with one array of the splats in memory at a time."""
     with naming(path):
         if Path(path).name.lower() == STREAMED_META:
             raise NotSupported(
@@ -176,7 +176,7 @@ def _files(splats: SplatColumns) -> dict[str, bytes]:
 
 
 def _add_means(steps: Int64[np.ndarray, "n 3"], images: _Images) -> dict[str, Any]:
-    """Add the SOG images of the low and the high bytes of positions; return their names."""
+    """Add the SOG images of positions' low and high bytes; return their JSON description."""
     low = images.add("means_l.webp", lambda rows: (steps[rows] & 255).astype(np.uint8))
     high = images.add("means_u.webp", lambda rows: (steps[rows] >> 8).astype(np.uint8))
     return {"files": [low, high]}

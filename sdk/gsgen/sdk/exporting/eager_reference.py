@@ -81,7 +81,7 @@ class EagerRuns:
         return selected
 
     def has_inputs_of(self, other: "EagerRuns") -> bool:
-        """Return whether both have the same test inputs, bit by bit."""
+        """Return whether two sets of eager torch runs have bit-identical test inputs."""
         return len(self) == len(other) and all(
             np.array_equal(array, b.inputs[name], equal_nan=True)
             for a, b in zip(self.probes, other.probes, strict=True)

@@ -75,7 +75,7 @@ def _hint(suspects: Suspects, references: EagerRuns) -> str:
 
 
 def _is_stable(generator: GaussianGenerator, references: EagerRuns) -> bool | None:
-    """Return whether float32 and float64 agree in eager torch; None if it cannot run in float64."""
+    """Return whether a generator's float32 and float64 outputs agree; None if float64 fails."""
     wide = deepcopy(generator).double()
     for reference in references:
         inputs = {

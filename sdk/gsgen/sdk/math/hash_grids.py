@@ -50,7 +50,7 @@ def hash_grid(
 def _sample(
     table: Float[Tensor, "t f"], unit: Float[Tensor, "n 3"], resolution: int
 ) -> Float[Tensor, "n f"]:
-    """Return the features of one level: the mean of the eight corners around each position."""
+    """Return one grid level's features: the weighted mean of the eight corners of each position."""
     offsets = torch.cartesian_prod(*[torch.tensor([0.0, 1.0], device=table.device)] * 3)
     scaled = unit * resolution
     low = torch.floor(scaled).clamp(0, resolution - 1)
@@ -64,15 +64,15 @@ def _sample(
 
 
 def _rows(corners: Int[Tensor, "n 8 3"], size: int, resolution: int) -> Int[Tensor, "n 8"]:
-    """Return the row of each corner's feature."""
+    """Return the row in the hash table of each grid corner's feature."""
     side = resolution + 1
     x, y, z = corners.unbind(dim=-1)
     if side**3 <= size:
         return x + side * (y + side * z)
     if size & (size - 1) or resolution * size > torch.iinfo(torch.int32).max:
-        message = f"a table of {size} rows for a resolution of {resolution}"
+        message = f"the hash table has {size} rows for a resolution of {resolution}"
         raise GeneratorInvalid(
-            f"{message}, expected a power of two, and resolution · rows below 2³¹",
+            f"{message}, expected a power of two as rows, and resolution · rows below 2³¹",
             where="hash_grid",
         )
     # Only the lowest bits of a product count, and these depend on those of the prime alone.

@@ -39,7 +39,7 @@ class Alignment:
 
 
 def measure_alignment(sample: DrawnSample) -> Alignment | None:
-    """Measure how far Gaussians deviate from their neighbours; None without discs or needles."""
+    """Measure how discs or needles align with neighbouring Gaussians; None without such shapes."""
     scatter = sample.scatter_eigenvalues
     discs, needles = is_of_shape(sample, 0), is_of_shape(sample, 2)
     if _is_enough(discs) and (limit := scatter[discs, 0].mean()) < PLANAR:
@@ -52,7 +52,7 @@ def measure_alignment(sample: DrawnSample) -> Alignment | None:
 
 
 def is_of_shape(sample: DrawnSample, axis: Literal[0, 2]) -> Bool[np.ndarray, " m"]:
-    """Return the mask of discs (axis 0, thin) or of needles (axis 2, long) of a sample."""
+    """Return the mask of disc-like (axis 0, thin) or needle-like (axis 2, long) Gaussians."""
     shortest, middle, longest = sample.sigma.T
     return np.asarray(shortest < _FLAT * middle if axis == 0 else middle < _FLAT * longest)
 

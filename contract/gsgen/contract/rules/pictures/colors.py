@@ -105,7 +105,7 @@ def colors_loaded(sample: DrawnSample) -> Iterator[Violation]:
     if stored is None or displayed_colors(sample) is None or stored[:, :3].any():
         return
     shade = "grey" if sample.emission.is_sh else "black"
-    numbers = "all numbers" if not stored.any() else "all coefficients of degree 0"
+    numbers = "all colours" if not stored.any() else "all coefficients of degree 0"
     actual = f"{numbers} of {len(stored)} rows are zero, so everything is the same {shade}"
     location = Location(sample.emission.color_place)
     yield Violation(where=location, expected="colours", actual=actual, certainty="possible")

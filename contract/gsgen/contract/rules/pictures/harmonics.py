@@ -1,4 +1,4 @@
-"""GV rule of view-dependent SH: coefficients in the column order of another file or renderer."""
+"""Rule GV048: view-dependent SH coefficients are in the column order of the contract."""
 
 from collections.abc import Iterator
 
@@ -58,7 +58,7 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _readings(color: Float[np.ndarray, "e c"]) -> Iterator[tuple[str, Float[np.ndarray, "e k 3"]]]:
-    """Yield view-dependent coefficients as other files order them, with the name of the order."""
+    """Yield the view-dependent SH coefficients in other files' column orders, with order names."""
     rest = color[:, 3:]
     yield "f_rest is read channel-major, as in a 3DGS PLY", _by_channel(rest)
     degrees = np.split(rest, [9, 24], axis=1)

@@ -113,7 +113,7 @@ def _mistake(sample: DrawnSample, ratio: float) -> str:
 
 
 def _follows_neighbours(sample: DrawnSample) -> bool:
-    """Return whether discs lie in the surface of their neighbours, or needles on their strand."""
+    """Return whether flat Gaussians lie in their neighbours' surface, or long ones on a strand."""
     alignment = measure_alignment(sample)
     return alignment is not None and alignment.deviation <= FITTING
 

@@ -1,1 +1,1 @@
-"""Which fields does a manifest have? Its parts by subject, input roles, and JSON Schema."""
+"""Which fields does a model's manifest have? Its parts, input roles, and JSON Schema."""

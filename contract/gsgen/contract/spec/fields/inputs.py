@@ -1,4 +1,4 @@
-"""The inputs that a runtime feeds to a model, and the skeleton behind a pose."""
+"""Manifest fields of model inputs, and of the skeleton whose joints a pose input rotates."""
 
 __all__ = ["Input", "Joint"]
 
@@ -63,12 +63,12 @@ class Input:
     ] = None
 
     def moment(self, frame: int) -> float:
-        """Return the time at which a frame begins; frames divide the range equally."""
+        """Return the time at which a frame begins; frames divide the input's time range equally."""
         low, high, count = self._frames()
         return low + (high - low) * frame / count
 
     def frame_at(self, time: float) -> int:
-        """Return the frame shown at a time; a loop's end shows the first frame, else the last."""
+        """Return the frame index at a time; a loop's end has frame 0, other ends the last frame."""
         low, high, count = self._frames()
         frame = math.floor(count * (time - low) / (high - low) + _FRAME_ROUNDING)
         return frame % count if self.loop else min(max(frame, 0), count - 1)

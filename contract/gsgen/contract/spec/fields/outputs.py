@@ -1,4 +1,4 @@
-"""The outputs of each kind of model."""
+"""Manifest fields of model outputs, for each kind of model."""
 
 __all__ = [
     "AppearanceOutput",
@@ -51,7 +51,7 @@ class AppearanceOutput:
 
 @dataclass(frozen=True, slots=True)
 class CountOutput:
-    """The output with the number of live rows, int32 [1]; all rows after it are padding."""
+    """The output with the number of live Gaussian rows, int32 [1]; later rows are padding."""
 
     name: Name
     semantics: Annotated[
@@ -103,7 +103,7 @@ class PostProcessOutputs:
 
 @dataclass(frozen=True, slots=True)
 class FutureOutput:
-    """The output with predicted camera states, [steps, S], the nearest in time first."""
+    """The output with predicted camera states, [time steps, values], nearest in time first."""
 
     name: Name
     steps: Positive
@@ -112,7 +112,7 @@ class FutureOutput:
 
 @dataclass(frozen=True, slots=True)
 class UncertaintyOutput:
-    """The output with the uncertainty of predicted camera states, one row per step."""
+    """The output with the uncertainty of predicted camera states, one row per time step."""
 
     name: Name
     semantics: Literal["standard-deviation", "covariance-upper"] = "standard-deviation"
@@ -120,7 +120,7 @@ class UncertaintyOutput:
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryOutputs:
-    """The outputs of a trajectory predictor."""
+    """The outputs of a camera-trajectory predictor: future camera states, and uncertainty."""
 
     future: FutureOutput
     uncertainty: UncertaintyOutput

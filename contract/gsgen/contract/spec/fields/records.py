@@ -42,7 +42,7 @@ class TestVector:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceImage:
-    """A picture beside the model, and the camera from which a render of the model matches it.
+    """A reference picture of the model, and the camera from which a render should match.
 
     The camera looks along +z, x is right and y down; colours are over black.
     """

@@ -39,7 +39,7 @@ class Space:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """An axis-aligned box that holds the Gaussians' centres for all inputs (at every probe)."""
+    """An axis-aligned box of all Gaussian centres for all inputs, checked with test inputs."""
 
     min: Annotated[tuple[float, float, float], Hint(text="Lower corner, x y z.")]
     max: Annotated[tuple[float, float, float], Hint(text="Upper corner, x y z.")]
@@ -64,7 +64,7 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class WeightedSum:
-    """Parameters of weighted blending cell by cell, required by `blend: wsr`."""
+    """Parameters of weighted-sum blending per cell (group of Gaussians), for `blend: wsr`."""
 
     background: Annotated[Fraction, Hint(text="Weight of the background.")]
     depth_range: Annotated[

@@ -30,7 +30,7 @@ class Columns(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SortConfig:
-    """How the sort, the listing of tiles and the blending are divided among GPU invocations.
+    """How radix sort, tile binning and blending of splats are divided among GPU invocations.
 
     Attributes:
         threads: Invocations of a workgroup of the sort.
@@ -53,12 +53,12 @@ class SortConfig:
 
     @property
     def staged(self) -> bool:
-        """Whether keys are ordered in workgroup memory: an invocation per digit is needed."""
+        """Whether sort keys are ordered in workgroup memory, by one invocation per digit value."""
         return self.threads >= 1 << self.digit_bits
 
 
 def cut_for(device: Device) -> SortConfig:
-    """Return the settings of a device: long runs per invocation on a CPU, large tiles on a GPU."""
+    """Return a device's sort settings: many keys per invocation on a CPU, large tiles on a GPU."""
     if device.software:
         return SortConfig(threads=8, run=512, digit_bits=8, walk=64, tile=TILE)
     return SortConfig(threads=256, run=8, digit_bits=8, walk=4, tile=LARGE_TILE)
@@ -160,7 +160,7 @@ class RadixSort:
 
 
 def sort_reference(keys: UInt32[np.ndarray, " n"], bits: int) -> UInt32[np.ndarray, " m"]:
-    """Return indices sorted by key, without ABSENT keys: the twin of both sorts."""
+    """Return the indices of keys other than ABSENT, sorted by key: the test oracle of GPU sorts."""
     present = np.flatnonzero(keys != ABSENT)
     order = np.argsort(keys[present] & ((1 << bits) - 1), kind="stable")
     return present[order].astype(np.uint32)

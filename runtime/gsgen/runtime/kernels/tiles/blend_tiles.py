@@ -76,7 +76,7 @@ def workgroup_shape(
 
 @final
 class BlendTiles:
-    """Blends splats per tile: ``blend_tiles.wgsl``, or one of two shaders where they are faster.
+    """Blends splats tile by tile, by ``blend_tiles.wgsl`` or a shader that is faster on a device.
 
     ``blend_subgroups.wgsl`` is for CPUs whose subgroups are as wide as half a tile, and
     ``blend_staged.wgsl``, which reads splats through workgroup memory, for larger tiles and for CPUs

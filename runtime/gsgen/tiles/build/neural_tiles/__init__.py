@@ -1,1 +1,1 @@
-"""How does a generator become a tile, with content for viewers that cannot run it?"""
+"""How does a generator become a tile, with splats for viewers that cannot run models?"""

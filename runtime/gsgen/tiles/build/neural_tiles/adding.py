@@ -1,4 +1,4 @@
-"""Adds neural tiles to a tree: a generator, and its first frame as content that all viewers draw."""
+"""Adds generators to a tile tree, each with first-frame splats that all viewers draw."""
 
 __all__ = ["add_neural_tiles"]
 
@@ -25,7 +25,7 @@ def add_neural_tiles(
     color_space: str,
     antialiased: bool,
 ) -> tuple[TileRecord, dict[str, tuple[int, str]]]:
-    """Write the files of neural tiles, and put the tiles beside the tree of the scenes.
+    """Write the files of neural tiles, and join these tiles with the scenes' tile tree.
 
     Returns:
         A root without content, above the tree and the neural tiles, and the written files.

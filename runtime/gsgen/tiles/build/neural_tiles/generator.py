@@ -1,4 +1,4 @@
-"""Validates a generator that becomes a tile, and computes its first frame."""
+"""Validates a generator that becomes a neural tile, and computes its first-frame splats."""
 
 __all__ = ["Generator", "open_generator"]
 
@@ -25,7 +25,7 @@ _HINT = (
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Generator:
-    """A generator that becomes a tile.
+    """A Gaussian generator that becomes a neural tile of a tileset, and its first frame.
 
     Attributes:
         name: Path of its files in the tileset, without a suffix.
@@ -47,7 +47,7 @@ class Generator:
 
 
 def open_generator(path: Path) -> Generator:
-    """Validate a generator, and compute its first frame.
+    """Validate a generator for a neural tile, and compute its first-frame splats.
 
     Raises:
         ConfigInvalid: The generator does not conform, or lacks what a neural tile needs.
@@ -60,14 +60,14 @@ def open_generator(path: Path) -> Generator:
     if report.verdict != "conforms":
         rules = ", ".join(dict.fromkeys(f.rule for f in report.findings if f.counts))
         raise ConfigInvalid(
-            f"breaks {rules}; expected a model that conforms",
+            f"the model breaks {rules}; expected a model that conforms",
             where=str(path),
             hint=f"`gsgen validate {path}` explains the findings.",
         )
     text = open_model(path).manifest_text
     manifest = parse(text).manifest if text is not None else None
     if not isinstance(manifest, GeneratorManifest):
-        raise ConfigInvalid(f"is of kind {report.kind}; expected a generator", where=str(path))
+        raise ConfigInvalid(f"the kind is {report.kind}; expected a generator", where=str(path))
     roles = sorted({entry.role for entry in manifest.inputs})
     spans = [entry.range for entry in manifest.inputs if entry.role == "time"]
     lacking = {

@@ -16,7 +16,7 @@ _NOTE = (
 
 @contextmanager
 def float32_arithmetic(notes: list[str]) -> Iterator[None]:
-    """Ignore ``torch.autocast`` while modules run and are traced, and add a note if one is used.
+    """Disable ``torch.autocast`` while modules run and are traced; add a note if one uses it.
 
     ONNX Runtime has no kernels for bfloat16 on the CPU, nor WebGPU for any mixture of dtypes.
     """
@@ -28,7 +28,7 @@ def float32_arithmetic(notes: list[str]) -> Iterator[None]:
         return self
 
     def leave(*_: Any) -> None:
-        """Leave a context that was never entered."""
+        """Do nothing, in place of the exit of a ``torch.autocast`` context."""
 
     for name, method in zip(patched, (enter, leave), strict=True):
         setattr(torch.autocast, name, method)

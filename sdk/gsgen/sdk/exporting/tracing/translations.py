@@ -16,7 +16,7 @@ _OP: Any = opset18
 def _searchsorted(
     boundaries: Any, values: Any, *, right: bool = False, side: str | None = None, **_: Any
 ) -> Any:
-    """Count the boundaries below each value; WebGPU has no kernel for sums of int64."""
+    """Translate searchsorted to float32 counts of boundaries; WebGPU cannot sum int64."""
     each = _OP.Unsqueeze(values, _OP.Constant(value_ints=[-1]))
     row = _OP.Unsqueeze(boundaries, _OP.Constant(value_ints=[-2]))
     is_right = right or side == "right"
@@ -27,7 +27,7 @@ def _searchsorted(
 
 
 def _prod(values: Any, dims: Sequence[int], **_: Any) -> Any:
-    """Multiply along axes: torch decomposes ``cumprod`` into such products."""
+    """Translate ``prims.prod``, to which torch reduces ``cumprod``, to the operator ReduceProd."""
     axes = _OP.Constant(value_ints=list(dims))
     return _OP.ReduceProd(values, axes, keepdims=0)
 

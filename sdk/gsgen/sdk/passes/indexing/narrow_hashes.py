@@ -48,11 +48,11 @@ class NarrowHashes(ByTables, CautiousRewrite):
     wanted_by = "targets whose tables lack BitwiseXor"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Rewrite every remainder of an exclusive or, by a power of two."""
+        """Rewrite every remainder by a power of two of a bitwise exclusive or, in int32."""
         spans: dict[str, Interval] | None = None
         for node in [n for n in every_node(model) if _modulus_bits(n) and _has_xor(n.inputs[0])]:
             if node.graph is not model.graph:
-                self.refuse(node, "it is inside a subgraph, whose ranges are not known")
+                self.refuse(node, "the node is inside a subgraph, whose value ranges are unknown")
                 continue
             spans = spans or spans_of(model, self.target.manifest if self.target else None)
             write = InsertionPoint(node)
@@ -69,7 +69,7 @@ class NarrowHashes(ByTables, CautiousRewrite):
 
 
 def _modulus_bits(node: ir.Node) -> int:
-    """Return k where a node computes the remainder by 2ᵏ, which is never negative; else 0."""
+    """Return k if an ONNX node computes a remainder by 2ᵏ that is never negative; else 0."""
     if not is_op(node, "Mod", "BitwiseAnd") or node.outputs[0].dtype not in _INTEGERS:
         return 0
     divisor = constant_of(node.inputs[1])
@@ -81,7 +81,7 @@ def _modulus_bits(node: ir.Node) -> int:
 
 
 def _has_xor(value: ir.Value | None) -> bool:
-    """Return whether an exclusive or computes a value, moves of its elements aside."""
+    """Return whether a value comes from an exclusive or, at most moved, cast or added to."""
     node = None if value is None else value.producer()
     if node is None or not is_op(node, "BitwiseXor", "Cast", "Add", *_MOVES):
         return False
@@ -89,14 +89,14 @@ def _has_xor(value: ir.Value | None) -> bool:
 
 
 class _Remainder:
-    """Writes the remainder of integer values by 2ᵏ, in int32 and from 0 to 2ᵏ − 1."""
+    """Writes ONNX nodes that compute integer values modulo 2ᵏ in int32, from 0 to 2ᵏ − 1."""
 
     def __init__(self, write: InsertionPoint, bits: int, spans: dict[str, Interval]) -> None:
         self.write, self.bits, self.spans = write, bits, spans
         self._known: dict[int, ir.Value] = {}
 
     def of(self, value: ir.Value) -> ir.Value:
-        """Return the remainder of a value; equal values share their nodes."""
+        """Return the remainder by 2ᵏ of a graph value, whose nodes are written only once."""
         if id(value) not in self._known:
             self._known[id(value)] = self._computed(value)
         return self._known[id(value)]
@@ -119,7 +119,7 @@ class _Remainder:
         return self._reduced(self._cast(value), *required(span))
 
     def _arithmetic(self, node: ir.Node) -> ir.Value:
-        """Return the remainder of a sum, a difference, or a product (case 1)."""
+        """Return the remainder by 2ᵏ of a sum, a difference, or a product (case 1)."""
         size = 1 << self.bits
         a, b = (required(entry) for entry in node.inputs)
         if is_op(node, "Add", "Sub"):
@@ -144,7 +144,7 @@ class _Remainder:
         return self._reduced(product, -most, most)
 
     def _reduced(self, value: ir.Value, low: float, high: float) -> ir.Value:
-        """Return the remainder of an int32 value that lies in a range."""
+        """Return the remainder by 2ᵏ of an int32 value that lies between given limits."""
         size = 1 << self.bits
         if low >= 0 and high < size:
             return value
@@ -161,7 +161,7 @@ class _Remainder:
         return self.write.op("Sub", value, multiple)
 
     def _xor(self, a: ir.Value, b: ir.Value) -> ir.Value:
-        """Return the exclusive or of two values below 2ᵏ, by a table for every seven bits."""
+        """Return the exclusive or of two values below 2ᵏ, by a look-up for every seven bits."""
         op, side = self.write.op, 1 << _TABLE_BITS
         first, second = np.indices((side, side))
         table = self._constant((first ^ second).reshape(-1))

@@ -1,4 +1,4 @@
-"""Rewrites scatters that add, multiply or compare as a Gather of groups and a reduction."""
+"""Rewrites scatters that add, multiply, or take a minimum or maximum as Gather and Reduce."""
 
 __all__ = ["ReduceScatters"]
 
@@ -60,7 +60,7 @@ class ReduceScatters(CautiousRewrite):
 
 
 def _groups(targets: ScatterTargets) -> np.ndarray:
-    """Return a table [rows, 1 + most updates]: a row's own index, its updates', then −1."""
+    """Return, for each tensor row, its own index and those of its updates, padded with −1."""
     order = np.argsort(targets.flat, kind="stable")
     counts = np.bincount(targets.flat, minlength=targets.rows)
     groups = np.full((targets.rows, 1 + int(counts.max(initial=0))), -1, np.int64)

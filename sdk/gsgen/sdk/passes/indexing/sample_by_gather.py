@@ -110,7 +110,7 @@ def _replace(node: ir.Node) -> None:
         start = before.constant(first.astype(np.int32)[:, None], "frame")
 
     def interpolated(axis: int, start: ir.Value | None) -> ir.Value:
-        """Return the mean of both neighbours along an axis, each a mean along the later axes."""
+        """Return the weighted mean of both neighbours along an axis, after the later axes."""
         parts = []
         for index, weight in neighbours[axis]:
             stride = math.prod(sizes[axis + 1 :])
