@@ -27,7 +27,7 @@ EVERY_INPUT = Sentence("index.md", "Every input of the graph must have a role.")
 CORNERS = Sentence("manifest.md", "Every corner of `min` is at most that of `max`.")
 HOLDS = Sentence(
     "manifest.md",
-    "An axis-aligned box that holds the Gaussians' centres for all inputs (at every probe).",
+    "An axis-aligned box of all Gaussian centres for all inputs, checked with test inputs.",
 )
 VERSION = Sentence("manifest.md", '`contract` is `"major.minor"`, a string.')
 

@@ -23,7 +23,7 @@ FAMILY = "time and pose"
 N = 400
 HOLDS = Sentence(
     "manifest.md",
-    "An axis-aligned box that holds the Gaussians' centres for all inputs (at every probe).",
+    "An axis-aligned box of all Gaussian centres for all inputs, checked with test inputs.",
 )
 TIME: dict[str, Any] = {"name": "time", "role": "time", "range": [0, 1], "default": 0.0}
 MOTION = (
