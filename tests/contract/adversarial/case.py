@@ -88,6 +88,8 @@ class RightModel:
         kind: Surface, hair, cloud, room, avatar, or a companion kind.
         statistics: Whether its numbers look trained or synthetic.
         target: The target that it is judged for.
+        warnings: Rules that each warn once: the model does what the specification allows and
+            these rules advise against.
         build: Makes the model.
     """
 
@@ -96,6 +98,7 @@ class RightModel:
     kind: str
     statistics: str
     target: str = "core"
+    warnings: tuple[str, ...] = ()
     build: Callable[[], Draft]
 
 
@@ -144,6 +147,7 @@ def right_model(
     *,
     build: Callable[[], Draft],
     target: str = "core",
+    warnings: tuple[str, ...] = (),
 ) -> None:
     """Add a right model to the set.
 
@@ -153,7 +157,13 @@ def right_model(
     if name in _RIGHT_MODELS:
         raise ValueError(f"two right models are called {name}")
     _RIGHT_MODELS[name] = RightModel(
-        name=name, tool=tool, kind=kind, statistics=statistics, target=target, build=build
+        name=name,
+        tool=tool,
+        kind=kind,
+        statistics=statistics,
+        target=target,
+        warnings=warnings,
+        build=build,
     )
 
 

@@ -332,8 +332,17 @@ right_model("mip_antialias", TOOL, "hair", "trained", build=partial(_declared, _
 right_model(
     "extension_fields", TOOL, "cloud", "trained", build=partial(_declared, _extended, "cloud")
 )
-right_model("weights_listed_as_inputs", TOOL, "cloud", "trained", build=_weights_listed_as_inputs)
-right_model("another_output", TOOL, "hair", "trained", build=_with_another_output)
+right_model(
+    "weights_listed_as_inputs",
+    TOOL,
+    "cloud",
+    "trained",
+    build=_weights_listed_as_inputs,
+    warnings=("GI012",),
+)
+right_model(
+    "another_output", TOOL, "hair", "trained", build=_with_another_output, warnings=("GO017",)
+)
 right_model("weights_beside_the_model", TOOL, "room", "trained", build=_weights_beside)
 right_model(
     "cells_of_a_room", TOOL, "room", "trained", build=lambda: cell_model(scene("room", seed=78))

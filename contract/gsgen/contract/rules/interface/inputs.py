@@ -263,10 +263,11 @@ def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
         them, and a viewer that walks the inputs finds one without a meaning.
 
     Hint:
-        Remove the entry from the graph's inputs; the weight stays.
+        Remove every weight from the graph's inputs; the weights stay in the model.
     """
-    for value in subject.file.proto.graph.input:
-        if value.name in subject.graph.initializers:
-            yield Violation.at(
-                f"input {value.name}", "is also a weight", "a weight that is not an input"
-            )
+    names = [value.name for value in subject.file.proto.graph.input]
+    weights = [name for name in names if name in subject.graph.initializers]
+    if weights:  # one setting of an exporter lists all weights: one finding for all of them
+        remainder = f", like {len(weights) - 1} more of the inputs" if len(weights) > 1 else ""
+        actual = f"is also a weight{remainder}"
+        yield Violation.at(f"input {weights[0]}", actual, "a weight that is not an input")
