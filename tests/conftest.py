@@ -36,6 +36,15 @@ _SLOWEST = (
     "test_site.py",
     "test_adversarial.py",
     "test_cache_machine.py",
+    "test_families.py",
+    "test_golden_exports.py",
+    "test_fuzz.py",
+    "test_avatar_exports.py",
+    "test_viewer_kit.py",
+    "test_authored_modules.py",
+    "test_generators.py",
+    "test_article.py",
+    "test_wheel.py",
     "test_from_checkpoint_to_files.py",
 )
 # The folders whose tests cover the contract, which has a least share of lines.

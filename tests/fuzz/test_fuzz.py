@@ -2,8 +2,11 @@
 
 import json
 import os
+import subprocess
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -18,6 +21,8 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
 from support.reports.rules import crashing, made_up
+
+TESTS = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -56,11 +61,12 @@ def test_mutants_differ_from_their_models_and_from_each_other(corpus):
     assert len({case.base.name for case in cases}) > 100
 
 
-def test_the_validator_stands_the_first_mutants_and_a_run_goes_on(tmp_path, monkeypatch, capsys):
-    words = ["fuzz", "--count", "25", "--jobs", "1", "--folder", str(tmp_path)]
-    monkeypatch.setattr("sys.argv", words)
-    assert command.main() == 0
-    said = capsys.readouterr().out
+def test_the_validator_stands_the_first_mutants_and_a_run_goes_on(tmp_path):
+    """In a process of its own: peaks of memory are those of all children that a process had."""
+    words = [sys.executable, "-m", "fuzz", "--count", "25", "--jobs", "1", "--folder", tmp_path]
+    first = subprocess.run(words, cwd=TESTS, capture_output=True, text=True, timeout=300)
+    assert first.returncode == 0, first.stderr
+    said = first.stdout
     assert said.startswith("fuzz, seed 0: 25 of 25 mutants (")
     assert said.endswith("; 0 failed\n")
     log = tmp_path / "seed-0" / "cases.jsonl"
@@ -68,8 +74,8 @@ def test_the_validator_stands_the_first_mutants_and_a_run_goes_on(tmp_path, monk
     assert [one["case"] for one in told] == list(range(25))
     assert {"invalid", "unreadable"} <= {one["verdict"] for one in told}
     assert any(one["ran"] for one in told)
-    assert command.main() == 0  # nothing is left to judge
-    assert capsys.readouterr().out == said
+    again = subprocess.run(words, cwd=TESTS, capture_output=True, text=True, timeout=300)
+    assert (again.returncode, again.stdout) == (0, said)  # nothing is left to judge
     assert log.read_text().count("\n") == 25
 
 

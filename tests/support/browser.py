@@ -1,14 +1,16 @@
 """Debian's chromium, headless, for tests that run a page."""
 
+import atexit
 import os
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pytest
@@ -91,3 +93,13 @@ def serving(
         finally:
             server.shutdown()
             thread.join()
+
+
+@cache
+def playwright_of_process() -> Any:
+    """Start Playwright, of which a process can run one at a time; it stops with the process."""
+    from playwright.sync_api import sync_playwright
+
+    playwright = sync_playwright().start()
+    atexit.register(playwright.stop)
+    return playwright

@@ -45,7 +45,7 @@ def _reads_or_writes_text(node: ast.Call, name: str) -> bool:
 
 def _is_mode(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) and str(node.value) in {
-        f"{kind}{binary}{plus}" for kind in "rwax" for binary in ("", "b") for plus in ("", "+")
+        f"{kind}{suffix}" for kind in "rwax" for suffix in ("", "b", "+", "b+", "+b")
     }
 
 

@@ -36,7 +36,7 @@ BLOCKS = dict(
     re.findall(r"^<!-- test: (\S+) -->\n```\w+\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 )
 EXAMPLE: dict[str, Any] = {"__name__": "decode"}
-exec(BLOCKS["decode.py"], EXAMPLE)
+exec(BLOCKS["program"], EXAMPLE)
 
 
 def moment(value: float) -> np.ndarray:
@@ -162,10 +162,10 @@ def test_the_page_exports_both_models_and_draws_with_them(
 ) -> None:
     write_spacetime(tmp_path / "DIR", count=30, full=True)
     monkeypatch.chdir(tmp_path)
-    for line in BLOCKS["bash"].splitlines():
+    for line in BLOCKS["commands"].splitlines():
         ran = gsgen_here(*shlex.split(line)[1:])
         assert ran.code == 0, ran.err
-    exec(BLOCKS["decode.py"], {"__name__": "__main__"})
+    exec(BLOCKS["program"], {"__name__": "__main__"})
     camera = Camera.orbit((0, 0, 0), 4, width=32, height=24)
     with GeneratorPlayer("features.onnx") as player, PostProcessor(Path("decoder.onnx")) as post:
         frame = EXAMPLE["decoded"](player, post, camera, 0.5)

@@ -34,6 +34,17 @@ def gpu_like(device: Device) -> Device:
     return other
 
 
+@pytest.mark.parametrize("name", ["opacities_at_the_edges", "many", "needles", "panorama_seam"])
+def test_tiles_of_all_sizes_draw_the_same_splats(device: Device, name: str) -> None:
+    """A splat between the centres of pixels is not drawn, wherever a tile begins."""
+    scene, camera = SCENES[name]()
+    frames = [
+        Renderer(variant, rasteriser="tiles").render(scene, camera)
+        for variant in (device, gpu_like(device))
+    ]
+    assert frames[0].visible == frames[1].visible >= oracle.render(scene, camera).visible > 0
+
+
 def test_a_gpus_picture_is_the_same_twice_and_without_records(device: Device) -> None:
     """Splats stand in arrays of their own where a binding is too small for records."""
     scene, camera = SCENES["many"]()

@@ -185,7 +185,8 @@ def test_two_layers_are_the_twins(device: Device, variant: str) -> None:
     for buffer, values in zip(buffers, (shown, depths), strict=True):
         other.write(buffer, values)
     tile = renderer._kernels.cut.tile
-    kernel = BlendTiles(other, pick=False, layers=2, tile=tile).kernel
+    records = renderer._kernels.records(250)
+    kernel = BlendTiles(other, pick=False, layers=2, tile=tile, records=records).kernel
     (own,) = plan.stages["blend"][0].binds
     step = Step(kernel, (own, kernel.bind(*buffers, group=1)), plan.stages["blend"][0].groups)
     encoder = other.raw.create_command_encoder()

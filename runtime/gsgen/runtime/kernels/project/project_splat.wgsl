@@ -30,6 +30,28 @@ fn color_of(own: u32, offset: vec3f) -> vec3f {
     return harmonics(own, page.degree, direction / length(direction));
 }
 
+// Return whether an interval on one axis of the image holds the centre of one of its pixels.
+fn holds_a_center(middle: f32, half_extent: f32, size: u32) -> bool {
+    let first = ceil(middle - half_extent - 0.5);
+    let last = floor(middle + half_extent - 0.5);
+    return first <= last && last >= 0.0 && first <= f32(size) - 1.0;
+}
+
+// Return whether the box around an ellipse holds a pixel's centre. Tiles do not decide it, because
+// devices with tiles of different sizes must draw the same splats.
+fn covers_a_pixel(mean: vec2f, half_extent: vec2f) -> bool {
+    var half_width = half_extent.x;
+    if (PANORAMA) {
+        half_width = min(half_width, 0.5 * frame.period + EDGE);
+    }
+    var is_wide = false;
+    for (var copy = FIRST_COPY; copy < FIRST_COPY + COPIES; copy++) {
+        let middle = mean.x + (f32(copy) - 1.0) * frame.period;
+        is_wide = is_wide || holds_a_center(middle, half_width, frame.size.x);
+    }
+    return is_wide && holds_a_center(mean.y, half_extent.y, frame.size.y);
+}
+
 // Return the number of tiles that an ellipse touches; tiles of two copies count once.
 fn tiles_touched(ellipse: Outline) -> u32 {
     var tiles = 0u;
@@ -67,15 +89,9 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
         }
     }
 
-    // Step 3: drop ellipses outside of the image.
+    // Step 3: drop ellipses that cover no pixel of the image.
     let strength = log(opacity / CULL_OPACITY);
-    var half_extent = sqrt(2.0 * strength * flat.dilated.xz);
-    if (PANORAMA) {
-        half_extent.x = LARGEST;  // it may cross the seam, which `span` handles
-    }
-    let first_center = 0.5 - frame.origin;
-    let last_center = vec2f(frame.size) - 0.5 - frame.origin;
-    if (!(all(flat.mean + half_extent >= first_center) && all(flat.mean - half_extent <= last_center))) {
+    if (!covers_a_pixel(flat.mean + frame.origin, sqrt(2.0 * strength * SLACK * flat.dilated.xz) + EDGE)) {
         return ABSENT;
     }
 
@@ -84,7 +100,7 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
     let conic = vec3f(scaled.z, -scaled.y, scaled.x) / flat.determinant / flat.unit;
     let tiles = tiles_touched(outline(flat.mean, conic, strength, flat.dilated.z));
     let color = color_of(own, offset_from_eye(position));
-    if (!all(abs(color) <= vec3f(LARGEST)) || tiles == 0u) {
+    if (!all(abs(color) <= vec3f(LARGEST))) {
         return ABSENT;
     }
 
