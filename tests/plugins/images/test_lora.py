@@ -310,7 +310,10 @@ def _edited(edit: str) -> tuple[dict[str, torch.Tensor], str]:
     match edit:
         case "no such layer":
             extra = {f"{name}x.lora_A.weight": first, f"{name}x.lora_B.weight": two}
-            return (good | extra, "1 of 2 layers do not fit.*to_qx is not a layer of the networks")
+            return (
+                good | extra,
+                "1 of 2 LoRA layers do not fit.*to_qx is not a layer of the networks",
+            )
         case "no partner":
             return {down: first}, "to_q has no lora_B or up"
         case "alpha alone":
@@ -341,7 +344,7 @@ def _edited(edit: str) -> tuple[dict[str, torch.Tensor], str]:
         case "whole weights":
             return {f"{name}.weight": torch.ones(8, 8)}, "not part of a LoRA"
         case "text alone":
-            return {"lora_te_text_model.lora_down.weight": first}, "0 of 0 layers"
+            return {"lora_te_text_model.lora_down.weight": first}, "0 of 0 LoRA layers"
     raise AssertionError(edit)
 
 
@@ -418,7 +421,7 @@ def test_the_option_says_file_and_scale(
     write_safetensors(path, named(thin(read_diffusion(run).unet), "peft"))
     clone = write_denoiser(tmp_path / "run", OPTIONS | {"in_channels": 3, "out_channels": 3})
     size = {"size": "8x8", "result": "network"}
-    with pytest.raises(CheckpointInvalid, match=r"1 of 11 layers do not fit.*conv_in has"):
+    with pytest.raises(CheckpointInvalid, match=r"1 of 11 LoRA layers do not fit.*conv_in has"):
         command.build(clone, lora=[str(path)], **size)
     small = thin(read_diffusion(clone).unet)
     write_safetensors(path, named(small, "peft"))

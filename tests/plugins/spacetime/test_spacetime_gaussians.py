@@ -90,7 +90,7 @@ def test_the_full_model_is_refused_until_someone_asks_for_the_approximation(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     full = write_spacetime(tmp_path / "full", count=3, full=True)
-    with pytest.raises(NotInCheckpoint, match="decoded in each pixel") as caught:
+    with pytest.raises(NotInCheckpoint, match="decoded per pixel") as caught:
         plugin.build(full)
     assert "--decode per-splat" in caught.value.hint
     assert "--decode features" in caught.value.hint

@@ -63,7 +63,7 @@ def test_a_mask_of_bits_is_a_remainder() -> None:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        (hashing(20, 1 << 13), "modulo 1048576 may leave"),
+        (hashing(20, 1 << 13), "(modulo 1048576) may leave"),
         (hashing(9, 100).replace("Clip (x, low, most)", "Neg (x)"), "may leave the range of int32"),
     ],
 )

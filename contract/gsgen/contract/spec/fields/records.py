@@ -42,7 +42,7 @@ class TestVector:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceImage:
-    """A reference picture of the model, and the camera from which a render should match.
+    """A reference picture of the model, and the camera from which a render matches it.
 
     The camera looks along +z, x is right and y down; colours are over black.
     """
