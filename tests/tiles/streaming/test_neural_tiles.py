@@ -303,15 +303,19 @@ def test_budgets_hold_while_a_camera_passes_many_tiles(tmp_path: Path) -> None:
             neural.wait(0.1)
             is_settled = draw_frame(camera, time)
     session.close()
-    lines = [json.loads(line) for line in log.read_text().splitlines()]
-    events = [line["neural"] for line in lines if "neural" in line]
-    ran = [(line["t"], len(line["neural"]["ran"])) for line in lines if "neural" in line]
+    events = _neural_events(log)
     assert opened == set(neural.tiles)
     assert len(opened) == count > sessions
     assert sum(len(entry["opened"]) for entry in events) >= len(opened)
     assert sum(len(entry["closed"]) for entry in events) >= len(opened) - sessions
-    assert steps // 8 <= sum(runs for _, runs in ran) <= rate * clock.time + sessions
+    runs = sum(len(entry["ran"]) for entry in events)
+    assert steps // 8 <= runs <= rate * clock.time + sessions
     assert len(list(read_events(log))) == frames
+
+
+def _neural_events(log: Path) -> list[dict[str, list[int]]]:
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    return [line["neural"] for line in lines if "neural" in line]
 
 
 def test_rows_follow_a_similarity() -> None:
