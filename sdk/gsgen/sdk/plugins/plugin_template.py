@@ -74,7 +74,7 @@ def write_plugin_package(name: str, into: Path) -> PluginPackage:
 
 def _repository() -> str:
     """Return the address of gsgen's repository, from the metadata of the installed package."""
-    labels = (entry.split(", ", 1) for entry in metadata("gsgen").get_all("Project-URL", []))
+    labels = (str(entry).split(", ", 1) for entry in metadata("gsgen").get_all("Project-URL", []))
     return dict(labels)["Repository"]
 
 
