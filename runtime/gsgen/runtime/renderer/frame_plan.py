@@ -47,7 +47,7 @@ from gsgen.runtime.scene.scene import SplatSet
 
 @final
 class Plan:
-    """GPU buffers and steps that draw some pages of Gaussians and meshes at one image size.
+    """GPU buffers and dispatches that draw Gaussians and meshes at one image size.
 
     Args:
         device: Device of the buffers.
