@@ -1,6 +1,6 @@
 """Checks the generator of a neural tile against the contract and the tile's declaration."""
 
-__all__ = ["MAX_MODEL", "check_digest", "check_neural_model", "validate_model"]
+__all__ = ["MAX_MODEL", "check_digest", "check_neural_model", "require_generator"]
 
 import hashlib
 from collections.abc import Iterator
@@ -15,6 +15,7 @@ from gsgen.contract.spec.manifest_io import parse
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.report import Report
+from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.neural import EXTENSION, NeuralTile
 from gsgen.tiles.tileset import Tile
 from gsgen.tiles.volumes import Box
@@ -35,11 +36,31 @@ def check_digest(data: bytes, neural: NeuralTile, location: str) -> Iterator[Vio
         )
 
 
-def validate_model(path: Path) -> Report:
-    """Validate a neural tile's generator, whose bounds have to hold for all test inputs."""
-    from gsgen.contract import Level, Settings, validate
+def require_generator(path: Path) -> tuple[GeneratorManifest, Report]:
+    """Validate a neural tile's model; raise unless it is a generator that conforms.
 
-    return validate(path, Settings(level=Level.VALUES, severities={_BOUNDS_HOLD: Severity.ERROR}))
+    The bounds of its manifest have to hold for all test inputs.
+
+    Raises:
+        TilesetInvalid: The model breaks rules, or is of another kind.
+        ModelUnreadable: The file is not an ONNX model.
+    """
+    from gsgen.contract import Level, Settings, open_model, validate
+
+    settings = Settings(level=Level.VALUES, severities={_BOUNDS_HOLD: Severity.ERROR})
+    report = validate(path, settings)
+    if report.verdict != "conforms":
+        rules = ", ".join(dict.fromkeys(f.rule for f in report.findings if f.counts))
+        raise TilesetInvalid(
+            f"breaks {rules}", expected="a model that conforms", fault=Fault.NEURAL
+        )
+    text = open_model(path).manifest_text
+    manifest = parse(text).manifest if text is not None else None
+    if not isinstance(manifest, GeneratorManifest):
+        raise TilesetInvalid(
+            f"is of kind {report.kind}", expected="a generator", fault=Fault.NEURAL
+        )
+    return manifest, report
 
 
 def check_neural_model(
@@ -53,21 +74,13 @@ def check_neural_model(
         neural: The declaration.
         location: Of the tile, in violations.
     """
-    from gsgen.contract import open_model
-
     try:
-        report = validate_model(path)
-        text = open_model(path).manifest_text
+        manifest, report = require_generator(path)
+    except TilesetInvalid as error:
+        yield Violation.at(location, f"{neural.uri} {error.actual}", error.expected)
+        return
     except GsgenError as error:
         yield Violation.at(location, f"{neural.uri}: {error.message}", "a Gaussian Generator")
-        return
-    if report.verdict != "conforms":
-        rules = ", ".join(dict.fromkeys(f.rule for f in report.findings if f.counts))
-        yield Violation.at(location, f"{neural.uri} breaks {rules}", "a model that conforms")
-        return
-    manifest = parse(text).manifest if text is not None else None
-    if not isinstance(manifest, GeneratorManifest):
-        yield Violation.at(location, f"{neural.uri} is of kind {report.kind}", "a generator")
         return
     yield from _check_declarations(manifest, report, tile, neural, location)
 

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, field
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -38,6 +38,18 @@ from gsgen.tiles.streaming.generator_opening import GeneratorOpener, ModelReader
 from gsgen.tiles.streaming.generator_rows import tile_rows
 from gsgen.tiles.streaming.session_frame import TileArrival
 from gsgen.tiles.volumes import Box
+
+
+class _RunInputs(NamedTuple):
+    """The inputs of a generator's run that vary, comparable with those of another run.
+
+    Attributes:
+        camera: View matrix and intrinsics; None for a generator without a camera.
+        time: In seconds; None for a generator without a time.
+    """
+
+    camera: tuple[bytes, tuple[float, ...]] | None
+    time: float | None
 
 
 @final
@@ -74,8 +86,8 @@ class _Generator:
 
     worker: GeneratorWorker
     pending: "Future[FrameDelta] | None" = None
-    begun: object = None
-    shown: object = None
+    begun: _RunInputs | None = None
+    shown: _RunInputs | None = None
     result: TileArrival | None = None
     last_run: float = -np.inf
     last_drawn: float = -np.inf
@@ -348,12 +360,12 @@ class NeuralTiles:
 
     # ---- 4. Runs
 
-    def _inputs(self, tile: int, camera: Camera, values: Mapping[str, object]) -> object:
-        """Return a comparable key of the inputs that a tile's generator gets in this frame."""
-        roles = self._neural[tile].inputs
+    def _inputs(self, tile: int, camera: Camera, values: Mapping[str, object]) -> _RunInputs:
+        """Return the inputs that a tile's generator gets in this frame."""
+        sees_camera = bool(set(self._neural[tile].inputs) & set(CAMERA_ROLES))
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-        seen = (camera.view.tobytes(), *lens) if set(roles) & set(CAMERA_ROLES) else None
-        return seen, self._time(tile, values)
+        view = (camera.view.tobytes(), lens) if sees_camera else None
+        return _RunInputs(view, self._time(tile, values))
 
     def _time(self, tile: int, values: Mapping[str, object]) -> float | None:
         """Return the time input of a tile's generator, clamped to its range; None without time."""
@@ -363,7 +375,7 @@ class NeuralTiles:
         value = float(np.asarray(values.get("time", span[0])).reshape(-1)[0])
         return min(max(value, span[0]), span[1])
 
-    def _run(self, inputs: Mapping[int, object], camera: Camera, time: float) -> None:
+    def _run(self, inputs: Mapping[int, _RunInputs], camera: Camera, time: float) -> None:
         """Begin model runs of generators whose inputs changed, up to the limit a second."""
         rate = self._options.runs_per_second
         if np.isfinite(rate):
@@ -374,19 +386,18 @@ class NeuralTiles:
         self._token_time = time
         ready = [
             tile
-            for tile, key in inputs.items()
-            if (entry := self._open.get(tile)) and entry.pending is None and entry.shown != key
+            for tile, run in inputs.items()
+            if (entry := self._open.get(tile)) and entry.pending is None and entry.shown != run
         ]
         for tile in sorted(ready, key=lambda tile: (self._open[tile].last_run, tile)):
             if self._tokens < 1:
                 break
             self._tokens -= 1
-            entry, key = self._open[tile], inputs[tile]
-            moment = key[1] if isinstance(key, tuple) else None
-            entry.begun, entry.last_run = key, time
+            entry, run = self._open[tile], inputs[tile]
+            entry.begun, entry.last_run = run, time
             entry.pending = entry.worker.start(
                 local_camera(camera, self._tree.tiles[tile].transform),
-                {} if moment is None else {"time": moment},
+                {} if run.time is None else {"time": run.time},
             )
 
     # ---- 5. Uploads
@@ -408,7 +419,7 @@ class NeuralTiles:
                 uploaded += rows.upload_bytes
         return updates
 
-    def _is_settled(self, tile: int, inputs: object) -> bool:
+    def _is_settled(self, tile: int, inputs: _RunInputs) -> bool:
         entry = self._open.get(tile)
         is_current = entry is not None and entry.shown == inputs
         return is_current and self._in_pool[tile] is self._expected(tile)

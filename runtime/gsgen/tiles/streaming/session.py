@@ -353,41 +353,44 @@ class TilesetSession:
         order = sorted(self._pending, key=lambda t: (not seen[t], level[t], -error[t], t))
         evicted: list[int] = []
         arrivals: list[TileArrival] = []
-        upgraded: set[int] = set()
         room = self.upload_budget
         for tile in order:
-            is_resident = bool(self._residents.resident[tile])
-            arrival = replace(
-                self._pending[tile], reserved_rows=int(self._reserved[tile]), is_upgrade=is_resident
-            )
+            arrival = self._pending[tile]
             if arrivals and arrival.upload_bytes > room:
                 break
-            # The metadata of foreign tilesets do not count splats: the estimate may be too low.
-            needed = -(-len(arrival.rows) // self.slot_rows)
-            if not is_resident:
-                self._slots[tile] = max(int(self._slots[tile]), needed)
-            victims = self._residents.admit(tile, time)
             del self._pending[tile]
+            arrival = replace(
+                arrival,
+                reserved_rows=int(self._reserved[tile]),
+                is_upgrade=bool(self._residents.resident[tile]),
+            )
+            victims = self._admit(arrival, time)
             if victims is None:
                 continue  # no room beside the drawn tiles: it is asked for again later
-            for victim in victims:
-                self._fades.drop(victim)
-            if self._chooser:
-                self._chooser.held[list(victims)] = -1
-                self._chooser.held[tile] = arrival.quality
-            # A tile that came in this very frame was never drawn: it is not uploaded at all.
-            recalled = {entry.tile for entry in arrivals if entry.tile in victims}
-            room += sum(entry.upload_bytes for entry in arrivals if entry.tile in recalled)
-            evicted += [
-                victim for victim in victims if victim not in recalled or victim in upgraded
-            ]
-            arrivals = [entry for entry in arrivals if entry.tile not in recalled]
+            evicted += victims
             arrivals.append(arrival)
-            upgraded |= {tile} if is_resident else set()
             room -= arrival.upload_bytes
         for tile in [tile for tile in reversed(order) if tile in self._pending][:-_MOST_PENDING]:
             del self._pending[tile]
         return tuple(evicted), tuple(arrivals)
+
+    def _admit(self, arrival: TileArrival, time: float) -> tuple[int, ...] | None:
+        """Make a tile resident for this frame; return the tiles that leave, None without room."""
+        tile = arrival.tile
+        if not arrival.is_upgrade:
+            # The metadata of foreign tilesets do not count splats: the estimate may be too low.
+            needed = -(-len(arrival.rows) // self.slot_rows)
+            self._slots[tile] = max(int(self._slots[tile]), needed)
+        victims = self._residents.admit(tile, time)
+        if victims is None:
+            return None
+        self._residents.protect(tile)  # no other arrival of the frame displaces it
+        for victim in victims:
+            self._fades.drop(victim)
+        if self._chooser:
+            self._chooser.held[list(victims)] = -1
+            self._chooser.held[tile] = arrival.quality
+        return victims
 
     def _request(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Request the tiles that the current frame needs."""
