@@ -24,10 +24,11 @@ class GeneratorOpener:
     Args:
         tiles: Tiles of the tileset, by key.
         read_model: Reads the model of a tile.
+        provider: Execution provider of ONNX Runtime.
     """
 
-    def __init__(self, tiles: Sequence[Tile], read_model: ModelReader) -> None:
-        self._tiles, self._read_model = tiles, read_model
+    def __init__(self, tiles: Sequence[Tile], read_model: ModelReader, provider: str) -> None:
+        self._tiles, self._read_model, self._provider = tiles, read_model, provider
         self._conforming: set[int] = set()
 
     def open(self, tile: int) -> tuple[GeneratorWorker, int]:
@@ -47,7 +48,7 @@ class GeneratorOpener:
             if tile not in self._conforming:
                 _raise_first(list(check_neural_model(path, entry, entry.neural, "model")))
                 self._conforming.add(tile)
-            worker = GeneratorWorker(path, "cpu")
+            worker = GeneratorWorker(path, self._provider)
         try:
             _require_drawable(worker)
         except TilesetInvalid:

@@ -62,11 +62,13 @@ class NeuralTilesOptions:
         runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
             for every run.
         upload_budget: Bytes of arrivals and of new rows in a frame.
+        provider: Execution provider of ONNX Runtime.
     """
 
     sessions: int
     runs_per_second: float
     upload_budget: int
+    provider: str = "cpu"
 
 
 @final
@@ -155,7 +157,7 @@ class NeuralTiles:
         self._unsettled: tuple[int, ...] = ()
         self._tokens, self._token_time = 1.0, clock.now()
         self._events = NeuralEvents()
-        self._opener = GeneratorOpener(tree.tiles, read_model)
+        self._opener = GeneratorOpener(tree.tiles, read_model, options.provider)
         self._loader = ThreadPoolExecutor(1, thread_name_prefix="gsgen neural tiles")
 
     @property

@@ -65,6 +65,7 @@ class SessionOptions:
             has several; the finest of them follow while nothing is missing.
         neural_sessions: Most generators of neural tiles that are open at once; 0 to draw the
             splats of these tiles.
+        provider: Execution provider of ONNX Runtime for these generators.
         runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
             for every run.
     """
@@ -82,6 +83,7 @@ class SessionOptions:
     log: Path | None = None
     live_qualities: bool = False
     neural_sessions: int = 4
+    provider: str = "cpu"
     runs_per_second: float = RUNS_PER_SECOND
 
 
@@ -237,6 +239,7 @@ class TilesetSession:
                 sessions=options.neural_sessions,
                 runs_per_second=options.runs_per_second,
                 upload_budget=options.upload_budget,
+                provider=options.provider,
             ),
             sh_degree=self.sh_degree,
             most_rows=self.pool_slots * self.slot_rows,
