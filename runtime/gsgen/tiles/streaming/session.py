@@ -3,7 +3,7 @@
 __all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"]
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol, final
@@ -11,6 +11,8 @@ from typing import Final, Protocol, final
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from gsgen.contract.spec.layout import ROW
+from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.loading import load_tileset
@@ -41,6 +43,7 @@ UPLOAD_BUDGET: Final = 4 << 20
 RUNS_PER_SECOND: Final = 25.0
 _COARSER: Final = 2**0.25  # step of the error while a cut does not fit the pool
 _MOST_STEPS: Final = 80
+_QUEUED_FRAMES: Final = 2  # whose uploads are requested ahead
 _MOST_PENDING: Final = 64  # decoded tiles that wait for their upload
 
 
@@ -89,6 +92,14 @@ class SessionOptions:
 
 class ArrivalLink(Link, Protocol):
     """Protocol of links that deliver decoded tiles."""
+
+    def queue(self, tiles: Iterable[int]) -> None:
+        """Set the tiles to request as connections become free, in place of those set before."""
+        ...
+
+    def take_started(self) -> list[int]:
+        """Return the queued tiles whose requests began since the last call."""
+        ...
 
     def poll(self) -> Sequence[FetchResult[TileArrival]]:
         """Return the tiles that arrived or failed since the last call."""
@@ -225,6 +236,7 @@ class TilesetSession:
         self._pending: dict[int, TileArrival] = {}
         self._retry_at: dict[int, float] = {}
         self._received_bytes, self._was_busy = 0, False
+        self._started: list[int] = []
 
     def _neural_tiles(self, read_model: ModelReader | None) -> NeuralTiles | None:
         options = self._options
@@ -296,7 +308,7 @@ class TilesetSession:
             and (self._chooser is None or self._chooser.is_finest(cut.wanted & there & ~dead)),
         )
         if self._log:
-            self._log.frame(time, frustum, received, frame)
+            self._log.frame(time, frustum, self._started, received, frame)
         return frame
 
     def wait(self, seconds: float) -> None:
@@ -319,7 +331,11 @@ class TilesetSession:
 
     def _receive(self, time: float) -> list[FetchResult[TileArrival]]:
         """Take the tiles that arrived over the link; report the tiles that failed."""
+        self._link.queue(())  # the link begins no request while this frame plans
         results = list(self._link.poll())
+        self._started = self._link.take_started()  # after the poll: no result lacks its request
+        for tile in self._started:
+            self._planner.begin(tile)
         for result in results:
             if result.content is not None:
                 if self._chooser:
@@ -407,6 +423,19 @@ class TilesetSession:
         if self._chooser:
             self._choose_qualities(self._chooser, time, cut, loaded)
         self._planner.fill(loaded)
+        self._link.queue(self._queueable(loaded))
+
+    def _queueable(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
+        """Return the next tiles to request, as many as the next frames can upload.
+
+        Without them, a renderer of few frames a second would request few tiles a second.
+        """
+        row_bytes = 4 * (ROW + 3 * coefficients(self.sh_degree))
+        coming = [*self._planner.in_flight, *self._pending]
+        room = _QUEUED_FRAMES * self.upload_budget - row_bytes * int(self.tree.splats[coming].sum())
+        missing = self._planner.missing(loaded)
+        uploads = np.cumsum(row_bytes * self.tree.splats[missing])
+        return missing[: min(int(np.searchsorted(uploads, room, side="right")), _MOST_PENDING)]
 
     def _choose_qualities(
         self, chooser: QualityChooser, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]
