@@ -200,7 +200,7 @@ def test_a_run_that_breaks_a_promise_gives_the_splats_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """What the probes of a validation did not see is found in the run itself."""
-    monkeypatch.setattr(generator_opening, "check_neural_model", lambda *arguments: iter(()))
+    monkeypatch.setattr(generator_opening, "check_neural_model", lambda *arguments, **_: iter(()))
     model = leaving()
     index = write_neural_tileset(tmp_path / "tiles", [model])
     camera = watching(1)

@@ -37,7 +37,6 @@ from gsgen.tiles.streaming.fetch import RETRY_AFTER
 from gsgen.tiles.streaming.generator_opening import GeneratorOpener, ModelReader
 from gsgen.tiles.streaming.generator_rows import tile_rows
 from gsgen.tiles.streaming.session_frame import TileArrival
-from gsgen.tiles.volumes import Box
 
 
 class _RunInputs(NamedTuple):
@@ -157,7 +156,7 @@ class NeuralTiles:
         self._unsettled: tuple[int, ...] = ()
         self._tokens, self._token_time = 1.0, clock.now()
         self._events = NeuralEvents()
-        self._opener = GeneratorOpener(tree.tiles, read_model, options.provider)
+        self._opener = GeneratorOpener(tree, read_model, options.provider)
         self._loader = ThreadPoolExecutor(1, thread_name_prefix="gsgen neural tiles")
 
     @property
@@ -301,7 +300,7 @@ class NeuralTiles:
             entry.appearance[: delta.count],
             space=appearance.space,
             transform=tree.tiles[tile].transform,
-            box=Box(tree.center[tile], tree.half_axes[tile]),
+            box=tree.box(tile),
             sh_degree=self._sh_degree,
         )
 
