@@ -29,7 +29,7 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
 def main() -> None:
-    """Run `gsgen` on the process's arguments, and exit with an exit code of the contract."""
+    """Run the `gsgen` command line on the process's arguments, and exit with its exit code."""
     accept_any_text()
     try:
         with ending_at_interrupts() as interrupts:

@@ -1,4 +1,4 @@
-"""Checks the generator of a neural tile against the contract and the tile's declaration."""
+"""Checks the ONNX generator of a neural tile against the contract and the tile's declaration."""
 
 __all__ = ["MAX_MODEL", "TileBounds", "check_digest", "check_neural_model", "require_generator"]
 
@@ -53,7 +53,7 @@ def check_digest(data: bytes, neural: NeuralTile, location: str) -> Iterator[Vio
 
 
 def require_generator(path: Path) -> tuple[GeneratorManifest, Report]:
-    """Validate a neural tile's model; raise unless it is a generator that conforms.
+    """Validate a neural tile's ONNX model; raise unless it is a generator that conforms.
 
     The bounds of its manifest have to hold for all test inputs.
 
@@ -82,7 +82,7 @@ def require_generator(path: Path) -> tuple[GeneratorManifest, Report]:
 def check_neural_model(
     path: Path, tile: Tile, neural: NeuralTile, location: str, *, bounds: TileBounds
 ) -> Iterator[Violation]:
-    """Check a neural tile's generator against the contract and the tile's declaration.
+    """Check a neural tile's ONNX generator against the contract and the tile's declaration.
 
     Args:
         path: The model.

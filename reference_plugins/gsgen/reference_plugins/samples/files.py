@@ -1,4 +1,4 @@
-"""Writes the files of `gsgen samples`: a scene, cameras, a generator and a motion."""
+"""Writes the files of `gsgen samples`: a scene, cameras, an ONNX generator and a motion."""
 
 __all__ = ["SAMPLES", "write_samples"]
 

@@ -1,4 +1,4 @@
-"""`gsgen bake`: writes frames of a generator as plain splat files."""
+"""`gsgen bake`: writes frames of an ONNX generator as plain splat files."""
 
 __all__ = ["bake"]
 

@@ -105,7 +105,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
 
 
 def _refuse_pictures(request: "ExportRequest") -> None:
-    """Raise if pictures of an eager module are requested, and the source has none to draw."""
+    """Raise if pictures of a torch module are requested for a scene that has no torch module."""
     if request.pictures:
         message = "only a generator in torch has an eager module to draw"
         hint = "Leave it out; `gsgen references --from` takes pictures of the training code."
