@@ -35,7 +35,7 @@ def unit(rotation: Float[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
     columns /= np.maximum(np.abs(columns).max(axis=0), np.finfo(np.float64).tiny)
     length = np.sqrt((columns * columns).sum(axis=0))
     columns /= np.maximum(length, 0.5)
-    columns[:, ~(length > 0)] = [[1.0], [0], [0], [0]]
+    columns[:, ~(length > 0)] = np.eye(4)[:, :1]
     return np.ascontiguousarray(columns.T, np.float32)
 
 
