@@ -43,7 +43,7 @@ Placed = tuple[SplatSet, Page]
 
 @final
 class Plan:
-    """GPU buffers and steps that draw some pages of Gaussians and meshes at one image size.
+    """GPU buffers and dispatches that draw Gaussians and meshes at one image size.
 
     Args:
         device: Device of the buffers.
@@ -409,7 +409,7 @@ class Plan:
 
 
 def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
-    """Return the index of each GPU row in scene order; None if the rows are in scene order."""
+    """Return each GPU row's index in the scene's order of Gaussians; None if both are the same."""
     if all(page.rows_of is None for _, page in placed):
         return None
     parts, base = [], 0
@@ -421,7 +421,7 @@ def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
 
 
 def _slot_rows(page: Page) -> int:
-    """Return the rows of each slot in a GPU page of the splat pool; 0 for other pages."""
+    """Return the Gaussians per slot of a GPU page in the splat pool; 0 for other pages."""
     return 0 if page.slots is None else page.slots.pool.slot_rows
 
 

@@ -50,7 +50,7 @@ class NormalsKernel:
 def normals_reference(
     covariance: Float[np.ndarray, "n 3 3"], position: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Return the normals (shortest axes) of Gaussians that are no balls, in camera space.
+    """Return the normals (shortest axes) of non-spherical Gaussians, in camera space.
 
     This is the reference of ``normals.wgsl``; arguments are in camera space, too.
     """

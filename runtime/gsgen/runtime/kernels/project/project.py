@@ -101,7 +101,7 @@ PAGE: Final = _bytes(
 
 
 def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[np.ndarray, ""]:
-    """Return the ``Frame`` uniform of a camera; the background is multiplied by its alpha."""
+    """Return a camera's uniform data (WGSL struct ``Frame``); the background is premultiplied."""
     uniform = np.zeros((), FRAME)
     focal = np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
@@ -120,14 +120,14 @@ def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[
 def page_uniform(
     placed: SplatSet, camera: Camera, base: int, capacity: int, count: int
 ) -> Shaped[np.ndarray, ""]:
-    """Return the ``Page`` uniform of one GPU page of Gaussians, computed in float64."""
+    """Return the uniform data of one GPU page of Gaussians (WGSL struct ``Page``), from float64."""
     return np.asarray(page_uniforms([(placed, base, capacity, count)], camera)[0])
 
 
 def page_uniforms(
     pages: Sequence[tuple[SplatSet, int, int, int]], camera: Camera
 ) -> Shaped[np.ndarray, " n"]:
-    """Return the ``Page`` uniforms of GPU pages, computed in float64.
+    """Return the uniform data of GPU pages of Gaussians (WGSL struct ``Page``), from float64.
 
     They are computed together, because numpy takes as long for one matrix as for thirty.
 
@@ -250,7 +250,7 @@ class ProjectKernel:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Projected:
-    """Projected splats in float64.
+    """Splats projected into the image: centres, inverse covariances, depths, colours; float64.
 
     Attributes:
         drawn: Mask of drawn Gaussians; the other fields are undefined for the rest.
