@@ -98,6 +98,7 @@ def edit_cfg(folder: Path, before: str, after: str) -> None:
     ("before", "after", "message"),
     [
         ("model_config", "configuration", "model_config is missing"),
+        ("'feat_dim'", "'gs_attr': 'explicit3D', 'feat_dim'", "the layout of a later version"),
         ("'name': 'GaussianLoDModel'", "'name': 'Model'", "name is 'Model'"),
         ("base_model='scaffoldgs'", "base_model='4dgs'", "base_model is '4dgs'"),
         ("'view_dim': 3", "'view_dim': 2", "view_dim is 2, expected 0 or 3"),

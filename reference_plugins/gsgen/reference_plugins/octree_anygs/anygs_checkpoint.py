@@ -91,6 +91,10 @@ def _model_options(cfg: CfgArgs) -> CfgArgs:
         message = "model_config is missing, or has no kwargs"
         hint = "Copy cfg_args from the folder that training wrote."
         raise CheckpointInvalid(message, where=str(cfg.path), hint=hint)
+    if "gs_attr" in config["kwargs"]:
+        message = "model_config has gs_attr: the layout of a later version, which is not supported"
+        hint = "Expected that of commit 4ffd0e2, whose base_model is scaffoldgs, 3dgs or 2dgs."
+        raise CheckpointInvalid(message, where=str(cfg.path), hint=hint)
     values: dict[str, Any] = cfg.values | config["kwargs"] | {"name": config.get("name")}
     return replace(cfg, values=values)
 

@@ -81,7 +81,7 @@ Columns = dict[str, Float[np.ndarray, " n"]]
 def _anchors(options: AnchorOptions, rng: np.random.Generator) -> tuple[Columns, dict[str, object]]:
     columns = anchor_columns(options, rng)
     del columns["opacity"]
-    kwargs = {
+    kwargs: dict[str, object] = {
         "feat_dim": options.width,
         "view_dim": options.direction,
         "appearance_dim": options.appearance,

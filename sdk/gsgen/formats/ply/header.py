@@ -88,7 +88,7 @@ class Element:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Header:
     """A PLY header: the elements in order, and the offset of the first element's data."""
 
@@ -152,7 +152,13 @@ def parse_header(data: mmap.mmap) -> Header:
         Element(name, count, tuple(properties.values()))
         for name, (count, properties) in tables.items()
     )
-    return Header(encoding, tuple(elements), body, tuple(comments), tuple(infos))
+    return Header(
+        encoding=encoding,
+        elements=tuple(elements),
+        body=body,
+        comments=tuple(comments),
+        infos=tuple(infos),
+    )
 
 
 def _split(data: mmap.mmap) -> tuple[list[str], int]:
