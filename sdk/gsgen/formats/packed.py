@@ -1,4 +1,4 @@
-"""Converts packed rows of a generator, i.e. one frame, to splats."""
+"""Converts one frame of an ONNX generator (packed Gaussians and colours) to splats."""
 
 import numpy as np
 from jaxtyping import Float32
@@ -12,7 +12,7 @@ __all__ = ["splats_of_rows"]
 
 
 def splats_of_rows(rows: PackedRows) -> Splats:
-    """Convert a generator's packed rows to splats of equal covariance, opacity and colour.
+    """Convert packed Gaussians of an ONNX generator to splats of equal covariance and colour.
 
     Scales and rotations are those of :func:`scales_and_quaternions`. Three or four channels are
     raw colour.

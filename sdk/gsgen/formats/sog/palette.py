@@ -41,7 +41,7 @@ def make_palette(rows: Rows, size: int) -> Rows:
 
 
 def _moved(rows: Rows, palette: Rows, rounds: int) -> tuple[Rows, float]:
-    """Return the palette after Lloyd iterations, and the squared error before the last one."""
+    """Return the SH palette after Lloyd iterations, and the squared error before the last one."""
     error = 0.0
     for _ in range(rounds):
         labels = nearest_entries(rows, palette)
@@ -56,7 +56,7 @@ def _error(rows: Rows, palette: Rows, labels: Int64[np.ndarray, " n"]) -> float:
 
 
 def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
-    """Return for each row the index of a nearest palette entry, among the closest blocks."""
+    """Return the nearest SH palette entry of each row, searched in the closest blocks only."""
     block = max(1, round(len(palette) ** 0.5))
     starts = np.arange(0, len(palette), block)
     centres = _group_means(palette, starts)
