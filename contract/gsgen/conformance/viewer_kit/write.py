@@ -53,7 +53,7 @@ def write_kit(folder: Path, draw: DrawFrames | None = None) -> Path:
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         hint = "Name a folder that does not exist yet."
-        raise ConfigInvalid("is not an empty folder", where=str(folder), hint=hint)
+        raise ConfigInvalid("the output folder is not empty", where=str(folder), hint=hint)
     draw_frames = draw or _registered_renderer()
     index_path = folder / "index.json"
     with atomic_write(index_path) as draft:

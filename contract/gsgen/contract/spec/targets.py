@@ -136,6 +136,7 @@ def load_target(name: str, where: str = "--target") -> Target:
     target = targets[base_name]
     if version and version != target.version:
         raise ConfigInvalid(
-            f"target {base_name} has version {target.version}, not {version}", where=where
+            f"validation target {base_name} has version {target.version}, not {version}",
+            where=where,
         )
     return target

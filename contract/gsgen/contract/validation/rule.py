@@ -227,7 +227,9 @@ class Registry:
         by_level: dict[Level, LevelBackend] = {}
         for backend in backends:
             if backend.level in by_level:
-                raise ValueError(f"level {backend.level.word} has two backends, expected one")
+                raise ValueError(
+                    f"validation level {backend.level.word} has two backends, expected one"
+                )
             by_level[backend.level] = backend
         return cls(by_id, by_level)
 

@@ -60,13 +60,14 @@ class SplatPool:
     def __init__(self, rows: int, channels: int, *, slot_rows: int = SLOT_ROWS) -> None:
         if rows < 1 or slot_rows < 64 or slot_rows % 64:
             raise SceneInvalid(
-                f"has {rows} rows and {slot_rows} rows a slot, expected a multiple of 64 a slot",
+                f"the splat pool has {rows} rows and {slot_rows} rows a slot, expected a multiple of 64 a slot",
                 where="pool",
             )
         if channels not in layout.APPEARANCE_CHANNELS["sh"]:
             allowed = ", ".join(map(str, layout.APPEARANCE_CHANNELS["sh"]))
             raise SceneInvalid(
-                f"has {channels} appearance channels, expected one of {allowed}", where="pool"
+                f"the splat pool has {channels} colour channels, expected one of {allowed}",
+                where="pool",
             )
         self.slot_rows, self.channels = slot_rows, channels
         self.slots = -(-rows // slot_rows)
@@ -151,7 +152,7 @@ class SplatPool:
         self._require_shapes(tile, rows, appearance)
         if len(rows) > len(slots) * self.slot_rows:
             raise CapacityExceeded(
-                f"{len(rows):,} rows, but the slots of the tile hold {len(slots) * self.slot_rows:,}",
+                f"the tile has {len(rows):,} rows, but its slots hold {len(slots) * self.slot_rows:,}",
                 where=f"tile {tile}",
                 hint="Reserve rows when the tile is inserted.",
             )
