@@ -33,7 +33,7 @@ Arrays = dict[str, np.ndarray]
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """The results of running some test inputs (probes) again in a sandbox session of their own.
+    """The results of running a model again with some test inputs, in a separate sandbox.
 
     Attributes:
         subject: The model.
@@ -55,7 +55,7 @@ class Replay:
         return {}
 
     def emission(self, probe: int) -> ModelOutputs:
-        """Return the model outputs for a set of test inputs, as the value rules receive them."""
+        """Return the model outputs for a set of test inputs, in the form that value rules check."""
         run_probe = self.probes[probe]
         return read_outputs(
             self.subject, run_probe.label, self.outputs(probe), zeros=run_probe.zeros

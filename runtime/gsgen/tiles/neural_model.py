@@ -1,4 +1,4 @@
-"""Checks the ONNX generator of a neural tile against the contract and the tile's declaration."""
+"""Checks a neural tile's ONNX generator against validation rules and the tile's declaration."""
 
 __all__ = ["MAX_MODEL", "check_digest", "check_neural_model", "validate_model"]
 
@@ -45,7 +45,7 @@ def validate_model(path: Path) -> Report:
 def check_neural_model(
     path: Path, tile: Tile, neural: NeuralTile, location: str
 ) -> Iterator[Violation]:
-    """Check a neural tile's ONNX generator against the contract and the tile's declaration.
+    """Check a neural tile's ONNX generator against validation rules and the tile's declaration.
 
     Args:
         path: The model.

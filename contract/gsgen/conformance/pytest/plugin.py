@@ -1,4 +1,4 @@
-"""The pytest plugin: `pytest --gsgen model.onnx` tests a model by the contract, rule by rule.
+"""The pytest plugin: `pytest --gsgen model.onnx` checks a model against each contract rule.
 
 pytest loads this module in every run if gsgen is installed. So it only declares options; the code
 that reads models is imported when an option names one.

@@ -32,7 +32,7 @@ DrawFrames = Callable[[Path, Sequence[KitFrame]], Sequence[Float[np.ndarray, "h 
 
 
 def kit_cases() -> tuple[KitCase, ...]:
-    """Return all viewer tests of the kit, each with a model and the frames to draw."""
+    """Return all test cases of the viewer test kit, each with a model and the frames to draw."""
     return (*ROW_CASES, *INPUT_CASES)
 
 

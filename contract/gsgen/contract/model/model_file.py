@@ -335,7 +335,7 @@ def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
 def write_manifest(
     source: str | os.PathLike[str], manifest: Manifest, target: str | os.PathLike[str]
 ) -> None:
-    """Copy the model ``source`` to ``target`` with ``manifest`` as its only embedded manifest.
+    """Copy ONNX file ``source`` to ``target`` with ``manifest`` as the only embedded manifest.
 
     The weights are copied in chunks and never parsed; ``target`` may be ``source``. The copy
     has a temporary name until it is complete, so a failure changes nothing.

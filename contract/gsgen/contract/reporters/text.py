@@ -41,7 +41,7 @@ def render_all(
 
 
 def brief_line(report: Report) -> Line:
-    """Return a model's path and its validation verdict in one line."""
+    """Return a model's path and whether the model conforms, in one line."""
     return Line(printable(f"{report.path}: {verdict_line(report)}"), _verdict(report).style)
 
 

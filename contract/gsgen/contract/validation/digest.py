@@ -16,7 +16,7 @@ _STATIC_BYTES = 64 << 20
 
 
 def digest(path: Path, level: Level, size: int) -> str:
-    """Return the SHA-256 of a model file; empty for a large file at the level static."""
+    """Return the SHA-256 of a model file; empty for a large file in a static validation."""
     if level < Level.VALUES and size >= _STATIC_BYTES:
         return ""
     hasher = hashlib.sha256()

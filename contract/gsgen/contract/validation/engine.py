@@ -297,7 +297,7 @@ class _Validation:
                     self.results.settle([rule], items=context.items)
 
     def _settle_remaining(self) -> None:
-        """Record all rules and levels that were not reached as skipped."""
+        """Record all rules and validation levels that were not reached as skipped."""
         requested_level = self.settings.level
         settled = {outcome.level for outcome in self.levels}
         for level, reason in _MISSING_BACKEND.items():

@@ -38,7 +38,7 @@ class ResultCollector:
     _seconds: dict[str, float] = field(default_factory=dict)
 
     def ready(self, rules: Iterable[Rule]) -> list[Rule]:
-        """Return the rules that can be checked now; record an outcome for the others."""
+        """Return the validation rules that can be checked now; record an outcome for the others."""
         return [rule for rule in rules if self.is_ready(rule)]
 
     def is_ready(self, rule: Rule) -> bool:
@@ -144,7 +144,7 @@ class ResultCollector:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="skipped", reason=reason))
 
     def withdraw_predictions(self) -> None:
-        """Withdraw predicted findings that the level `live` disproved by running the model."""
+        """Withdraw predicted findings that running the model in WebGPU (level `live`) disproved."""
         if not self.settings.target.runs_natively:
             return
         for rule in self.registry.rules.values():

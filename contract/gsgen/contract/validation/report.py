@@ -244,7 +244,7 @@ class Report:
         raise KeyError(rule_id)
 
     def _repr_html_(self) -> str:
-        """Return the report's verdict and findings as HTML, for notebooks."""
+        """Return the validation report's conclusion and findings as HTML, for notebooks."""
         checked = f"for {self.target.name}, at level {self.level.word}; {self.statuses['pass']} rules hold"
         findings = [
             (

@@ -59,7 +59,7 @@ _LEVELS: dict[Scope, Level] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """One rule of the contract or of a target.
+    """One validation rule, of the contract or of a target runtime.
 
     Attributes:
         id: Stable code, such as GV003; a third party's has its name in front (``acme/AC001``).
@@ -192,7 +192,7 @@ def rules_in(module: ModuleType) -> list[Rule]:
 
 
 def backends_in(module: ModuleType) -> list[LevelBackend]:
-    """Return the level backends that a Python module defines, in order of definition."""
+    """Return the validation level backends that a Python module defines, in their order."""
     return [value for value in vars(module).values() if isinstance(value, LevelBackend)]
 
 
@@ -210,7 +210,7 @@ class Registry:
 
     @classmethod
     def of(cls, rules: Iterable[Rule], backends: Iterable[LevelBackend] = ()) -> "Registry":
-        """Build a registry of rules with unique ids, and with one backend per level.
+        """Build a registry of rules with unique ids, and with one backend per validation level.
 
         Raises:
             ValueError: Two rules share an id, two backends a level, or a rule needs an unknown one.

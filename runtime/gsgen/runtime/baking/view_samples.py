@@ -51,7 +51,7 @@ class _View:
 
 
 def cameras_around(source: GeneratorSource, count: int, *, offset: float = 0.5) -> list[Camera]:
-    """Return cameras evenly spread on a sphere, from which all Gaussians of a source are in view.
+    """Return cameras evenly spread on a sphere, from which all Gaussians of a model are in view.
 
     They are on a Fibonacci lattice, which ``offset`` shifts to other directions.
     """

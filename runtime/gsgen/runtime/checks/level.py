@@ -51,7 +51,7 @@ _FOV_Y: Final = 50.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedProbe:
-    """The drawn frame of one probe: a run of the model with chosen inputs.
+    """The drawn frame of one run of a model with a set of test inputs (a probe).
 
     Attributes:
         probe: Label of the probe's inputs.

@@ -1,4 +1,4 @@
-"""Pages that show models: one that a server delivers, and one that is a single file."""
+"""Web pages that show models: one that a server delivers, and one in a single HTML file."""
 
 __all__ = [
     "ModelView",

@@ -25,7 +25,7 @@ _FOLLOWED: Final = ("gaussians", "pairs", "cells")
 
 @final
 class PlanTables:
-    """JSON tables of the shaders, buffers, bind groups and steps of recorded frame plans.
+    """JSON tables of shaders, buffers, bind groups and dispatches of recorded frame plans.
 
     A plan is a list of stages, a stage a list of steps. A step is the number of its row in the
     table, or a mapping from the kind of a page to such a number, for the steps that every page has.
@@ -133,7 +133,7 @@ class _PlanWriter:
         return f"{'float16' if page.half else 'float32'} {page.stride}"
 
     def _slot(self, step: Step) -> int | None:
-        """Return the index of the GPU page that a step reads; None if it reads no page."""
+        """Return the index of the GPU page that a recorded dispatch reads, or None."""
         slots = self._binds(step, self._kinds) or self._binds(step, self._sets)
         assert len(slots) < 2, "a step reads several pages"
         return slots.pop() if slots else None

@@ -48,7 +48,7 @@ APPEARANCES: Final = tuple(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shape:
-    """The options that decide the steps of a frame plan: outputs, projection, sort and image size.
+    """The options that decide the GPU work of a frame: outputs, projection, sort and image size.
 
     Attributes:
         outputs: The images that it draws.
@@ -68,7 +68,7 @@ class Shape:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedPlan:
-    """A recorded frame plan, with the pages and sizes that its formulas refer to.
+    """A recorded frame plan (GPU buffers and dispatches), and the sizes in its formulas.
 
     Attributes:
         shape: The shape.

@@ -162,7 +162,7 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
 
 @final
 class ReplayLink:
-    """Replays an event log as a network link and a clock: tiles arrive in the logged frames.
+    """Replays an event log as a network and a clock: tiles arrive in the logged frames.
 
     Args:
         read: Returns the decoded content of a tile.
@@ -216,4 +216,4 @@ class ReplayLink:
         """Return at once: a replayed session waits for no network."""
 
     def close(self) -> None:
-        """Do nothing: a replayed link has no connections to close."""
+        """Do nothing: a replayed network link has no connections to close."""

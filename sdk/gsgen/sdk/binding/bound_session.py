@@ -97,7 +97,7 @@ class BoundSession:
         memory: str,
         stop: Stop | None = None,
     ) -> None:
-        """Create buffers for all inputs and outputs of the session, and bind them.
+        """Create and bind buffers for all inputs and outputs of the session.
 
         ``shapes`` and ``start`` are by input name; ``memory`` is ``cpu``, ``gpu`` or ``cuda``.
         """

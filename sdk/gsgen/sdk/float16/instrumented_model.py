@@ -96,7 +96,7 @@ class InstrumentedModel:
         return self._halves[name]
 
     def is_in_steps(self, table: int) -> bool:
-        """Return whether a weight table is quantised in even steps rather than as float16."""
+        """Return whether a weight table is quantised evenly in 16 bits rather than as float16."""
         return self._halved(self.weights[table]).step is not None
 
     def store_unstepped(self, tables: Collection[int]) -> None:
