@@ -62,7 +62,7 @@ class Replay:
         )
 
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
-        """Return the findings of one rule for one set of test inputs alone."""
+        """Return the findings of one validation rule for one set of test inputs alone."""
         alone = Registry.of([replace(rule, needs=())])
         board = ResultCollector(registry=alone, settings=self.settings, kind=self.subject.kind)
         for subject, start in self._seen(rule, probe):

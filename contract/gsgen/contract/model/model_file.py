@@ -312,7 +312,7 @@ def _attribute_tensors(attribute: AttributeProto) -> Iterator[TensorProto]:
 
 
 def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
-    """Yield every name and string of an ONNX model that rules read."""
+    """Yield every name and string of an ONNX model that validation rules read."""
     for entry in proto.metadata_props:
         yield from (entry.key, entry.value)
     for opset in proto.opset_import:

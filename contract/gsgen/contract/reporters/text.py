@@ -185,7 +185,7 @@ def _unchecked(report: Report) -> list[Line]:
 
 
 def _inapplicable(report: Report) -> list[Line]:
-    """Return text lines that list the requested rules that do not apply to the model."""
+    """Return text lines that list the requested validation rules that do not apply to the model."""
     lines: list[Line] = []
     for outcome in report.outcomes:
         if outcome.rule.id in report.selected and outcome.status == "not-applicable":

@@ -1,4 +1,4 @@
-"""SHA-256 digests of model files and of sets of rules."""
+"""SHA-256 digests of model files and of sets of validation rules."""
 
 __all__ = ["digest", "rules_digest"]
 

@@ -112,11 +112,11 @@ class ResultCollector:
         counters[key].add(violation, probe, start)
 
     def fails(self, rule: Rule) -> bool:
-        """Return whether the violations so far are enough for a rule to fail."""
+        """Return whether the violations so far are enough for a validation rule to fail."""
         return any(counter.fails for counter in self._counters.get(rule.id, {}).values())
 
     def settle(self, rules: Iterable[Rule], items: int = 0) -> None:
-        """Convert the counted violations of checked rules to pass or fail outcomes."""
+        """Convert the counted violations of checked validation rules to pass or fail outcomes."""
         for rule in rules:
             if rule.id in self.outcomes:
                 continue
@@ -127,7 +127,7 @@ class ResultCollector:
             )
 
     def crash(self, rules: Iterable[Rule]) -> None:
-        """Record rules as crashed, with the exception that is being handled."""
+        """Record validation rules as crashed, with the exception that is being handled."""
         last = traceback.format_exc(limit=-3).strip()
         for rule in rules:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="crashed", reason=last))

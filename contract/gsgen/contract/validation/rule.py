@@ -254,7 +254,7 @@ class Registry:
         return Registry(rules, self.backends)
 
     def find(self, name: str, where: str = "") -> Rule:
-        """Return the rule with the id or slug ``name``, ignoring case.
+        """Return the validation rule with the id or slug ``name``, ignoring case.
 
         Raises:
             UnknownName: No rule has that name; the hint names the nearest.

@@ -123,7 +123,7 @@ def _quad_renderer(device: Device) -> Renderer | None:
 
 
 def _skip_reasons(probe_runs: ProbeRuns, device: Device) -> dict[str, str]:
-    """Return the ids of rules that cannot be checked, each with the reason."""
+    """Return the ids of validation rules that cannot be checked, each with the reason."""
     manifest = probe_runs.subject.generator
     reasons = {}
     if manifest is not None and manifest.blend == "wsr":

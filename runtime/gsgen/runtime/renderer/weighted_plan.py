@@ -1,4 +1,4 @@
-"""The part of a frame plan that draws splat sets by weighted-sum rendering, cell by cell.
+"""The part of a frame's recorded GPU work that draws splat sets by weighted sums.
 
 Only cells are sorted and listed per tile, and their Gaussians are looked up through them. A Gaussian
 needs neither sort keys nor pairs of its own.

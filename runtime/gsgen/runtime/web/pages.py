@@ -74,7 +74,7 @@ class ModelView:
 
 @cache
 def client_names() -> tuple[str, ...]:
-    """Return the names of the browser client's files: ES modules and frame plans."""
+    """Return the names of the browser client's files: ES modules and recorded GPU plans."""
     names = (file.name for file in _CLIENT.iterdir())
     return tuple(sorted(name for name in names if name.endswith((".js", ".json"))))
 

@@ -1,4 +1,4 @@
-"""Records a frame plan of the renderer, unchanged, on a device that computes nothing."""
+"""Records the renderer's GPU work for a frame, on a device that computes nothing."""
 
 __all__ = ["APPEARANCES", "Appearance", "RecordedPlan", "Shape", "record", "recorded_pages"]
 
@@ -94,7 +94,7 @@ _CELLS: Final = 500_009
 
 
 def record(shape: Shape) -> RecordedPlan:
-    """Record the frame plan of given outputs, projection, depth sort and image size."""
+    """Record the GPU work of a frame with given outputs, projection, sort and image size."""
     guards: list[Tree] = []
     names = {"width": shape.size[0], "height": shape.size[1], "pairs": _PAIRS}
     width, height, pairs = (Formula(value, name, guards) for name, value in names.items())

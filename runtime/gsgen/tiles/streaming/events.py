@@ -189,7 +189,7 @@ class ReplayLink:
         return self._connections - len(self._requested)
 
     def request(self, tile: int) -> None:
-        """Record a tile request of the replayed session."""
+        """Record a tile request of the replayed streaming session."""
         self._requested.add(tile)
 
     def progress(self, tile: int) -> float:
@@ -198,7 +198,7 @@ class ReplayLink:
         return 1.0
 
     def cancel(self, tile: int) -> int:
-        """Forget a tile request of the replayed session."""
+        """Forget a tile request of the replayed streaming session."""
         self._requested.discard(tile)
         return 0
 
@@ -213,7 +213,7 @@ class ReplayLink:
         return results
 
     def wait(self, seconds: float) -> None:
-        """Return at once: a replayed session waits for no network."""
+        """Return at once: a replayed streaming session waits for no network."""
 
     def close(self) -> None:
         """Do nothing: a replayed network link has no connections to close."""

@@ -38,7 +38,7 @@ _MOVES = (
 
 
 class InstrumentedModel:
-    """Runs a model with selected nodes rounded to float16; one session serves every selection.
+    """Runs a model with selected nodes rounded to float16, in one session for every selection.
 
     A selected node reads float32 numbers that were rounded to float16, and its result is rounded,
     too. A device exceeds this error only if it also adds up in float16. Numbers beyond 65,504
