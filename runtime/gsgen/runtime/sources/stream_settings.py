@@ -23,6 +23,7 @@ class StreamSettings:
         log: File of events as JSON lines; None for none.
         allow_origins: Other origins that redirects of a server may lead to.
         neural_sessions: Most generators of neural tiles that are open at once; 0 for none.
+        provider: Execution provider of ONNX Runtime for these models.
         wait: Most seconds that a frame waits for all tiles that its camera needs; 0 to draw what
             is there, as a window does, with cross-fades.
     """
@@ -34,6 +35,7 @@ class StreamSettings:
     log: Path | None = None
     allow_origins: tuple[str, ...] = ()
     neural_sessions: int = 4
+    provider: str = "cpu"
     wait: float = 30.0
 
 

@@ -79,6 +79,10 @@ class ResidentTiles:
         self._last_use[tile] = time
         return evicted
 
+    def protect(self, tile: int) -> None:
+        """Keep a resident tile until the next frame, whatever else is admitted."""
+        self._protected[tile] = True
+
     def remove(self, tile: int) -> None:
         """Remove a streamed tile from the renderer's GPU memory (splat pool)."""
         self.resident[tile] = False

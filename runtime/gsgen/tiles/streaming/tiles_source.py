@@ -239,6 +239,7 @@ def open_stream(path: Path, settings: StreamSettings) -> TilesSource:
         allow_origins=settings.allow_origins,
         log=settings.log,
         neural_sessions=settings.neural_sessions,
+        provider=settings.provider,
         live_qualities=not settings.wait,
         runs_per_second=math.inf if settings.wait else RUNS_PER_SECOND,
     )

@@ -23,8 +23,9 @@ from gsgen.contract.validation.waivers import apply_waivers
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.stores.opening import INDEX, address_of, open_store
 from gsgen.tiles.stores.store import Store
+from gsgen.tiles.validation.content_inspection import inspect_content_file, inspect_tileset
 from gsgen.tiles.validation.headers import headers
-from gsgen.tiles.validation.inspected import InspectedTileset, inspect_content_file, inspect_tileset
+from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
 
 _CONTENTS: Final = (".glb", ".gltf")

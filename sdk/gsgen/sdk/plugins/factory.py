@@ -204,7 +204,10 @@ def _checked(module: Any, target: str) -> Any:
         return module
     hint = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
     if isinstance(module, torch.nn.Module):
-        hint = "Wrap it: gsgen.sdk.wrap(module, inputs=…, outputs=…)."
+        hint = (
+            "Write a function that returns gsgen.sdk.wrap(module, inputs=[inputs.time()], outputs="
+            "{'position': 0, 'opacity': 1, …}), and export that."
+        )
     message = f"returns {name_of(type(module))}, expected a GaussianGenerator"
     raise GeneratorInvalid(message, where=target, hint=hint)
 
