@@ -144,9 +144,11 @@ class OctreeGS(AnchorGenerator):
         *,
         appearance: int | None = None,
         selection: Selection = Selection(),  # noqa: B008
+        half_cell: bool = True,
     ) -> None:
+        """Build the generator; distances reach to the middle of a cell if ``half_cell``."""
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
-        self.gate = LevelGate(cloud, levels)
+        self.gate = LevelGate(cloud, levels, half_cell=half_cell)
 
     @property
     def hides_anchors(self) -> bool:
