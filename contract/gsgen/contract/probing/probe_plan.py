@@ -1,4 +1,4 @@
-"""Plans the order of all test inputs, so that one inference session serves every rule."""
+"""Plans the order of all test inputs, so that one inference session serves all rules."""
 
 __all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes", "probed_dtypes", "probed_shapes"]
 
@@ -34,7 +34,7 @@ _FETCHABLE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The ordered test inputs of one inference session, and the rules that use each run.
+    """The ordered test inputs of one inference session, and the validation rules of each run.
 
     Attributes:
         probes: One set of inputs per run.

@@ -89,7 +89,7 @@ def _beyond(
 
 
 def comparable_parts(first: ModelOutputs, second: ModelOutputs) -> tuple[bool, bool, bool]:
-    """Return whether packed rows, colours and cells can each be compared field by field."""
+    """Return whether Gaussians, colours and cells (groups) can be compared field by field."""
     rows, second_rows = first.gaussians, second.gaussians
     if rows is None or second_rows is None or rows.shape != second_rows.shape:
         return False, False, False
@@ -121,7 +121,7 @@ def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, 
 
 
 def _cells_measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
-    """Yield for each field of the cells output the error and the rounding error of every cell."""
+    """Yield each field's error and rounding error for every cell (group of Gaussians)."""
     assert first.cells is not None
     assert second.cells is not None
     a, b = (values.astype(np.float64) for values in (first.cells, second.cells))

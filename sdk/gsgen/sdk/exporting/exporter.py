@@ -312,7 +312,7 @@ def _row_recorder(described: "_Description", options: _Options) -> RowRecorder:
 
 
 def _default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
-    """Return the default output dtype: float32, unless the target reads RGB only as float16."""
+    """Return the default output dtype: float32, unless the target viewer reads RGB as float16."""
     if target not in HALF_RGB:
         return "float32"
     probe = _probes(_manifest(generator, "", "float32", None, 1, None))[0]
