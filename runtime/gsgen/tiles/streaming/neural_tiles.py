@@ -179,12 +179,12 @@ class NeuralTiles:
         return self._unsettled
 
     def arrive(self, arrival: TileArrival) -> None:
-        """Record a neural tile's stored splats, which were copied into the splat pool."""
+        """Record that the stored splats of a tile with an ONNX generator are in the splat pool."""
         if arrival.tile in self._neural:
             self._contents[arrival.tile] = self._in_pool[arrival.tile] = arrival
 
     def evict(self, tile: int) -> None:
-        """Forget the splats of a neural tile that was evicted from the splat pool."""
+        """Forget the splats of a tile with an ONNX generator that left the splat pool."""
         self._contents.pop(tile, None)
         self._in_pool.pop(tile, None)
 

@@ -23,7 +23,7 @@ _PRIOR: Final = 4.0  # prefetched tiles, half of them seen, that precision begin
 
 
 class Link(Protocol):
-    """Protocol of links: connections to a server of tiles, real or simulated."""
+    """Protocol of network links: connections to a server of tiles, real or simulated."""
 
     @property
     def free(self) -> int:
@@ -53,7 +53,7 @@ class _InFlight:
 
 @final
 class RequestPlanner:
-    """Requests tiles over a link's connections, in the order in which the camera needs tiles.
+    """Requests tiles over network connections, in the order in which the camera needs tiles.
 
     Seen tiles come first, by level, screen-space error and index. Only while none of them is
     missing, tiles of ``prefetch`` are asked for, as long as the expected waste stays in its bound:

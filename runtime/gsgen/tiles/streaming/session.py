@@ -275,7 +275,7 @@ class TilesetSession:
 
     @property
     def resident(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the tiles that are resident in the renderer's splat pool."""
+        """The mask of the tiles that are in the renderer's GPU memory (splat pool)."""
         return self._residents.resident
 
     def frame(self, frustum: Frustum) -> SessionFrame:
@@ -330,7 +330,7 @@ class TilesetSession:
         return self._frustum.moved(position, quaternion)
 
     def _receive(self, time: float) -> list[FetchResult[TileArrival]]:
-        """Take the tiles that arrived over the link; report the tiles that failed."""
+        """Take the tiles that arrived over the network; report the tiles that failed."""
         self._link.queue(())  # the link begins no request while this frame plans
         results = list(self._link.poll())
         self._started = self._link.take_started()  # after the poll: no result lacks its request
@@ -357,7 +357,7 @@ class TilesetSession:
         return dead
 
     def _fitting_cut(self, frustum: Frustum) -> Cut:
-        """Select tiles as fine as the splat pool can hold, together with all their ancestors."""
+        """Select tiles as fine as the GPU memory can hold, together with all their ancestors."""
         error = self._options.max_error
         for _ in range(_MOST_STEPS):
             cut = cut_tree(self.tree, frustum, error)
