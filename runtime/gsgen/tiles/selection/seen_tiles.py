@@ -109,4 +109,5 @@ def _with_nothing(
     splats: Int64[np.ndarray, "m q"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Add the option to draw nothing, which costs nothing."""
-    return tuple(np.pad(table, ((0, 0), (0, 1))) for table in (cost, utility, splats))
+    column = ((0, 0), (0, 1))
+    return np.pad(cost, column), np.pad(utility, column), np.pad(splats, column)

@@ -465,6 +465,6 @@ class TilesetSession:
         self.tree.size[rows] = chooser.sizes(rows)
         if not in_flight and not self._pending and not (missing & cut.seen).any():
             resident = cut.wanted & self._residents.resident & ~self._dead(time)
-            tile = chooser.upgrade(self._frustum.eye, resident)
-            if tile is not None:
-                self._planner.request(tile)
+            finer = chooser.upgrade(self._frustum.eye, resident)
+            if finer is not None:
+                self._planner.request(finer)
