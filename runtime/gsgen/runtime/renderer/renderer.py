@@ -207,8 +207,8 @@ class Renderer:
             placed, meshes = self._uploaded(scene)
 
             def draw(band: Band) -> Drawing:
-                _, *drawing = self._fitted(scene, band, behind, requested, placed, meshes)
-                return drawing[0], drawing[1]
+                _, counts, images = self._fitted(scene, band, behind, requested, placed, meshes)
+                return counts, images
 
             layers = bool(meshes) + any(splat_set.weighted is not None for splat_set, _ in placed)
             rows = band_rows(self.device, camera, len(requested), layers)
