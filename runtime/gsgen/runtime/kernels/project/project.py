@@ -25,14 +25,8 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import (
-    DILATION,
-    JACOBIAN_MARGIN,
-    PANORAMA_CONSTANTS,
-    POLE,
-    TILE,
-)
-from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS, POLE, TILE
+from gsgen.runtime.scene.camera import DILATION, Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
@@ -64,6 +58,7 @@ FRAME: Final = _bytes(
         "near": ("f4", 40),
         "period": ("f4", 44),
         "size": ("2u4", 48),
+        "extra_dilation": ("f4", 56),
         "background": ("4f4", 64),
     },
 )
@@ -113,6 +108,7 @@ def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[
     uniform["slope_high"] = (size - center + margin) / focal
     uniform["near"], uniform["size"] = camera.near, size
     uniform["period"] = camera.period
+    uniform["extra_dilation"] = camera.dilation - DILATION
     uniform["background"][:3] = background
     return uniform
 
@@ -290,7 +286,7 @@ def project_reference(
         )
         jacobian = frame["focal"][:, None] * jacobian
         covariance = jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
-        dilated = covariance + DILATION * np.eye(2)
+        dilated = covariance + (DILATION + frame["extra_dilation"]) * np.eye(2)
         opacity = rows[:, layout.OPACITY] * page["opacity_scale"]
         if data.cells is not None and page["per_cell"]:
             cell = (page["first_row"] + np.arange(len(rows))) // page["per_cell"]

@@ -9,6 +9,7 @@ struct Frame {
     near: f32,
     period: f32,         // of a panorama: pixels of a full turn
     size: vec2u,         // pixels
+    extra_dilation: f32, // pixels², beyond DILATION; negative for pictures that are enlarged
     background: vec4f,   // red, green, blue; alpha stays that of the splats
 }
 
