@@ -33,7 +33,7 @@ class LateCounts:
         return bool(self._in_flight)
 
     def staging(self, plan: Plan) -> Staging:
-        """Return a staging buffer for a frame plan's counters that no unfinished frame uses."""
+        """Return a staging buffer for a frame's GPU counters that no unfinished frame uses."""
         if self._layout is not plan.inputs:  # another plan has other buffers to copy from
             self._free, self._layout = [], plan.inputs
         return self._free.pop() if self._free else plan.counts_staging()
@@ -47,7 +47,7 @@ class LateCounts:
         """Return the GPU counters of all frames but the newest ``in_flight``, oldest frame first.
 
         Those of a frame are several if it has cells: see
-        :func:`gsgen.runtime.renderer.frame_plan.frame_counts`.
+        :func:`gsgen.runtime.renderer.frame_counts.frame_counts`.
         """
         began, counts = time.perf_counter(), []
         while len(self._in_flight) > in_flight:

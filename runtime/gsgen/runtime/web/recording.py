@@ -1,4 +1,4 @@
-"""Records a frame plan of the renderer, unchanged, on a device that computes nothing."""
+"""Records the renderer's GPU work for a frame, on a device that computes nothing."""
 
 __all__ = ["APPEARANCES", "Appearance", "RecordedPlan", "Shape", "record", "recorded_pages"]
 
@@ -12,8 +12,9 @@ from gsgen.contract.spec.layout import ROW
 from gsgen.contract.spec.manifest import WeightedSum
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Page, stride
-from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.placed_pages import Placed
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
@@ -48,7 +49,7 @@ APPEARANCES: Final = tuple(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shape:
-    """The options that decide the steps of a frame plan: outputs, projection, sort and image size.
+    """The options that decide the GPU work of a frame: outputs, projection, sort and image size.
 
     Attributes:
         outputs: The images that it draws.
@@ -68,7 +69,7 @@ class Shape:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedPlan:
-    """A recorded frame plan, with the pages and sizes that its formulas refer to.
+    """A recorded frame plan (GPU buffers and dispatches), and the sizes in its formulas.
 
     Attributes:
         shape: The shape.
@@ -94,7 +95,7 @@ _CELLS: Final = 500_009
 
 
 def record(shape: Shape) -> RecordedPlan:
-    """Record the frame plan of given outputs, projection, depth sort and image size."""
+    """Record the GPU work of a frame with given outputs, projection, sort and image size."""
     guards: list[Tree] = []
     names = {"width": shape.size[0], "height": shape.size[1], "pairs": _PAIRS}
     width, height, pairs = (Formula(value, name, guards) for name, value in names.items())

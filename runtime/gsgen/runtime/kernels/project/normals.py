@@ -22,9 +22,12 @@ class NormalsKernel:
         device: Device of the kernel.
         packed: Whether rows are packed by compact_rows.py.
         slot_rows: Rows of a slot, for pages of a pool; 0 for others.
+        placed: Whether splats are those of a slab, of which the kernel gets the indices as keys.
     """
 
-    def __init__(self, device: Device, *, packed: bool = False, slot_rows: int = 0) -> None:
+    def __init__(
+        self, device: Device, *, packed: bool = False, slot_rows: int = 0, placed: bool = False
+    ) -> None:
         self.kernel = Kernel(
             device,
             "normals_pooled" if slot_rows else "normals",
@@ -32,6 +35,7 @@ class NormalsKernel:
             ("rw", "urru" if slot_rows else "ur"),
             THREADS=THREADS,
             PACKED=packed,
+            PLACED=placed,
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
         )

@@ -13,7 +13,7 @@ __all__ = [
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, Literal, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt32
@@ -48,7 +48,7 @@ def _bytes(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
 
 
 FRAME: Final = _bytes(
-    80,
+    96,
     {
         "focal": ("2f4", 0),
         "center": ("2f4", 8),
@@ -58,8 +58,10 @@ FRAME: Final = _bytes(
         "near": ("f4", 40),
         "period": ("f4", 44),
         "size": ("2u4", 48),
-        "extra_dilation": ("f4", 56),
+        "resumes": ("u4", 56),
+        "continues": ("u4", 60),
         "background": ("4f4", 64),
+        "extra_dilation": ("f4", 80),
     },
 )
 """The bytes of ``struct Frame`` in frame.wgsl."""
@@ -95,8 +97,23 @@ PAGE: Final = _bytes(
 """The bytes of ``struct Page`` in page.wgsl."""
 
 
-def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[np.ndarray, ""]:
-    """Return a camera's uniform data (WGSL struct ``Frame``); the background is premultiplied."""
+def frame_uniform(
+    camera: Camera,
+    background: Float[np.ndarray, "3"],
+    *,
+    first_row: int = 0,
+    rows: int | None = None,
+) -> Shaped[np.ndarray, ""]:
+    """Return the uniform data (WGSL struct ``Frame``) of a camera, or of some rows of its image.
+
+    Splats have the same numbers in both, since rows count from the origin of the whole image.
+
+    Args:
+        camera: Camera of the whole image.
+        background: Red, green, blue, multiplied by alpha.
+        first_row: First row to draw.
+        rows: Number of rows; all if None.
+    """
     uniform = np.zeros((), FRAME)
     focal = np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
@@ -108,6 +125,8 @@ def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[
     uniform["slope_high"] = (size - center + margin) / focal
     uniform["near"], uniform["size"] = camera.near, size
     uniform["period"] = camera.period
+    uniform["origin"][1] -= first_row
+    uniform["size"][1] = camera.height if rows is None else rows
     uniform["extra_dilation"] = camera.dilation - DILATION
     uniform["background"][:3] = background
     return uniform
@@ -185,6 +204,8 @@ class ProjectKernel:
         slot_rows: Rows of a slot, for pages of a pool; 0 for others.
         tile: Edge of the tiles that are counted, in pixels.
         records: Whether each splat is one record.
+        slab: "keys" computes nothing but the keys of a page; "splats" projects Gaussians that are
+            in a slab, to the indices of ``place_splats.wgsl``.
     """
 
     def __init__(
@@ -199,16 +220,20 @@ class ProjectKernel:
         slot_rows: int = 0,
         tile: int = TILE,
         records: bool = False,
+        slab: Literal["keys", "splats"] | None = None,
     ) -> None:
         name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
+        name = "project_placed" if slab == "splats" else name
+        page_bindings = "urrur" if slot_rows else "urrr" if slab == "splats" else "urr"
         self.kernel = Kernel(
             device,
             name,
             "project_pooled" if slot_rows else "project",
-            ("uwwww", "urrr") if weighted else ("uwwwww", "urrur" if slot_rows else "urr"),
+            ("uwwww", "urrr") if weighted else ("uwwwww", page_bindings),
             THREADS=THREADS,
             TILE=tile,
             RECORDS=records,
+            KEYS_ONLY=slab == "keys",
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
             HALF_APPEARANCE=half,
@@ -220,7 +245,7 @@ class ProjectKernel:
         )
 
     def step(
-        self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *cells: Buffer
+        self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *others: Buffer
     ) -> Step:
         """Return the dispatch that projects the Gaussians of a GPU page.
 
@@ -229,11 +254,11 @@ class ProjectKernel:
             uniform: Buffer with the uniforms of all pages.
             slot: Index of this page's uniform.
             page: The page.
-            cells: Buffer of the set's cells, for weighted sums only.
+            others: Buffer of the set's cells, for weighted sums, or of the rows' places in a slab.
         """
         page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         slots = page.slots
-        further = cells if slots is None else (slots.table, slots.seen)
+        further = others if slots is None else (slots.table, slots.seen)
         binds = (
             self.kernel.bind(*outputs),
             self.kernel.bind(page_binding, page.rows, page.appearance, *further, group=1),
