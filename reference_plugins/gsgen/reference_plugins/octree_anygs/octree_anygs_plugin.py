@@ -45,7 +45,7 @@ def build(
     cull: Cull = "none",
     max_anchors: MaxAnchors = None,
 ) -> "GaussianGenerator | ConstantSource":
-    """Read a checkpoint of Octree-AnyGS, report its contents, and return its generator."""
+    """Read a checkpoint of Octree-AnyGS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.anchors.octree_gs import SUPPORTED_OPTIONS
     from gsgen.reference_plugins.anchors.selection import Selection
     from gsgen.reference_plugins.loading.provenance import producer_of

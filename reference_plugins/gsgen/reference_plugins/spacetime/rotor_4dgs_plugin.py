@@ -61,7 +61,7 @@ def build(
     time: Input,
     color: _Color = "sh",
 ) -> "Rotor4DGS":
-    """Read a checkpoint of rotor 4DGS, report its contents, and return its generator."""
+    """Read a checkpoint of rotor 4DGS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.loading.provenance import producer_of
     from gsgen.reference_plugins.spacetime.rotor_4dgs import Rotor4DGS
     from gsgen.reference_plugins.spacetime.rotor_checkpoint import read_rotor

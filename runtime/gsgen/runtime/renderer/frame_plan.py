@@ -177,7 +177,7 @@ class Plan:
         return self.buffers[name]
 
     def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
-        """Allocate projected-splat buffers; return those of the projection and of other kernels."""
+        """Allocate GPU buffers for projected splats; return the kernels' shares of the buffers."""
         if not self._records:
             arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
             return arrays, arrays
@@ -185,7 +185,7 @@ class Plan:
         return [records, self._storage("weights", 0)], [records, records]
 
     def _cleared(self, placed: Sequence[Placed]) -> list[tuple[Buffer, int, int | None]]:
-        """Return the buffers that are cleared before a frame, with offset and size in bytes."""
+        """Return the GPU buffers to clear before a frame, with offset and size in bytes."""
         dispatches = [page.slots.dispatch for _, page in placed if page.slots is not None]
         return [
             (self._ranges, 0, None),
@@ -197,7 +197,7 @@ class Plan:
     def _record(
         self, placed: Sequence[Placed], outputs: frozenset[Output], *, quads: bool
     ) -> dict[str, list[Step]]:
-        """Record the stages that draw the depth-sorted splat sets, in execution order."""
+        """Record the GPU stages that draw the depth-sorted splat sets, in execution order."""
         n = self._gaussians
         # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
         columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
@@ -409,7 +409,7 @@ class Plan:
         band: Band | None = None,
         state: tuple[bool, bool] = (False, False),
     ) -> None:
-        """Write the uniforms of a frame, and submit its GPU commands.
+        """Write the uniform buffers of a frame, and submit its GPU commands.
 
         Args:
             placed: The pages of the plan with their present sets.
@@ -473,7 +473,7 @@ class Plan:
         return Staging(self._device, self._held)
 
     def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Wait for the frame; return its counters and each image as [height, width, 4] words.
+        """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
 
         Args:
             fetch: Whether images are read; must be the same as in :meth:`submit`.

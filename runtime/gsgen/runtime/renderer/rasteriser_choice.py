@@ -52,7 +52,7 @@ _MOST_BYTES: Final = 1 << 16  # of the cache file
 @final
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Seconds of the drawing stages of both rasterisers: compute tiles and hardware quads.
+    """Seconds that a GPU takes to draw with either rasteriser: compute tiles, hardware quads.
 
     Attributes:
         tiles: Seconds of listing pairs, sorting them by tile and blending.
@@ -64,7 +64,7 @@ class Timings:
 
     @property
     def best(self) -> Rasteriser:
-        """The rasteriser to use: quads only if they are clearly faster."""
+        """The rasteriser to use on a GPU: hardware quads only if they are clearly faster."""
         return "quads" if self.quads < _WORTH * self.tiles else "tiles"
 
 
@@ -179,7 +179,7 @@ def _roomy(
 def _seconds(
     device: Device, plan: Plan, placed: list[Placed], camera: Camera, stages: tuple[str, ...]
 ) -> tuple[float, float]:
-    """Return the median GPU seconds of some stages (0 without timestamps) and of whole frames."""
+    """Return the median GPU seconds of given stages (0 without timestamps) and of whole frames."""
     clock = StageClock(device) if device.has_clock else None
     ticks, walls = [], []
     for number in range(_WARM + _FRAMES):

@@ -50,7 +50,7 @@ _OUTPUTS: Final = ("color", "depth", "normal")
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """A rendered image that stayed in GPU memory.
+    """A rendered image that stays in GPU memory, to be shown from there.
 
     Attributes:
         image: Buffer of four 32-bit words per pixel, as the kernels blend them.
@@ -220,7 +220,7 @@ class Renderer:
 
     @contextmanager
     def _device_errors(self, scene: Scene, camera: Camera) -> Iterator[None]:
-        """Translate device errors in a ``with`` block; those of memory name the scene's size."""
+        """Translate GPU errors in a ``with`` block; memory errors then name the scene's size."""
         try:
             with self.device.translate_errors():
                 yield
@@ -232,7 +232,7 @@ class Renderer:
             raise _too_large(scene, camera, error, compact=self._compact) from error
 
     def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
-        """Upload the changed splats and meshes of a scene; return its GPU pages and meshes."""
+        """Upload changed splats and meshes of a scene; return the GPU buffers of both."""
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
         pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
@@ -250,7 +250,7 @@ class Renderer:
         *,
         fetch: bool = True,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
-        """Draw until splat-tile pairs fit and depth ties are sorted; read images if ``fetch``."""
+        """Draw again until splat-tile pairs fit and ties are sorted; read images if ``fetch``."""
         while True:
             plan = self.plan(placed, band.camera, requested, meshes)
             counts, images = plan.draw(placed, band, behind[:3], meshes=meshes, fetch=fetch)
@@ -270,7 +270,7 @@ class Renderer:
     def _drawn_late(
         self, scene: Scene, camera: Camera, behind: np.ndarray, requested: frozenset[Output]
     ) -> tuple[Plan, np.ndarray]:
-        """Draw a frame by GPU counters of earlier frames; wait for the GPU if there are none."""
+        """Draw a frame with buffer sizes of earlier frames; wait for the GPU if there are none."""
         for parts in self.late.read():
             self._take(parts)
         placed, meshes = self._uploaded(scene)
@@ -289,7 +289,7 @@ class Renderer:
         return plan, self._steady[1]
 
     def _take(self, parts: list[np.ndarray]) -> bool:
-        """Use an earlier frame's counters; return whether that frame lacked splats or order."""
+        """Read an earlier frame's counters; return whether it lacked splats or depth order."""
         counts = frame_counts(self.device, self._kernels, parts)
         try:
             incomplete = self._must_redraw(counts)
@@ -323,7 +323,7 @@ class Renderer:
         return bool(short or counts[Counts.UNSORTED] or counts[Counts.TIED])
 
     def placed(self, scene: Scene) -> list[Placed]:
-        """Return each GPU page of a scene with its splat set, after uploading changed rows."""
+        """Return the GPU buffers (pages) of each splat set of a scene, after uploading changes."""
         for data in dict.fromkeys(splat_set.data for splat_set in scene.sets):
             self._residency.begin(data)
         return self._pages(scene)
@@ -439,7 +439,7 @@ def _bare_set(pooled: PooledSet) -> SplatSet:
 
 
 def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
-    """Add the memory of the Gaussians, and ways to need less, to a memory error."""
+    """Add the memory that the Gaussians take, and ways to need less, to an out-of-memory error."""
     sets = list(dict.fromkeys(splat_set.data for splat_set in scene.sets))
     now, less = (
         sum(bytes_of(splat_set, compact=is_compact) for splat_set in sets)

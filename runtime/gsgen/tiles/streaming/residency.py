@@ -41,7 +41,7 @@ class ResidentTiles:
         needed: Bool[np.ndarray, " n"],
         expected: Bool[np.ndarray, " n"] | None = None,
     ) -> None:
-        """Record the tiles that a frame needs, which are evicted last.
+        """Record the tiles that a frame needs, which are evicted from GPU memory last.
 
         Args:
             time: In seconds.
@@ -53,7 +53,7 @@ class ResidentTiles:
         self._expected = np.zeros_like(needed) if expected is None else expected
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Add the root and all ancestors of some tiles to the mask of these tiles."""
+        """Return a mask of tiles with the root and all ancestors of these tiles added."""
         marked = tiles.copy()
         marked[0] = True
         for rows in reversed(self._tree.rows_of_level[1:]):

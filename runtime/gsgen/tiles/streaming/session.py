@@ -110,7 +110,7 @@ class ArrivalLink(Link, Protocol):
         ...
 
     def close(self) -> None:
-        """Cancel all tile requests."""
+        """Cancel all tile requests of the network link."""
         ...
 
 
@@ -260,7 +260,7 @@ class TilesetSession:
         )
 
     def _reserved_rows(self) -> Int64[np.ndarray, " n"]:
-        """Return the most splat-pool rows that each tile's ONNX generator fills; 0 without one."""
+        """Return the most Gaussians that each tile's ONNX generator may output; 0 without one."""
         reserved = np.zeros(len(self.tree), np.int64)
         if self.neural:
             for tile in self.neural.tiles:
