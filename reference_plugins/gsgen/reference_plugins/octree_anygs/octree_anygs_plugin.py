@@ -92,7 +92,7 @@ def _neural(
 
 
 def _require_neural(options: dict[str, object]) -> None:
-    """Raise if an option of networks is given for explicit Gaussians."""
+    """Raise if an option for neural Gaussians is given for a checkpoint of explicit Gaussians."""
     for name, value in options.items():
         if value not in (None, "none"):
             raise ConfigInvalid(

@@ -158,14 +158,14 @@ class Plan:
         self._staging = Staging(device, self._held | self.images)
 
     def _add(self, part: WeightedPart) -> None:
-        """Add the buffers, images and stages of weighted sums."""
+        """Add the GPU buffers, images and stages of weighted-sum rendering to a frame."""
         self.buffers |= part.buffers
         self.images |= part.images
         self.stages |= part.stages
         self.clears += part.clears
 
     def _slabs(self, placed: Sequence[Placed], splats: int, *, with_ids: bool) -> Slabs:
-        """Return the slabs of a scene; their splats have ids in the order of the sets."""
+        """Return the depth slabs in which a scene is drawn; splat ids follow the set order."""
         pages = [page for _, page in placed]
         slabs = Slabs(self._device, self._kernels, pages, splats, self._origins, with_ids=with_ids)
         self.buffers |= slabs.buffers
@@ -177,7 +177,7 @@ class Plan:
         return self.buffers[name]
 
     def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
-        """Allocate GPU buffers for projected splats; return the kernels' shares of the buffers."""
+        """Allocate GPU buffers of projected splats: those that projection writes, and the rest."""
         if not self._records:
             arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
             return arrays, arrays
@@ -268,7 +268,7 @@ class Plan:
         lows: Buffer,
         normals: Buffer | None,
     ) -> dict[str, list[Step]]:
-        """Return the stages that project all Gaussians, or those of a slab.
+        """Return the GPU stages that project all Gaussians, or those of a depth slab.
 
         Normals are computed here, because the sort overwrites the keys that mark absent Gaussians.
         """
@@ -372,7 +372,7 @@ class Plan:
         meshes: Sequence[PlacedMesh] = (),
         fetch: bool = True,
     ) -> Drawing:
-        """Draw a frame, in slabs if the plan has them, and wait for its counters and images.
+        """Draw a frame, if needed in depth slabs, and wait for its GPU counters and images.
 
         Arguments, results and errors are those of :meth:`submit` and :meth:`collect`.
         """

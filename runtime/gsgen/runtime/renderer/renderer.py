@@ -189,7 +189,7 @@ class Renderer:
     def _drawn(
         self, scene: Scene, camera: Camera, background: Sequence[float], outputs: Collection[Output]
     ) -> Drawing:
-        """Draw a scene in as many bands as its buffers need, and read its images."""
+        """Draw a scene in as many bands of image rows as its buffers need, and read the images."""
         requested = _known(outputs)
         if self._published:
             _require_alone(scene)
@@ -208,7 +208,7 @@ class Renderer:
     def _drawn_at_once(
         self, scene: Scene, camera: Camera, background: Sequence[float], output: Output
     ) -> tuple[Plan, np.ndarray]:
-        """Draw an image that stays in one GPU buffer."""
+        """Draw a whole image, without bands, which stays in one GPU buffer."""
         requested = _known((output,))
         if self._published:
             _require_alone(scene)
@@ -387,13 +387,13 @@ class Renderer:
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
     def _slab_splats(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> int | None:
-        """Return the splats of a slab if the Gaussians exceed it and can be drawn in slabs."""
+        """Return the number of splats per depth slab if a scene needs and allows slabs."""
         most = min(most_splats(self.device, self._kernels), self._most_in_slab)
         is_large = sum(page.capacity for _, page in placed) > most
         return most if is_large and _fits_slabs(placed, meshes) else None
 
     def _halve_slabs(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
-        """Halve the slabs of a scene, whose pairs exceed a binding; return whether that can help."""
+        """Halve the depth slabs of a scene with too many splat-tile pairs; return if it helps."""
         splats = sum(page.capacity for _, page in placed)
         most = min(splats, most_splats(self.device, self._kernels), self._most_in_slab)
         if most < 2 or not _fits_slabs(placed, meshes):
@@ -420,7 +420,7 @@ class Renderer:
 
 
 def _fits_slabs(placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
-    """Return whether a scene can be drawn in slabs: sorted sets without pools and meshes can."""
+    """Return whether a scene can be drawn in depth slabs: only depth-sorted sets of splats can."""
     return not meshes and not any(splat_set.weighted or page.slots for splat_set, page in placed)
 
 

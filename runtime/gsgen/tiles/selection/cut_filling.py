@@ -44,7 +44,7 @@ def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
 
 
 def _refined(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
-    """Return a choice that spends the rest of the budget in subtrees, if that is worth more."""
+    """Return a choice of tiles that spends the rest of the budget in subtrees, if better."""
     solver = _SubtreeSolver(frontier, TOLERANCE * choice.bound)
     solution = solver.solve(0, 0, budget)
     if solution is None or solution.utility <= choice.utility:

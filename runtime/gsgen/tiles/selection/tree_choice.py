@@ -121,7 +121,7 @@ class TreeFrontier:
         return float(np.interp(budget, self.costs, self.levels[0].value))
 
     def price(self, budget: float) -> float:
-        """Return the utility of one more byte at a budget: the slope of the tree's frontier."""
+        """Return the utility of one more byte at a budget: the slope of the utility curve."""
         after = int(np.searchsorted(self.costs, budget, side="right"))
         if not 0 < after < len(self.costs):
             return 0.0

@@ -40,7 +40,7 @@ from gsgen.tiles.streaming.session_frame import TileArrival
 
 
 class _RunInputs(NamedTuple):
-    """The inputs of a generator's run that vary, comparable with those of another run.
+    """The varying inputs of an ONNX generator's run, comparable with those of another run.
 
     Attributes:
         camera: View matrix and intrinsics; None for a generator without a camera.

@@ -134,7 +134,7 @@ class RequestPlanner:
         self._link.request(tile)
 
     def begin(self, tile: int) -> None:
-        """Record a request of a needed tile that the link began by itself."""
+        """Record a request of a needed tile that the network link began from the queue."""
         self._in_flight[tile] = _InFlight(is_prefetch=False)
         self._recorder.request()
 

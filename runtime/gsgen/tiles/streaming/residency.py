@@ -80,7 +80,7 @@ class ResidentTiles:
         return evicted
 
     def protect(self, tile: int) -> None:
-        """Keep a resident tile until the next frame, whatever else is admitted."""
+        """Keep a tile in GPU memory until the next frame, regardless of other tiles."""
         self._protected[tile] = True
 
     def remove(self, tile: int) -> None:

@@ -394,7 +394,7 @@ class TilesetSession:
         return tuple(evicted), tuple(arrivals)
 
     def _admit(self, arrival: TileArrival, time: float) -> tuple[int, ...] | None:
-        """Make a tile resident for this frame; return the tiles that leave, None without room."""
+        """Make a tile resident for this frame; return the tiles that leave, or None if full."""
         tile = arrival.tile
         if not arrival.is_upgrade:
             # The metadata of foreign tilesets do not count splats: the estimate may be too low.
