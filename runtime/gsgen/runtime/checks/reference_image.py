@@ -51,7 +51,7 @@ def image_decibels(
 
 
 class ReferenceUnreadable(GsgenError):
-    """A reference image is missing, outside the folder, altered, too large, or not a PNG."""
+    """Raised if a reference image is missing, outside its folder, altered, too large, not a PNG."""
 
 
 def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:

@@ -36,7 +36,7 @@ class Run(Protocol):
     """Runs GPU stages of a frame, and returns the counters, and the images after the last."""
 
     def __call__(self, only: Sequence[str], *, resumes: bool, continues: bool) -> Drawing:
-        """Run the given GPU stages of a frame; see ``Plan.submit`` for the arguments."""
+        """Run some GPU stages of a frame; see ``Plan.submit`` for the arguments."""
         ...
 
 
