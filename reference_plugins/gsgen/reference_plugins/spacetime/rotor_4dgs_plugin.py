@@ -87,7 +87,7 @@ def _duration(
 
     if config is not None and time_duration is not None:
         hint = "Give one of them."
-        raise ConfigInvalid("is given beside --config", where="--time-duration", hint=hint)
+        raise ConfigInvalid("cannot be combined with --config", where="--time-duration", hint=hint)
     if config is None and time_duration is None:
         message = "no file of the run has the times of its first and last frame"
         hint = "Give --config FILE, the training's YAML, or --time-duration 0 1."

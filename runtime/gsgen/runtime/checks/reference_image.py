@@ -98,7 +98,7 @@ def _bytes(folder: Path, name: str) -> bytes:
     root = folder.resolve()
     path = (root / parts).resolve()
     if "\\" in name or parts.is_absolute() or not path.is_relative_to(root):
-        raise ReferenceUnreadable(f"{name!r} is outside the model's folder")
+        raise ReferenceUnreadable(f"the reference image {name!r} is outside the model's folder")
     try:
         if not path.is_file():
             raise ReferenceUnreadable("the reference image is missing in the model's folder")
