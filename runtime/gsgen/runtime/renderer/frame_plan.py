@@ -55,6 +55,8 @@ class Plan:
         quads: Whether the hardware's rasteriser draws the colours.
         panorama: Whether the image is a panorama.
         meshes: Meshes among the Gaussians; only their buffers are kept.
+        layers: Image layers among the Gaussians that the caller writes, into the inputs
+            ``layer colors`` and ``layer depths``; only without meshes, weighted sets and normals.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
         deep: Whether the depth sort is deep, because very many depths share a key.
 
@@ -80,6 +82,7 @@ class Plan:
         pair_capacity: int,
         *,
         meshes: Sequence[PlacedMesh] = (),
+        layers: int = 0,
         quads: bool = False,
         panorama: bool = False,
         published: bool = False,
@@ -119,6 +122,8 @@ class Plan:
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
             self._layers = self._lay(bool(summed) + bool(meshes), normal="normal" in tiled)
+        elif layers:
+            self._layers = self._lay_inputs(layers)
         self.stages: dict[str, list[Step]] = {}
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
@@ -215,6 +220,12 @@ class Plan:
             self._storage("layer depths", 4 * pixels),
             self._storage("layer normals", VEC4 * pixels) if normal else None,
         )
+
+    def _lay_inputs(self, count: int) -> Layers:
+        """Allocate image layers that the caller writes."""
+        layers = self._lay(count, normal=False)
+        self.inputs |= {"layer colors": layers.colors, "layer depths": layers.depths}
+        return layers
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
         """Record the drawing of meshes, and return the steps that copy them to an image layer."""

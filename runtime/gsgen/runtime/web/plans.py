@@ -21,12 +21,15 @@ from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, stride
 from gsgen.runtime.kernels.project.live_counts import LiveCounts
 from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
 from gsgen.runtime.kernels.project.repack_rows import RepackRows
+from gsgen.runtime.kernels.raster.import_layer import PICTURE, ImportLayer
 from gsgen.runtime.kernels.shared.counts import BYTES, Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS
-from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, source
+from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE, source
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.renderer import FIRST_PAIRS, PAIRS_ROOM
 from gsgen.runtime.scene.frame import Output
+from gsgen.runtime.scene.splat_pool import SLOT_ROWS
+from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.runtime.viewer.present import SHOWING, SHOWING_CONSTANTS
 from gsgen.runtime.web.plan_tables import PlanTables, module_row
 from gsgen.runtime.web.recording import APPEARANCES, Shape, record
@@ -54,10 +57,17 @@ PAGE_RULES: Final = (
 )  # fmt: skip
 """Rules that the client checks by itself (findings.js)."""
 
+LAYERS: Final = 2
+"""Image layers of a page's other renderer: translucent surfaces, and those behind them."""
+
 SHAPES: Final = tuple(
     Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
     for outputs, weighted, panorama, deep in product(_OUTPUTS, _BOTH, _BOTH, _BOTH)
     for side in _SIZES[weighted]
+) + tuple(
+    Shape(outputs=("color",), layers=LAYERS, deep=deep, size=(side, side))
+    for deep in _BOTH
+    for side in _SIZES[False]
 )
 """The shapes of all plans; of equal plans the one for smaller images comes first."""
 
@@ -70,10 +80,21 @@ def plans_document() -> dict[str, Any]:
     present = RecordedModule("present", source("present", **SHOWING_CONSTANTS))
     module = tables.row("modules", module_row(tables, present))
     generators = _generator_kernels(tables)
+    importing = ImportLayer(Device(RecordingDevice())).kernel
+    layers = {
+        "count": LAYERS,
+        "pipeline": tables.pipeline(importing.pipeline),
+        "groups": [["ceil_div", "width", TILE], ["ceil_div", "height", TILE], 1],
+    }
     return {
         "plans": tables.plans,
         **tables.tables,
-        "uniforms": {"frame": _fields(FRAME), "page": _fields(PAGE), "showing": _fields(SHOWING)},
+        "uniforms": {
+            "frame": _fields(FRAME),
+            "page": _fields(PAGE),
+            "showing": _fields(SHOWING),
+            "picture": _fields(PICTURE),
+        },
         "counts": {member.name: int(member) for member in Counts} | {"BYTES": BYTES},
         "appearances": [
             {
@@ -85,8 +106,10 @@ def plans_document() -> dict[str, Any]:
             for each in APPEARANCES
         ],
         "generators": generators,
+        "layers": layers,
         "contract": _contract(),
         "pairs": {"first": FIRST_PAIRS, "room": PAIRS_ROOM, "most": MOST_GROUPS * RANGE_BLOCK},
+        "streaming": {"slotRows": SLOT_ROWS, "maxError": StreamSettings().max_error},
         "present": {
             "module": module,
             "vertex": "corner_of",

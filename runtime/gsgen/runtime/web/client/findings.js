@@ -10,7 +10,7 @@ import { graphOf, manifestText } from "./onnx_metadata.js";
 /** @typedef {{rule: string, severity: string, where: string, actual: string, expected: string,
  *     hint: string}} PageFinding */
 /** @typedef {{name: string, dtype: string, dims: (number | string | null)[] | null}} Tensor */
-/** @typedef {[string, string, string, string]} Violation Rule, where, actual and expected. */
+/** @typedef {string[]} Violation Rule, where, actual and expected. */
 
 const short = (text) => (text.length <= 60 ? text : `${text.slice(0, 57)}…`);
 const shortJson = (value) => short(typeof value === "string" ? value : JSON.stringify(value));
@@ -97,7 +97,7 @@ function* namesExist(manifest, graph) {
 }
 
 /** Check that declared dtypes and sizes are those of the graph (GM005). */
-function* tensorsAgree({ inputs = [], outputs = {} }, graph, { channels }) {
+function* tensorsAgree({ inputs = [], outputs = /** @type {any} */ ({}) }, graph, { channels }) {
   const tensorOf = (side, name) => graph[side].find((tensor) => tensor.name === name);
   const isSize = (dim) => typeof dim === "number" && dim > 0;
   for (const { name, shape } of inputs) {
