@@ -92,7 +92,6 @@ class Plan:
         self._weighted: WeightedPart | None = None
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
-        self._layers: Layers | None = None
         self._device, self._kernels = device, kernels
         self._size, self._panorama, self._deep = size, panorama, deep
         tile = kernels.cut.tile
@@ -113,6 +112,7 @@ class Plan:
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
+        self._layers = self._lay_inputs(layers) if layers else None
         self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
         # Weighted sets become a layer, which the hardware's blending does not support.
@@ -122,8 +122,6 @@ class Plan:
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
             self._layers = self._lay(bool(summed) + bool(meshes), normal="normal" in tiled)
-        elif layers:
-            self._layers = self._lay_inputs(layers)
         self.stages: dict[str, list[Step]] = {}
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
