@@ -21,7 +21,8 @@ from gsgen.runtime.kernels.shared.kernel import run
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for, sort_reference
-from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.frame_plan import Plan
+from gsgen.runtime.renderer.placed_pages import Placed
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet

@@ -49,8 +49,9 @@ from gsgen.runtime.kernels.sort.scan import Scan  # noqa: E402
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for, sort_reference  # noqa: E402
 from gsgen.runtime.oracle import render as oracle  # noqa: E402
 from gsgen.runtime.renderer import rasteriser_choice  # noqa: E402
-from gsgen.runtime.renderer.frame_plan import Placed, Plan  # noqa: E402
+from gsgen.runtime.renderer.frame_plan import Plan  # noqa: E402
 from gsgen.runtime.renderer.kernel_set import Kernels  # noqa: E402
+from gsgen.runtime.renderer.placed_pages import Placed  # noqa: E402
 from gsgen.runtime.renderer.renderer import Renderer  # noqa: E402
 from gsgen.runtime.scene.camera import Camera  # noqa: E402
 from gsgen.runtime.scene.scene import Scene  # noqa: E402

@@ -79,7 +79,8 @@ def test_the_picture_is_that_of_the_oracle(
     tmp_path: Path,
 ) -> None:
     path = find(name).write(tmp_path)
-    picture = viewer.frame(str(path), eye, (0, 0, 0), size=SIZE, fov=FOV)
+    lens = viewer.look_at(eye, (0, 0, 0), size=SIZE, fov=FOV)
+    picture = viewer.frame(str(path), lens)
     session = ort.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     manifest = viewer.read_manifest(session)
     outputs = manifest["outputs"]
@@ -88,12 +89,7 @@ def test_the_picture_is_that_of_the_oracle(
     space = outputs["appearance"]["space"]
     data = SplatData(rows, looks, space, count=int(count[0]))
     scene = Scene([SplatSet(data, antialias=manifest.get("antialias", "classic"))])
-    view, _ = viewer.look_at(np.array(eye), np.zeros(3), (0, 1, 0), SIZE, FOV)
-    focal = SIZE[0] / 2 / np.tan(FOV / 2)
-    camera = Camera(
-        view, fx=focal, fy=focal, cx=SIZE[0] / 2, cy=SIZE[1] / 2, width=SIZE[0], height=SIZE[1]
-    )
-    wanted = oracle.render(scene, camera)
+    wanted = oracle.render(scene, Camera(**lens))
     assert wanted.visible > 0
     apart = np.abs(picture - wanted.rgba)[~wanted.fragile]
     # The oracle finishes pixels that have 1e-4 of the light left, as the specification allows.
@@ -102,7 +98,7 @@ def test_the_picture_is_that_of_the_oracle(
 
 def test_both_memory_orders_give_one_picture(viewer: ModuleType, tmp_path: Path) -> None:
     one, other = (
-        viewer.frame(str(find(name).write(tmp_path)), FAR, (0, 0, 0), size=SIZE)
+        viewer.frame(str(find(name).write(tmp_path)), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
         for name in ("fade_row", "fade_column")
     )
     assert one[..., 3].max() > 0.1
@@ -114,7 +110,7 @@ def test_missing_inputs_are_fed_as_gsgen_feeds_them(
     name: str, viewer: ModuleType, fed: dict[str, Any], tmp_path: Path
 ) -> None:
     path = find(name).write(tmp_path)
-    viewer.frame(str(path), FAR, (0, 0, 0), size=SIZE)
+    viewer.frame(str(path), viewer.look_at(FAR, (0, 0, 0), size=SIZE))
     with FrameSession(path) as session:
         assert fed.keys() == session.inputs.keys()
         wanted = session.run(copy=True)

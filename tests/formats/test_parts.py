@@ -5,10 +5,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.formats import Splats, ValueInvalid, codec_named, conversion, parts, write_ply
+from gsgen.formats import (
+    Splats,
+    ValueInvalid,
+    codec_named,
+    conversion,
+    parts,
+    read_ply,
+    read_sog,
+    write_ply,
+)
 from gsgen.formats.conversion import convert
 from gsgen.formats.editing.edits import parse_edit
 from gsgen.formats.parts import open_parts
+from gsgen.formats.sog.palette import make_palette, nearest_entries
+from gsgen.formats.sog.write import sog_order
 from support.splat_files import scene
 
 EDITS = [
@@ -50,6 +61,25 @@ def test_parts_give_the_bytes_of_a_conversion_in_memory(
         in_parts.sizes,
     )
     assert Path(whole.target).read_bytes() == Path(in_parts.target).read_bytes()
+
+
+@pytest.mark.parametrize("name", ["whole", "parts"])
+def test_harmonics_are_read_in_batches_of_one_size(
+    source: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sample that chooses a palette and the labels do not depend on the size of the parts."""
+    monkeypatch.setattr("gsgen.formats.sog.write._ROWS", 16)
+    monkeypatch.setattr("gsgen.formats.sog.palette._TRAINING", 30)
+    monkeypatch.setattr(conversion, "MAX_COMPARED", {"whole": 1 << 29, "parts": 0}[name])
+    result = convert(source, source.with_name("out.sog"), codec_named("sog"))
+    splats = read_ply(source)
+    order = sog_order(splats)
+    higher = splats.sh[:, 1:].reshape(100, -1)
+    palette = make_palette(higher[::4], 64)  # 25 rows, each of which has an entry of its own
+    decoded = read_sog(result.target).sh[:, 1:].reshape(100, -1)
+    labels = nearest_entries(higher, palette)
+    np.testing.assert_allclose(decoded, palette[labels][order], atol=0.02)
+    np.testing.assert_allclose(palette[labels[::4]], higher[::4])
 
 
 def test_only_edits_of_single_rows_go_in_parts(source: Path) -> None:

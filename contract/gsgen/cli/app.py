@@ -14,13 +14,14 @@ from typing import Annotated, Any, Never
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from gsgen.cli.help_panels import panel_of, panel_order
 from gsgen.cli.text_streams import accept_any_text
 from gsgen.contract._extensions import Command, escape_markup, find_commands
 from gsgen.contract.commands.options import OPTION_ORDER
+from gsgen.contract.commands.output import echo_error
 from gsgen.contract.commands.progress import clear
 from gsgen.contract.errors import ExitCode, GsgenError, UnknownName
 from gsgen.contract.process.interrupts import ending_at_interrupts
-from gsgen.contract.process.missing_files import similar_file_hint
 
 # Objects between two garbage collections: more than all imports of a command create.
 _COLLECT_AFTER = 500_000
@@ -29,7 +30,7 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
 def main() -> None:
-    """Run `gsgen` on the process's arguments, and exit with an exit code of the contract."""
+    """Run the `gsgen` command line on the process's arguments, and exit with its exit code."""
     accept_any_text()
     try:
         with ending_at_interrupts() as interrupts:
@@ -74,7 +75,9 @@ def _run() -> None:
 def _unknown_command(name: str, commands: dict[str, Command]) -> UnknownName:
     error = UnknownName.among("command", name, commands)
     if os.path.exists(name):
-        error.hint = f"To validate the file, type `gsgen validate {name}`."
+        is_checked = name.endswith((".onnx", ".json")) or os.path.isdir(name)
+        to_draw = f"To draw the file, type `gsgen render {name} -o picture.png`."
+        error.hint = f"To validate it, type `gsgen validate {name}`." if is_checked else to_draw
     return error
 
 
@@ -99,10 +102,7 @@ def _crash() -> Never:
 
 
 def _fail(error: GsgenError) -> Never:
-    clear()
-    if not error.hint and "No such file" in error.message:
-        error.hint = similar_file_hint(str(error).partition(": ")[0])
-    typer.echo(f"gsgen: {error}", err=True)
+    echo_error(error)
     sys.exit(error.exit_code)
 
 
@@ -114,7 +114,6 @@ def build(commands: list[Command]) -> typer.Typer:
         help="Export, validate and draw Gaussian Generators: ONNX models that emit 3D Gaussians.",
         epilog=_epilog(commands),
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
@@ -122,9 +121,14 @@ def build(commands: list[Command]) -> typer.Typer:
     for command in commands:
         loaded = command.load()
         if isinstance(loaded, typer.Typer):
-            app.add_typer(loaded, name=command.name)
+            app.add_typer(loaded, name=command.name, rich_help_panel=panel_of(command.name))
         else:
-            app.command(command.name, cls=_Ordered, context_settings=command.context)(loaded)
+            app.command(
+                command.name,
+                cls=_Ordered,
+                context_settings=command.context,
+                rich_help_panel=panel_of(command.name),
+            )(loaded)
     return app
 
 
@@ -155,19 +159,20 @@ def _number_hint(bounds: Any) -> str:
 
 
 class _Sorted(TyperGroup):
-    """A command group whose help lists commands and groups by name."""
+    """A command group whose help lists commands panel by panel."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of all commands, sorted."""
-        return sorted(super().list_commands(ctx))
+        """Return the names of all commands, in the order of the help."""
+        return sorted(super().list_commands(ctx), key=panel_order)
 
 
 def _epilog(commands: list[Command]) -> str | None:
-    missing = [command for command in commands if command.missing]
-    if not missing:
-        return None
-    lines = [f"{command.name} needs {command.requirement}: {command.remedy}" for command in missing]
-    return escape_markup("Not installed here: " + "; ".join(lines))
+    missing: dict[str, list[str]] = {}
+    for command in commands:
+        if command.missing:
+            missing.setdefault(command.remedy, []).append(command.name)
+    lines = [f"{', '.join(names)}: {remedy}" for remedy, names in missing.items()]
+    return escape_markup("Not installed here: " + "; ".join(lines)) if lines else None
 
 
 def _show_version(requested: bool) -> None:

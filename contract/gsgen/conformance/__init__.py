@@ -1,4 +1,4 @@
-"""Conformance tests for generators, validators and viewers.
+"""Conformance tests of ONNX generators of Gaussians, of validators and of viewers.
 
 The names below need pytest (``pip install 'gsgen[conformance]'``) and are loaded when first used.
 """

@@ -52,7 +52,7 @@ class Case:
 def settle(
     report: Report, rule: Rule, suite: str, expected: Iterable[ExpectedFailure] = ()
 ) -> Case:
-    """Return the test case of ``rule``, from the model's report and the expected failures."""
+    """Return one rule's test case, from the model's validation report and expected failures."""
     path = PurePath(report.path)
     foreseen = next((entry for entry in expected if entry.matches(rule.id, path)), None)
     outcome = report.outcome(rule.id)

@@ -1,4 +1,4 @@
-"""Collects evidence of failures: a command that reproduces each, and its inputs and outputs."""
+"""Collects evidence of broken rules: a command that reproduces each, with inputs and outputs."""
 
 __all__ = ["Dumps", "Evidence", "gather", "suspects"]
 

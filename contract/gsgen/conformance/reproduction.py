@@ -123,7 +123,7 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
 def _look(
     path: Path, rule: Rule, settings: Settings, findings: tuple[Finding, ...], dump: Path | None
 ) -> tuple[Row, ...]:
-    """Run the test inputs that findings name once more; return, and save, the offending rows."""
+    """Run the model again with the inputs that findings name; return and save offending rows."""
     if not findings or rule.scope in ("model", "report") or not (dump or rule.scope == "rows"):
         return ()
     subject, plan = plan_for(path, settings)

@@ -85,7 +85,7 @@ class Replay:
 
 
 def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
-    """Return a model's file facts and its planned test runs; its manifest must be readable."""
+    """Return a model's parsed file and its planned test runs; the manifest must be readable."""
     subject = inspect_model(open_model(path), settings.target, settings.limits, settings.tolerances)
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
     return subject, make_plan(subject, level, settings.seed)

@@ -42,7 +42,7 @@ def exit_code(entries: Sequence[Entry]) -> ExitCode:
 
 
 def lines_of(run: ModelRun) -> list[Line]:
-    """Return the text of a conformance run: suites, failures with their commands, verdict."""
+    """Return the text of a conformance run: suites, failures with commands, overall result."""
     report = run.report
     judged = f"judged for {report.target.label} at level {report.level.word}"
     lines = [Line(f"{report.path}: {report.kind or 'kind unknown'}, {judged}", "bold")]

@@ -1,4 +1,4 @@
-"""The contract of Gaussian Generators: manifest, packed layout, rules and validator.
+"""The contract of Gaussian Generators (ONNX models): manifest, layout, rules, validator.
 
 The names below are loaded on first use, so that ``import gsgen.contract`` is fast.
 """

@@ -58,10 +58,10 @@ class Command:
     def load(self) -> Callable[..., Any] | typer.Typer:
         """Import the command, or return a replacement that reports its missing dependencies."""
         if self.missing:
-            absent = ", ".join(self.missing)
+            absent, verb = ", ".join(self.missing), "is" if len(self.missing) == 1 else "are"
             return _refusing(
                 f"Not installed: {self.remedy}",
-                f"`gsgen {self.name}` needs {absent}, which is not installed: {self.remedy}",
+                f"`gsgen {self.name}` needs {absent}, which {verb} not installed: {self.remedy}",
                 ExitCode.USAGE,
             )
         try:

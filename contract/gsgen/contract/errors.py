@@ -96,7 +96,7 @@ class ModelUnreadable(InputUnreadable):
 
 
 class ManifestInvalid(GsgenError):
-    """Raised if a manifest does not follow its schema, or cannot be written."""
+    """Raised if a model's manifest does not follow its JSON Schema, or cannot be written."""
 
 
 class ConfigInvalid(GsgenError):

@@ -15,31 +15,31 @@ from gsgen.contract.errors import GsgenError
 
 
 class DeviceUnavailable(GsgenError):
-    """No graphics adapter exists, or it lacks a required feature."""
+    """Raised if no graphics adapter exists, or if the adapter lacks a required feature."""
 
 
 class DeviceLost(DeviceUnavailable):
-    """The graphics device disappeared while drawing: its driver was reset, or it was removed."""
+    """Raised if the graphics device disappeared while drawing: reset by its driver, or removed."""
 
 
 class DisplayUnavailable(GsgenError):
-    """No window can be opened: there is no screen, or a package is not installed."""
+    """Raised if no window can be opened: there is no screen, or a package is not installed."""
 
 
 class CapacityExceeded(GsgenError):
-    """A scene or an image exceeds the largest buffer of the device."""
+    """Raised if a scene or an image exceeds the largest buffer of the graphics device."""
 
 
 class MemoryFull(CapacityExceeded):
-    """The device has too little free memory for a buffer that is within its limits."""
+    """Raised if the graphics device has too little free memory for a buffer of allowed size."""
 
 
 class SceneInvalid(GsgenError):
-    """An invalid camera, transform or array raises the same error on every device."""
+    """Raised for an invalid camera, transform or array, on every graphics device alike."""
 
 
 class SceneUnreadable(GsgenError):
-    """A file holds no Gaussians or triangles that can be read (exit code 4)."""
+    """Raised if a file holds no Gaussians or triangles that can be read (exit code 4)."""
 
 
 def locate_in_frame(error: GsgenError, model: str, frame: int) -> GsgenError:

@@ -1,4 +1,4 @@
-"""Neural tiles: the extension GSGEN_neural_tile, by which a tile holds a generator.
+"""Neural tiles: the extension GSGEN_neural_tile, by which a tile holds an ONNX generator.
 
 The content of such a tile stays a file of splats, which every viewer can draw; a viewer that
 knows the extension may run the model instead. It is used and never required.
@@ -25,7 +25,7 @@ _DIGEST = re.compile(r"^[0-9a-f]{64}$")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NeuralTile:
-    """The declaration of the generator that a neural tile holds.
+    """The declaration of the ONNX generator that a neural tile holds.
 
     Attributes:
         uri: The ONNX model, relative to the tileset's folder.

@@ -1,4 +1,4 @@
-"""Checks the generator of a neural tile against the contract and the tile's declaration."""
+"""Checks the ONNX generator of a neural tile against the contract and the tile's declaration."""
 
 __all__ = ["MAX_MODEL", "check_digest", "check_neural_model", "validate_model"]
 
@@ -36,7 +36,7 @@ def check_digest(data: bytes, neural: NeuralTile, location: str) -> Iterator[Vio
 
 
 def validate_model(path: Path) -> Report:
-    """Validate a neural tile's generator, whose bounds have to hold for all test inputs."""
+    """Validate a neural tile's ONNX generator, whose bounds have to hold for all test inputs."""
     from gsgen.contract import Level, Settings, validate
 
     return validate(path, Settings(level=Level.VALUES, severities={_BOUNDS_HOLD: Severity.ERROR}))
@@ -45,7 +45,7 @@ def validate_model(path: Path) -> Report:
 def check_neural_model(
     path: Path, tile: Tile, neural: NeuralTile, location: str
 ) -> Iterator[Violation]:
-    """Check a neural tile's generator against the contract and the tile's declaration.
+    """Check a neural tile's ONNX generator against the contract and the tile's declaration.
 
     Args:
         path: The model.

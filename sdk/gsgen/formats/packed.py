@@ -1,18 +1,18 @@
-"""Converts packed rows of a generator, i.e. one frame, to splats."""
+"""Converts one frame of an ONNX generator (packed Gaussians and colours) to splats."""
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Float32
 
-from gsgen.contract.spec.geometry import symmetric
 from gsgen.formats.shared.errors import ValueInvalid
-from gsgen.formats.shared.quantities import SH_C0, log, logit, rotations
+from gsgen.formats.shared.principal_axes import scales_and_quaternions
+from gsgen.formats.shared.quantities import SH_C0, log, logit
 from gsgen.formats.shared.splats import SH_COUNTS, PackedRows, Splats
 
-__all__ = ["scales_and_quaternions", "splats_of_rows"]
+__all__ = ["splats_of_rows"]
 
 
 def splats_of_rows(rows: PackedRows) -> Splats:
-    """Convert a generator's packed rows to splats of equal covariance, opacity and colour.
+    """Convert packed Gaussians of an ONNX generator to splats of equal covariance and colour.
 
     Scales and rotations are those of :func:`scales_and_quaternions`. Three or four channels are
     raw colour.
@@ -33,30 +33,6 @@ def splats_of_rows(rows: PackedRows) -> Splats:
         logit_opacity=logit(np.clip(rows64[:, 3], 0, 1)),
         sh=_harmonics(rows.appearance.astype(np.float32)),
     )
-
-
-def scales_and_quaternions(
-    covariance: Float[np.ndarray, "n 6"],
-) -> tuple[Float64[np.ndarray, "n 3"], Float32[np.ndarray, "n 4"]]:
-    """Decompose covariances into standard deviations and quaternions by their eigenvectors.
-
-    The eigenvalues ascend. Signs of eigenvectors, which no solver defines, are fixed: the largest
-    component of the second and the third is positive, and the first makes the axes right-handed.
-
-    Args:
-        covariance: Upper triangles xx xy xz yy yz zz, in squared scene units.
-
-    Returns:
-        Scales in scene units, 0 where rounding made an eigenvalue negative; and unit quaternions
-        (w, x, y, z) with w ≥ 0.
-    """
-    variances, axes = np.linalg.eigh(symmetric(covariance))
-    largest = np.abs(axes).argmax(axis=1)  # of each column
-    axes = axes * np.sign(np.take_along_axis(axes, largest[:, None, :], axis=1))
-    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-    quaternions = rotations(axes)
-    positive = quaternions * np.where(quaternions[:, :1] < 0, np.float32(-1), np.float32(1))
-    return np.sqrt(np.maximum(variances, 0)), positive
 
 
 def _harmonics(appearance: Float32[np.ndarray, "n c"]) -> Float32[np.ndarray, "n k 3"]:

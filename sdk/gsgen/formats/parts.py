@@ -4,14 +4,12 @@ __all__ = ["PART_WRITERS", "PlyParts", "open_parts", "with_degree"]
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from pathlib import Path
 from typing import Final, final
 
 import numpy as np
-from jaxtyping import Float32
 
-from gsgen.formats.editing.edits import ParsedEdit
+from gsgen.formats.editing.edits import ParsedEdit, none_left
 from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
 from gsgen.formats.ply.layout import splat_names
 from gsgen.formats.ply.methods import FILTER, require_still_splats, warn_of_unknown
@@ -20,7 +18,7 @@ from gsgen.formats.ply.write import write_ply_parts
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.files import FilePath, naming
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
-from gsgen.formats.sog.write import write_sog_columns
+from gsgen.formats.sog.write import write_sog_parts
 from gsgen.formats.spz.spz import write_spz_parts
 
 _ROWS: Final = 1 << 18
@@ -81,15 +79,14 @@ class PlyParts:
             reach = max(reach, float(np.abs(part.position).max()))
         if not count:
             texts = " ".join(edit.text for edit in self.edits)
-            message = f"{texts} leaves none of {self.table.count} splats"
-            raise ValueInvalid(message, expected="at least one splat")
+            raise none_left(texts, self.table.count)
         return count, reach
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Columns:
-    """The arrays of the splats of a PLY file; each is read from the file when it is needed."""
+class _CountedParts:
+    """The edited splats of a PLY file, of known count."""
 
     parts: PlyParts
     count: int
@@ -105,22 +102,15 @@ class _Columns:
     def __len__(self) -> int:
         return self.count
 
-    def column(self, name: str) -> Float32[np.ndarray, "n ..."]:
-        arrays = (np.asarray(getattr(part, name)) for part in self.parts)
-        first = next(arrays)
-        table = np.empty((self.count, *first.shape[1:]), np.float32)
-        end = 0
-        for array in chain([first], arrays):
-            table[end : end + len(array)] = array
-            end += len(array)
-        return table
+    def __iter__(self) -> Iterator[Splats]:
+        return iter(self.parts)
 
 
 PartWriter = Callable[[FilePath, PlyParts, int, float], None]
 PART_WRITERS: Final[dict[str, PartWriter]] = {
     "ply": lambda path, parts, count, _: write_ply_parts(path, parts, count),
-    "sog": lambda path, parts, count, _: write_sog_columns(
-        path, _Columns(parts=parts, count=count)
+    "sog": lambda path, parts, count, _: write_sog_parts(
+        path, _CountedParts(parts=parts, count=count)
     ),
     "spz": write_spz_parts,
 }

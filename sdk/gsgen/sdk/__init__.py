@@ -1,4 +1,4 @@
-"""Wrap a torch module as a generator, export it to ONNX, and verify the exported model.
+"""Wrap a torch module as a generator of Gaussians, export it to ONNX, verify the model.
 
 The names below are loaded when first used, so that ``import gsgen.sdk`` does not import torch.
 """

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class GeneratorInvalid(GsgenError):
-    """Raised if a generator declares or returns something that the contract does not allow."""
+    """Raised if a torch generator declares or returns what the model contract does not allow."""
 
 
 class ExportFailed(GsgenError):

@@ -60,7 +60,7 @@ class Reference:
 
     @property
     def live_cells(self) -> int:
-        """The number of cells that contain a live Gaussian."""
+        """The number of cells (groups of Gaussians) that contain a live Gaussian."""
         if self.cells is None or not len(self.cells):
             return 0
         return -(-self.count // (len(self.gaussians) // len(self.cells)))
@@ -284,7 +284,7 @@ def _failure(field: str, error: float, probe: str) -> FieldParity:
 def _excused(
     measured: "_Measure", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
 ) -> tuple["_Errors", int]:
-    """Return each row's smallest error at a set of test inputs or nearby ones, and excused rows."""
+    """Return each row's smallest error at given or nearby test inputs, and the excused rows."""
     errors = measured(rows, reference)
     jumps = np.zeros(len(rows), bool)
     for neighbour in nearby:

@@ -39,7 +39,7 @@ Draw = Callable[
 def add_source_pictures(
     draft: Path, run: Callable[[Probe], Outputs], count: int
 ) -> tuple[ReferenceImage, ...]:
-    """Draw a module's outputs at some of the model's probes, and declare the pictures.
+    """Draw a module's outputs for some test inputs of the model, and declare the pictures.
 
     Args:
         draft: The exported model, whose manifest is changed; pictures go next to it.

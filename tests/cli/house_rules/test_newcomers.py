@@ -1,12 +1,16 @@
 """What people type who have not read everything: nothing is lost, and each word says what to do."""
 
 import json
+import os
 import subprocess
 import sys
+from importlib.metadata import entry_points
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
+from gsgen.cli.help_panels import PANELS, panel_of, panel_order
 from gsgen.conformance.fixtures import find
 from support.commands import gsgen, gsgen_here
 
@@ -90,11 +94,62 @@ def test_help_is_a_word(words: tuple[str, ...]) -> None:
     assert f"gsgen {' '.join(words[1:])}".strip() in ran.out
 
 
-def test_commands_are_listed_by_name() -> None:
-    lines = gsgen_here("--help").out.partition("Commands")[2].splitlines()
-    names = [line.split()[1] for line in lines if line.startswith("│ ") and line[2] != " "]
-    assert names == sorted(names)
-    assert {"export", "validate", "view"} <= set(names)
+def test_every_command_is_listed_once_in_its_panel() -> None:
+    panels: dict[str, list[str]] = {}
+    for line in gsgen_here("--help", env={"COLUMNS": "80"}).out.splitlines():
+        assert len(line) <= 80
+        if line.startswith("╭─ "):
+            panel = panels.setdefault(line.strip("╭─╮ "), [])
+        elif line.startswith("│ ") and line[2] not in " -":
+            panel.append(line.split()[1])
+    del panels["Options"]
+    registered = {point.name for point in entry_points(group="gsgen.commands")}
+    assert panels == {panel: list(names) for panel, names in PANELS.items()}
+    assert sorted(chain(*panels.values())) == sorted(registered)
+
+
+def test_commands_of_other_packages_come_last() -> None:
+    names = ["acme", "bake", "samples"]
+    assert sorted(names, key=panel_order) == ["samples", "bake", "acme"]
+    assert panel_of("acme") == "Other commands"
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("gsgen vali", ["validate"]),
+        ("gsgen validate --lev", ["--level"]),
+        ("gsgen export scaf", ["scaffold-gs"]),
+    ],
+)
+def test_a_shell_completes_commands_and_options(words: str, expected: list[str]) -> None:
+    env = {"_GSGEN_COMPLETE": "complete_bash", "COMP_WORDS": words}
+    env |= {"COMP_CWORD": str(words.count(" "))}
+    program = Path(sys.executable).with_name("gsgen")  # the variable is named after the program
+    ran = subprocess.run(program, env=os.environ | env, capture_output=True, text=True, timeout=60)
+    assert (ran.returncode, ran.stdout.split()) == (0, expected), ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "command"), [("garden.ply", "gsgen render"), ("drift.onnx", "gsgen validate")]
+)
+def test_a_file_in_place_of_a_command_gets_a_command_for_it(
+    name: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).touch()
+    assert f"`{command} {name}" in gsgen_here(name).err
+
+
+def test_a_missing_splat_file_gets_the_nearest_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "garden.ply").touch()
+    for words in (("convert", "gardn.ply", "x.spz"), ("render", "gardn.ply", "-o", "x.png")):
+        ran = gsgen_here(*words)
+        assert ran.code == 4
+        assert ran.err.count("Did you mean 'garden.ply'?") == 1, ran.err
 
 
 def test_python_m_gsgen_is_gsgen() -> None:

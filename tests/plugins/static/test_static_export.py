@@ -46,12 +46,13 @@ def test_rows_that_break_a_rule_are_rejected_and_reported(
     np.savez("points.npz", points=points().position, colors=points().color)
     ran = gsgen_here(
         *("export", "static", "points.npz", "-o", "m.onnx", "--report", "r.json"),
-        *("--level", "static", "--target", "visionary"),
+        *("--level", "static", "--target", "visionary", "--json"),
     )
     assert ran.code == 1
     assert "gsgen: m.onnx was not written" in ran.err
     assert not Path("m.onnx").exists()
     report = json.loads(Path("r.json").read_text(encoding="utf-8"))
+    assert json.loads(ran.out) == report
     assert (report["written"], report["source"]) == (False, "static")
     assert report["error"]["kind"] == "ExportRejected"
     assert report["options"]["dtype"] == "float32"

@@ -15,12 +15,14 @@ from gsgen.runtime.errors import (
 )
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Residency, bytes_of
-from gsgen.runtime.renderer import frame_plan as plans
+from gsgen.runtime.renderer import frame_counts
 from gsgen.runtime.renderer import renderer as renderers
 from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from support.rendering.failing_devices import memory_of
+from support.rendering.mesh_scenes import ball
 from support.rendering.splat_scenes import camera, cloud, single
 
 
@@ -33,22 +35,25 @@ def test_room_for_pairs_grows_by_itself(device: Device) -> None:
     assert np.array_equal(frame.rgba, again.rgba)
 
 
-def test_more_pairs_than_a_binding_holds_is_an_error(
+def test_more_pairs_than_a_binding_holds_is_an_error_among_meshes(
     renderer: Renderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Without meshes the scene is drawn in slabs."""
     monkeypatch.setattr(renderer.device, "largest_binding", 1 << 18)
-    scene = Scene([cloud(3000, size=2.0, depth=(2, 3))])
+    scene = Scene([cloud(3000, size=2.0, depth=(2, 3))], meshes=[Mesh(ball())])
     with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* holds at most 65,536"):
-        renderer.render(scene, camera(width=120, height=120))
+        renderer.draw(scene, camera(width=120, height=120))
 
 
-def test_more_pairs_than_a_dispatch_has_is_an_error(
+def test_more_pairs_than_a_dispatch_has_are_drawn_in_bands(
     renderer: Renderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(renderers, "MOST_GROUPS", 30)
     scene = Scene([cloud(3000, size=2.0, depth=(2, 3))])
-    with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* holds at most 61,440"):
-        renderer.render(scene, camera(width=120, height=120))
+    expected = renderer.render(scene, camera(width=120, height=120))
+    assert expected.pairs > 61_440
+    monkeypatch.setattr(renderers, "MOST_GROUPS", 30)
+    assert renderer._most_pairs == 61_440
+    assert np.array_equal(renderer.render(scene, camera(width=120, height=120)).rgba, expected.rgba)
 
 
 def test_more_splats_than_a_dispatch_has_is_an_error(
@@ -56,7 +61,7 @@ def test_more_splats_than_a_dispatch_has_is_an_error(
 ) -> None:
     scene = Scene([cloud(5000, size=0.01)])
     renderer.render(scene, camera())
-    monkeypatch.setattr(plans, "MOST_GROUPS", 1 if renderer.device.software else 16)
+    monkeypatch.setattr(frame_counts, "MOST_GROUPS", 1 if renderer.device.software else 16)
     with pytest.raises(
         CapacityExceeded, match=r"scene: the scene has 4,\d+ splats .* draws at most 4,096"
     ):
@@ -84,12 +89,15 @@ def test_room_for_pairs_that_there_was_not_is_asked_for_no_more(device: Device) 
         assert renderer.render(Scene([single()]), camera()).visible == 1
 
 
-def test_an_image_that_is_too_large_is_an_error(
+def test_an_image_that_is_too_large_for_one_buffer_is_drawn_in_bands_alone(
     renderer: Renderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    expected = renderer.render(Scene([single()]), camera(width=512, height=512))
     monkeypatch.setattr(renderer.device, "largest_binding", 1 << 20)
     with pytest.raises(CapacityExceeded, match="color image: would take 4,194,304 bytes"):
-        renderer.render(Scene([single()]), camera(width=512, height=512))
+        renderer.draw(Scene([single()]), camera(width=512, height=512))
+    seen = renderer.render(Scene([single()]), camera(width=512, height=512))
+    assert np.array_equal(seen.rgba, expected.rgba)
 
 
 def test_what_no_device_has_is_an_error_before_it_is_asked(device: Device) -> None:

@@ -3,9 +3,11 @@
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.sdk.plugins.plugin_template import write_plugin_package
@@ -66,6 +68,22 @@ def test_no_placeholder_is_left(package: Path) -> None:
             assert "@name@" not in text
             assert "@package@" not in text
     assert (package / "src" / "acme_splats" / "generator.py").is_file()
+
+
+def test_the_workflow_installs_gsgen_from_the_address_of_its_metadata(package: Path) -> None:
+    from check_jsonschema.builtin_schemas import get_builtin_schema
+    from jsonschema import validate
+
+    text = (package / ".github" / "workflows" / "test.yml").read_text("utf-8")
+    workflow = yaml.load(text, yaml.BaseLoader)
+    validate(workflow, get_builtin_schema("vendor.github-workflows"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert workflow["env"] == {"GSGEN": f"git+{project['urls']['Repository']}"}
+    commands = [step["run"] for step in workflow["jobs"]["test"]["steps"] if "run" in step]
+    assert commands[:2] == [
+        'pip install "gsgen[sdk,conformance] @ $GSGEN"',
+        "pip install -e '.[test]'",
+    ]
 
 
 def test_every_template_is_used() -> None:

@@ -44,12 +44,12 @@ class GeneratorConformance:
 
     @pytest.fixture
     def target(self) -> str | None:
-        """Pytest fixture: the target of the validation; None selects the option or the default."""
+        """Pytest fixture: the target runtime to validate for; None selects option or default."""
         return None
 
     @pytest.fixture
     def level(self) -> str | None:
-        """Pytest fixture: the level of the validation; None selects the option or the default."""
+        """Pytest fixture: the validation level, such as static; None selects option or default."""
         return None
 
     @pytest.fixture
@@ -99,7 +99,7 @@ class GeneratorConformance:
 
 
 def _home(rule: Rule) -> str:
-    """Return the name of the conformance suite that tests a rule on a full-featured generator."""
+    """Return the name of the suite that tests a rule on a full-featured ONNX generator."""
     is_generator = GENERATOR in rule.kinds
     suites = [suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
     return next(suite.name for suite in suites if suite.claims(rule))

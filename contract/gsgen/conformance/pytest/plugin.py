@@ -135,7 +135,7 @@ def pytest_runtest_makereport(
 
 @pytest.hookimpl(wrapper=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
-    """Fail a test that received a rule and never checked it."""
+    """Fail a pytest test that requested a contract rule but never checked that rule."""
     result = yield
     check = _check_of(pyfuncitem)
     if check is not None and not check.called:

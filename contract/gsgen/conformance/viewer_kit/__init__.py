@@ -1,1 +1,1 @@
-"""The viewer kit: small test models with expected pictures, to check the pictures of a viewer."""
+"""The viewer test kit: small models with expected pictures, to check a viewer's pictures."""

@@ -126,7 +126,7 @@ def _check_frame(
 def compare(
     expected: np.ndarray, actual: np.ndarray, tolerance: dict[str, float]
 ) -> dict[str, Any]:
-    """Compare two pictures [h, w, 3]; return their differences, and a verdict by the tolerance.
+    """Compare two pictures [h, w, 3]; return the differences, and whether the tolerance holds.
 
     The picture fails if more than ``share`` of its pixels differ by more than ``pixel`` in some
     channel, or if its mean difference is above ``mean``. NaN differs from everything.
@@ -296,7 +296,7 @@ def _frame_html(kit: Path, pictures: Path, frame: dict[str, Any]) -> str:
 
 
 def summary_of(result: dict[str, Any]) -> str:
-    """Return a viewer's test result as lines of text: failed cases, suspected faults, verdict."""
+    """Return a viewer's test result as text lines: failed cases, suspected faults, conclusion."""
     lines = []
     for case in result["cases"]:
         for frame in case["frames"]:

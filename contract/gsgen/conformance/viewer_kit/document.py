@@ -126,7 +126,7 @@ class FrameResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseResult:
-    """The verdict on one viewer test case, and the results of the case's frames."""
+    """Whether a viewer passed one test case, and the results of the case's frames."""
 
     name: CaseName
     verdict: Verdict

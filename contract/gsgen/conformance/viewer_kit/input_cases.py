@@ -1,4 +1,4 @@
-"""Viewer tests of model inputs: every role, memory orders, cameras, and replayed frames."""
+"""Viewer tests of inputs: every input role, matrix memory orders, cameras, replayed frames."""
 
 __all__ = ["INPUT_CASES"]
 

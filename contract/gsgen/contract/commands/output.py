@@ -1,21 +1,26 @@
-"""Prints validation reports, styled on a terminal, and writes report files atomically."""
+"""Prints validation reports and errors, and writes report files atomically."""
 
-__all__ = ["append_text", "show", "write_text"]
+__all__ = ["append_text", "echo_error", "show", "write_text"]
 
 import os
 import sys
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
-from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.commands.progress import clear
+from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.process.atomic_files import is_device
-from gsgen.contract.reporters.text import Line
+from gsgen.contract.process.missing_files import similar_file_hint
+
+if TYPE_CHECKING:
+    from gsgen.contract.reporters.text import Line
 
 
-def show(lines: Iterable[Line]) -> None:
+def show(lines: "Iterable[Line]") -> None:
     """Print styled lines to stdout, in colour on a terminal or by FORCE_COLOR, not by NO_COLOR."""
     is_coloured = sys.stdout.isatty() or os.environ.get("FORCE_COLOR")
     if not is_coloured or "NO_COLOR" in os.environ:
@@ -28,6 +33,14 @@ def show(lines: Iterable[Line]) -> None:
     console = Console(highlight=False)
     for line in lines:
         console.print(Text(line.text, style=line.style), soft_wrap=True)
+
+
+def echo_error(error: GsgenError) -> None:
+    """Print an error to stderr; a missing file gets the nearest name of its folder as a hint."""
+    clear()
+    if not error.hint and "No such file" in error.message:
+        error.hint = similar_file_hint(str(error).partition(": ")[0])
+    typer.echo(f"gsgen: {error}", err=True)
 
 
 def append_text(path: Path, text: str) -> None:

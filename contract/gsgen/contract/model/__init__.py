@@ -1,1 +1,1 @@
-"""What does an ONNX file contain before it runs: manifest, graph, predicted GPU placement?"""
+"""What can be read from an ONNX file without running it: manifest, graph, GPU placement?"""

@@ -130,7 +130,7 @@ class InspectedModel:
 
     @cached_property
     def placements(self) -> list[Placement]:
-        """The predicted placement (GPU, CPU fallback) of each frame node in the WebGPU provider."""
+        """Where the WebGPU provider is predicted to run each node of a frame: GPU or CPU."""
         tables = [operator_table(name) for name in self.target.operators]
         return placements(self.graph, self.file.proto, tables)
 

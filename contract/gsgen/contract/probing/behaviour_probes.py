@@ -44,7 +44,7 @@ _REFRESH = 60.0
 def trial_probes(
     manifest: Manifest, base: Probe, first: tuple[Probe, ...]
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield (group name, probes) for every behaviour rule that needs test inputs of its own.
+    """Yield (group name, test inputs) for every behaviour rule that needs inputs of its own.
 
     Args:
         manifest: Declares the role of each input.

@@ -1,4 +1,4 @@
-"""Survey test inputs: cameras in and around the scene, other inputs at their range ends.
+"""Test inputs that survey a scene: cameras in and around it, other inputs at range ends.
 
 Cameras of other probes orbit outside the bounds, and their inputs lie on one line through the
 ranges. These stand inside the scene, far away and on twenty sides, and combine the ends of ranges.
@@ -52,7 +52,7 @@ _SEED = 20
 def survey_probes(
     manifest: GeneratorManifest, first: tuple[Probe, ...], limit: int
 ) -> Iterator[Probe]:
-    """Yield survey test inputs of a generator, with cameras inside the scene first.
+    """Yield test inputs with cameras in and around a scene, cameras inside the scene first.
 
     Args:
         manifest: Declares the role and the range of each input.
@@ -79,7 +79,7 @@ def _survey(label: str, inputs: dict[str, Array]) -> Probe:
 def _viewed(
     manifest: GeneratorManifest, ranged: list[Input], first: tuple[Probe, ...]
 ) -> Iterator[Probe]:
-    """Yield survey test inputs for each camera."""
+    """Yield the model's test inputs for each camera in and around the scene."""
     scene, base = Surroundings.of(manifest), first[1]
     forward = np.roll(scene.up, 1)
     inside = _camera_at(scene.center, forward, scene.up)

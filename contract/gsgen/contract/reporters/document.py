@@ -63,7 +63,7 @@ class SubjectEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counts:
-    """Numbers of findings by severity, waived and known ones, and of rules by status."""
+    """Counts of findings by severity, of waived and known findings, and of rules by outcome."""
 
     error: int
     warning: int
@@ -186,7 +186,7 @@ class ToleranceEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GoneEntry:
-    """A finding of the baseline report that no longer occurs."""
+    """A finding of an earlier report (the baseline) that no longer occurs."""
 
     rule: RuleId
     slug: Annotated[str, Hint(text="The rule's readable name.")]

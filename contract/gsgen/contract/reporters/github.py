@@ -13,7 +13,7 @@ _COMMANDS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO
 
 
 def to_github(entries: Sequence[Entry]) -> str:
-    """Return a GitHub annotation for each finding that counts, and each model's verdict."""
+    """Return GitHub annotations: one for each finding that counts, and each model's result."""
     lines: list[str] = []
     for entry in entries:
         if isinstance(entry, Unreadable):

@@ -203,7 +203,7 @@ def _not_run(report: Report) -> list[Line]:
 
 
 def _skipped(report: Report) -> list[Line]:
-    """Return text lines that list the rules that were skipped although their level ran."""
+    """Return text lines that list rules that were skipped although their validation level ran."""
     ran = {outcome.level for outcome in report.levels if outcome.ran}
     lines: list[Line] = []
     for outcome in report.outcomes:

@@ -1,4 +1,4 @@
-"""Compares two executions of a generator field by field, in the units of the tolerances."""
+"""Compares two runs of an ONNX generator field by field, in the units of the tolerances."""
 
 __all__ = ["FieldError", "comparable_parts", "field_errors"]
 
@@ -31,7 +31,7 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 @dataclass(frozen=True, slots=True)
 class FieldError:
-    """A field of a generator's outputs in which two executions differ beyond the tolerance.
+    """A field of an ONNX generator's outputs in which two runs differ beyond the tolerance.
 
     Attributes:
         tolerance: The field and its largest allowed difference.

@@ -101,7 +101,7 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResolvedFinding:
-    """A finding of the baseline report that no longer occurs.
+    """A finding of an earlier report (the baseline) that no longer occurs.
 
     Attributes:
         rule: Id of its rule.

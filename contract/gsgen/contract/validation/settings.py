@@ -68,7 +68,7 @@ class Settings:
     today: date = field(default_factory=date.today)
 
     def severity_of(self, rule: Rule) -> Severity:
-        """Return the severity of a rule, as the validation settings set or leave it."""
+        """Return a rule's severity: from the validation settings, or else from its declaration."""
         if rule.id in self.severities:
             return self.severities[rule.id]
         if self.strict and rule.id == "GM001":

@@ -1,4 +1,4 @@
-"""Tolerances for comparing outputs of a generator, by field, and where each comes from."""
+"""Tolerances for comparing outputs of an ONNX generator by field, and the origin of each."""
 
 __all__ = ["as_tolerances", "effective_tolerances"]
 
@@ -13,7 +13,7 @@ from gsgen.contract.validation.report import Tolerance
 
 
 def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
-    """Return the tolerances for comparing two runs of a generator; empty for other models.
+    """Return the tolerances for comparing two runs of an ONNX generator; else an empty mapping.
 
     The user's settings take precedence over the manifest, and the manifest over the contract.
     """

@@ -62,7 +62,7 @@ class _Offsets(nn.Module):
 
 
 class AnchorGenerator(GaussianGenerator):
-    """A generator of N anchors with K Gaussians each; row a K + k is Gaussian k of anchor a.
+    """A generator model of N anchors with K Gaussians each; row a K + k is Gaussian k of anchor a.
 
     Inputs are the view, those of the culling, and the appearance if there are several. If a frame
     decodes at most a given number of anchors, the rows are those of the visible anchors in order,
@@ -108,7 +108,7 @@ class AnchorGenerator(GaussianGenerator):
 
     @property
     def hides_anchors(self) -> bool:
-        """Whether the method itself hides anchors from some cameras."""
+        """Whether the anchor-based method itself hides anchors from some cameras."""
         return False
 
     def forward(self, camera: Float[Tensor, "4 4"], *extra_inputs: Tensor) -> Gaussians:
@@ -162,7 +162,7 @@ class AnchorGenerator(GaussianGenerator):
     def renderer_opacity(
         self, opacity: Float[Tensor, "n k"], frame: Decoding
     ) -> Float[Tensor, "n k"]:
-        """Convert the opacity of the network to that for the renderer."""
+        """Convert the opacity that a network predicts to the opacity that the renderer expects."""
         return opacity
 
     def cells(self, frame: Decoding) -> Cells | None:

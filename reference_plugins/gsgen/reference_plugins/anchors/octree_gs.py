@@ -134,7 +134,7 @@ class LevelGate(nn.Module):
 
 @final
 class OctreeGS(AnchorGenerator):
-    """Octree-GS: a generator of anchors in levels of detail."""
+    """Octree-GS as a generator model of anchors in levels of detail."""
 
     def __init__(
         self,

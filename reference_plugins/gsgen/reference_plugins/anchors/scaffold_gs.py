@@ -17,7 +17,7 @@ from gsgen.reference_plugins.anchors.anchor_generator import AnchorGenerator
 
 @final
 class ScaffoldGS(AnchorGenerator):
-    """Scaffold-GS: a generator whose anchors are visible from every camera."""
+    """Scaffold-GS as a generator model whose anchors are visible from every camera."""
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> None:
         """Return None: every anchor of Scaffold-GS is visible."""

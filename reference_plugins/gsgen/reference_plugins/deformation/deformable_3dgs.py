@@ -31,7 +31,7 @@ _MIN_SQUARED_ANGLE = 1e-24
 
 @final
 class Deformable3DGS(GaussianGenerator):
-    """Deformable-3D-Gaussians: a generator whose Gaussians a network deforms over time."""
+    """Deformable-3D-Gaussians as a generator model: a network deforms Gaussians over time."""
 
     family = "4d"
 

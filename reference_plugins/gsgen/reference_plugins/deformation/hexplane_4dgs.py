@@ -39,7 +39,7 @@ class _Head(nn.Module):
 
 @final
 class HexPlane4DGS(GaussianGenerator):
-    """4DGaussians: a generator whose Gaussians a hexplane deforms over time."""
+    """4DGaussians as a generator model, whose Gaussians a hexplane deforms over time."""
 
     family = "4d"
 
@@ -93,7 +93,7 @@ class HexPlane4DGS(GaussianGenerator):
     def _deformed(
         self, head: str, canonical: Tensor, hidden: Tensor, share: Tensor | None
     ) -> Tensor:
-        """Return canonical attributes, times the static share, plus the predicted change."""
+        """Return canonical Gaussian attributes, times the static share, plus predicted changes."""
         if head not in self.heads:
             return canonical
         masked = canonical if share is None else canonical * share

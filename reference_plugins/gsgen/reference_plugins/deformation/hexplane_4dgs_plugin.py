@@ -1,4 +1,4 @@
-"""The command `gsgen export hexplane-4dgs`: exports a 4DGaussians checkpoint as a generator."""
+"""The command `gsgen export hexplane-4dgs`: exports a 4DGaussians checkpoint to ONNX."""
 
 __all__ = ["PLUGIN"]
 

@@ -52,7 +52,7 @@ def node_weights(
 
 @final
 class ScGs(GaussianGenerator):
-    """SC-GS: a generator whose Gaussians follow control nodes over time."""
+    """SC-GS as a generator model, whose Gaussians follow control nodes over time."""
 
     family = "4d"
 

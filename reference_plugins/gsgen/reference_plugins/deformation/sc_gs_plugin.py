@@ -44,7 +44,7 @@ def build(checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input) -
 
 
 def is_sc_gs(run: Path, iteration: Path) -> bool:
-    """Return whether a run with a folder ``deform`` is of SC-GS, not of Deformable-3D-Gaussians."""
+    """Return whether a training run with a folder ``deform`` is of SC-GS, not Deformable-3DGS."""
     if not (run / "deform").is_dir():
         return False
     cfg = run / "cfg_args"

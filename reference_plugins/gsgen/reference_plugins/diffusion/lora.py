@@ -56,7 +56,7 @@ _UNSUPPORTED = {
 
 @dataclass(slots=True)
 class Pair:
-    """The two low-rank matrices that change one layer, and their scale."""
+    """The two low-rank matrices of a LoRA that change one layer, and their scale."""
 
     down: Tensor | None = None  # A, [r, i] or [r, i, h, w]
     up: Tensor | None = None  # B, [o, r] or [o, r, 1, 1]
@@ -76,7 +76,7 @@ class Adapter:
     by_root: bool = False  # α is divided by √r, not by r (Kalajdzievski 2023, "rsLoRA")
 
     def share(self, layer: str, pair: Pair, rank: int) -> float:
-        """Return the factor α/r that scales the change of a layer."""
+        """Return the factor α/r that scales a LoRA's change of a layer."""
         alpha = pair.alpha
         if alpha is None:
             matches = (

@@ -100,7 +100,7 @@ def read_gaussian_avatars(
 
 
 def _read_bound(path: Path) -> tuple[Canonical, Int[np.ndarray, " n"]]:
-    """Read splats with their triangles; plain readers refuse such files."""
+    """Read PLY splats bound to mesh triangles; plain PLY readers refuse such files."""
     required_file(path, "the Gaussians")
     with format_faults(path):
         rest = sum(1 for name in ply_properties(path) if _REST.fullmatch(name))

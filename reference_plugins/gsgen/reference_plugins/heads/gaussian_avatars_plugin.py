@@ -1,4 +1,4 @@
-"""`gsgen export gaussian-avatars`: a checkpoint of GaussianAvatars as a generator."""
+"""`gsgen export gaussian-avatars`: exports a checkpoint of GaussianAvatars to ONNX."""
 
 __all__ = ["PLUGIN"]
 

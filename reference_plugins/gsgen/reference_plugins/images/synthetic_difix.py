@@ -171,7 +171,7 @@ def _fix(bias: Float[Tensor, " o"], color: int) -> None:
 
 
 def _read_out(weights: Weights, part: str) -> None:
-    """Set the U-Net's output layer to read each colour from channels with x, −x, K and −K."""
+    """Set the U-Net's output layer to compute each colour from a pair of channels with x and −x."""
     for color in range(COLORS):
         pair = slice(4 * color, 4 * color + 2)
         weights[f"{part}.conv_norm_out.weight"][pair] = _LARGE / math.sqrt(2)

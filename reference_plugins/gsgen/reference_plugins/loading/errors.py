@@ -14,11 +14,11 @@ _MAX_CHARACTERS = 300
 
 
 class CheckpointInvalid(InputUnreadable):
-    """A checkpoint is incomplete or damaged, or differs from the files of its method."""
+    """Raised if a checkpoint is incomplete, damaged, or unlike the files of its method."""
 
 
 class NotInCheckpoint(CheckpointInvalid):
-    """An option asks for a part that a valid checkpoint does not have (exit code 2)."""
+    """Raised if an option asks for a part that a valid checkpoint does not have (exit code 2)."""
 
     exit_code: ClassVar[int] = ExitCode.USAGE
 

@@ -1,4 +1,4 @@
-"""Records the source and the checksum of a generator's weights for its manifest."""
+"""Records the source and the checksum of a generator model's weights for its manifest."""
 
 __all__ = ["producer_of"]
 

@@ -26,6 +26,6 @@ def samples(
         return
     for path in paths:
         typer.echo(f"{path}: {SAMPLES[path.name][0]}")
-    typer.echo(
-        f"\nNext:\n  cd {folder}\n  gsgen render scene.json -o garden.png\n  gsgen validate sunflower.onnx"
-    )
+    enter = "" if folder == Path() else f"  cd {folder}\n"
+    next_commands = "  gsgen render scene.json -o garden.png\n  gsgen validate sunflower.onnx"
+    typer.echo(f"\nNext:\n{enter}{next_commands}")

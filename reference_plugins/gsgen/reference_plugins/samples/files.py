@@ -1,4 +1,4 @@
-"""Writes the files of `gsgen samples`: a scene, cameras, a generator and a motion."""
+"""Writes the files of `gsgen samples`: a scene, cameras, an ONNX generator and a motion."""
 
 __all__ = ["SAMPLES", "write_samples"]
 
@@ -59,7 +59,7 @@ def _write_mesh(path: Path) -> None:
 
 
 SAMPLES: Final[dict[str, tuple[str, Callable[[Path], object]]]] = {
-    "garden.ply": ("a garden of 70,000 splats, SH degree 0", _write_garden),
+    "garden.ply": ("a garden of about 70,000 splats, SH degree 0", _write_garden),
     "cameras.json": ("six cameras around its table", _write_cameras),
     "sunflower.onnx": ("a generator with inputs time and pose", _write_sunflower),
     "nods.npy": ("a motion of the sunflower: 48 poses", write_nods),

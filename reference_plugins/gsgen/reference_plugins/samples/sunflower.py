@@ -1,4 +1,4 @@
-"""A generator without torch: a sunflower that sways with time and bends by a pose.
+"""An ONNX generator made without torch: a sunflower that sways with time and bends by a pose.
 
 Its Gaussians follow three joints by linear blend skinning: stem, neck and head.
 """
@@ -79,7 +79,7 @@ _BODY = """
 
 
 def sunflower_model(count: int = 4000, *, seed: int = 0) -> onnx.ModelProto:
-    """Return a generator of about ``count`` Gaussians with inputs ``time`` and ``pose``."""
+    """Return an ONNX generator of about ``count`` Gaussians with inputs ``time`` and ``pose``."""
     splats, skin = _sunflower(count, seed)
     n = len(splats)
     turned = rotation_matrix(splats.rotation.astype(np.float64))

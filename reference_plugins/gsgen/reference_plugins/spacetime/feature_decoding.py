@@ -46,7 +46,7 @@ class FeatureScale:
 
 @final
 class FeaturePasses(MovingSplats):
-    """SpacetimeGaussians' full model: a generator that emits three of nine features as colours.
+    """SpacetimeGaussians' full model as a generator, whose colours are three of nine features.
 
     The input ``features`` selects them: 0 the albedo, 1 the specular features, 2 those that grow
     with time. A runtime draws the three over transparent black, for :class:`PixelDecoder`.

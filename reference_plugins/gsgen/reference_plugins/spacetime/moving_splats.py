@@ -22,7 +22,7 @@ _MAX_RATE = 1e15
 
 
 class MovingSplats(GaussianGenerator, ABC):
-    """Base class of generators whose Gaussians move as those of SpacetimeGaussians."""
+    """Base class of Gaussian generators that move Gaussians as SpacetimeGaussians does."""
 
     family = "4d"
     count_semantics = "upper-bound"

@@ -88,7 +88,7 @@ def _right_product(quaternion: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4 4"]:
 
 @final
 class Rotor4DGS(GaussianGenerator):
-    """Rotor 4DGS: a generator of 3-D slices, at a given time, of Gaussians in space and time.
+    """Rotor 4DGS as a generator model of 3-D slices of space-time Gaussians at a given time.
 
     ``color`` is ``sh`` for coefficients, which renderers evaluate towards the moved centre, or
     ``rgb`` for the method's colours, towards the stored centre, which need the camera.

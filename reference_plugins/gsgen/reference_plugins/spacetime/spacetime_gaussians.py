@@ -1,4 +1,4 @@
-"""A generator of a SpacetimeGaussians checkpoint that gives each Gaussian a colour.
+"""A Gaussian generator from a SpacetimeGaussians checkpoint, with a colour per Gaussian.
 
 Colours of the lite model are constant; those of the full model are decoded from features.
 """
@@ -32,7 +32,7 @@ def color_range(colors: Float[Tensor, "n 3"]) -> tuple[float, float] | None:
 
 @final
 class SpacetimeGaussians(MovingSplats):
-    """SpacetimeGaussians: a generator whose Gaussians follow polynomials of time.
+    """SpacetimeGaussians as a generator model, whose Gaussians follow polynomials of time.
 
     With a ``decoder``, colours are decoded for each Gaussian, along the ray through its centre.
     The method decodes the blended features of each pixel: the result is an approximation.

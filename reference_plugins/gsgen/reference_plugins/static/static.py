@@ -1,4 +1,4 @@
-"""Static scenes: a splat file or a coloured point cloud as a generator without inputs.
+"""Static scenes: a splat file or a coloured point cloud as an ONNX generator without inputs.
 
 Splats are activated as in Kerbl et al. 2023, "3D Gaussian Splatting for Real-Time Radiance Field
 Rendering": opacity by the sigmoid, scale by the exponential, covariance by equation 6. Bare

@@ -50,7 +50,7 @@ def build(
         ),
     ] = None,
 ) -> "StaticScene":
-    """Read a splat file or a point cloud for its export as a generator without inputs."""
+    """Read a splat file or a point cloud for its export as an ONNX generator without inputs."""
     from gsgen.reference_plugins.static.static import StaticScene
 
     content = _read(file)

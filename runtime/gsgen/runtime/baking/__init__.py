@@ -1,4 +1,4 @@
-"""Baking: how do frames of a generator become plain splat files?"""
+"""Baking: how do frames of an ONNX generator become plain splat files?"""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Bakes frames of a generator into splat files, one frame in memory at a time."""
+"""Bakes frames of an ONNX generator into splat files, one frame in memory at a time."""
 
 __all__ = ["bake", "bake_source"]
 
@@ -57,7 +57,7 @@ def bake(
     sizes: Mapping[str, int] | None = None,
     progress: Progress = lambda text: None,
 ) -> BakeReport:
-    """Write frames of a generator as plain splat files.
+    """Write frames of an ONNX generator as plain splat files.
 
     Only rows that are drawn are written (live, finite, opacity at least 1/255), in their order.
 
@@ -114,7 +114,7 @@ def bake_source(
     psnr: bool | None = None,
     progress: Progress = lambda text: None,
 ) -> BakeReport:
-    """Write frames of a generator that is open already as plain splat files.
+    """Write frames of an ONNX generator that is already open as plain splat files.
 
     The frames have the input values of ``tracks``, and what ``cameras`` see: one camera per frame,
     one for all, or none to fit SH.
@@ -163,7 +163,7 @@ def _frame_count(frames: int, cameras: int) -> int:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Job:
-    """The state of writing frames of a generator as splat files."""
+    """The state of writing frames of an ONNX generator as splat files."""
 
     source: GeneratorSource
     values: FrameValues

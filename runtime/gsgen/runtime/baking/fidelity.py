@@ -1,4 +1,4 @@
-"""Measures the PSNR of baked files against the generator's own pictures."""
+"""Measures the PSNR of baked splat files against pictures that the ONNX generator draws."""
 
 __all__ = ["generator_images", "psnr_of_file", "renderer_or_none"]
 
@@ -38,7 +38,7 @@ def generator_images(
     number: int,
     renderer: "Renderer",
 ) -> Images:
-    """Run a generator once per camera with given input values, and draw the resulting Gaussians."""
+    """Run an ONNX generator once per camera with given inputs, and draw its Gaussians."""
     images = []
     for camera in cameras:
         source.update(camera, values, number)

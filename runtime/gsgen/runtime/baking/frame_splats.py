@@ -9,7 +9,7 @@ from jaxtyping import Bool
 
 from gsgen.contract.spec.layout import CULL_OPACITY, DecodedGaussians
 from gsgen.formats import Splats
-from gsgen.formats.packed import scales_and_quaternions
+from gsgen.formats.shared.principal_axes import scales_and_quaternions
 from gsgen.formats.shared.quantities import SH_C0, log, logit
 
 # Below this, float32 cannot square a scale; formats and viewers need a finite logarithm.

@@ -40,7 +40,7 @@ def number_range(text: str, where: str) -> Float64[np.ndarray, " f"]:
 
 @final
 class FrameValues:
-    """The values of a generator's inputs in each frame."""
+    """The values of an ONNX generator's inputs in each frame."""
 
     def __init__(self, source: GeneratorSource, tracks: Sequence[Track]) -> None:
         self._source = source

@@ -34,7 +34,7 @@ class BakedFrame:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BakeReport:
-    """The result of baking frames of a generator to splat files.
+    """The result of baking frames of an ONNX generator to splat files.
 
     Attributes:
         model: The generator.

@@ -1,4 +1,4 @@
-"""Samples a frame of a generator at several cameras, and averages the Gaussians."""
+"""Samples a frame of an ONNX generator at several cameras, and averages the Gaussians."""
 
 __all__ = ["ViewSamples", "cameras_around", "sample_views"]
 
@@ -43,7 +43,7 @@ class ViewSamples:
 
 @dataclass(slots=True, eq=False)
 class _View:
-    """The live Gaussians that a generator computes for one camera."""
+    """The live Gaussians that an ONNX generator computes for one camera."""
 
     gaussians: DecodedGaussians
     versions: tuple[int, int, int]  # of rows, appearance, and the live count
@@ -83,7 +83,7 @@ def sample_views(
     number: int,
     step: Callable[[int], None] = lambda view: None,
 ) -> ViewSamples:
-    """Run a generator once per camera, and match the output rows of all cameras.
+    """Run an ONNX generator once per camera, and match the output rows of all cameras.
 
     Rows are matched by index, or by the bits of their positions if the live count changes with the
     camera. ``step`` is called before each run with the number of the camera.

@@ -41,7 +41,7 @@ class CameraFile:
     notes: tuple[str, ...] = ()
 
     def pick(self, selection: str | None) -> tuple[NamedCamera, ...]:
-        """Return the cameras that a name, a number or a slice selects.
+        """Return the cameras of a camera file that a name, a number or a slice selects.
 
         Args:
             selection: A name, its last part with or without the suffix, a number from 0 (from the

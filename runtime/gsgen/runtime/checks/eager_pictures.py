@@ -20,7 +20,7 @@ _PSNR: Final = 40.0
 def draw_source_frames(
     manifest: GeneratorManifest, frames: Sequence[tuple[Probe, Mapping[str, np.ndarray]]]
 ) -> list[tuple[bytes, ReferenceImage]]:
-    """Draw the outputs of a module at some probes, and return PNGs with their declarations.
+    """Draw the outputs of a torch module for some test inputs; return PNGs with declarations.
 
     Args:
         manifest: Declares outputs, conventions and bounds.

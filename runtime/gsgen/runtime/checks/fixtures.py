@@ -35,7 +35,7 @@ def too_fine_to_be_seen() -> ModelSpec:
 
 @invalid("GB019", level=Level.RENDER)
 def grows_out_of_nothing() -> ModelSpec:
-    """Fixture: a generator whose Gaussians are invisibly small at time 0 and grow with time."""
+    """Fixture: ONNX generator whose Gaussians are invisibly small at time 0 and grow with time."""
     growing = drifting().reworded(
         "gaussians = Concat <axis = 1> (moved, opacity, spread)",
         "size = Max (time, least) wide = Mul (spread, size) "

@@ -96,7 +96,7 @@ class RenderEvidence:
 
 @contextmanager
 def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
-    """Draw a model's outputs for some probe inputs, which the rules of level ``render`` check."""
+    """Draw a model's outputs for some test inputs, which rules of level ``render`` check."""
     if find_spec("wgpu") is None:
         raise LevelUnavailable("wgpu is not installed", hint="pip install 'gsgen[runtime]'")
     started = time.monotonic()
@@ -167,7 +167,7 @@ def _probe_scene(probe_runs: ProbeRuns, number: int) -> Scene:
 
 
 def scene_of(manifest: GeneratorManifest, tensors: Mapping[str, np.ndarray]) -> Scene:
-    """Return the outputs of one run of a generator, by name, as a scene.
+    """Return the outputs of one run of an ONNX generator, by name, as a scene.
 
     The manifest must declare gaussians and appearance.
     """
@@ -230,7 +230,7 @@ def _psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
-    """Return the camera in a probe's inputs, or else a camera that looks at the model's bounds."""
+    """Return the camera in a set of test inputs, or else one that looks at the model's bounds."""
     by_role = {spec.role: probe.inputs[spec.name] for spec in manifest.inputs}
     order = manifest.space.matrix_order if manifest.space else "column"
     default_camera = _camera_at_bounds(manifest, by_role.get("camera_position"))

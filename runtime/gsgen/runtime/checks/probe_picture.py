@@ -15,7 +15,7 @@ from gsgen.runtime.errors import DeviceUnavailable
 
 
 def draw_probe(path: Path, label: str, settings: Settings) -> bytes:
-    """Run a generator with the test inputs called ``label``, and return its picture as a PNG.
+    """Run an ONNX generator with the test inputs called ``label``, and return a PNG picture.
 
     Raises:
         RecordingRefused: The model has no such probe, or does not run.

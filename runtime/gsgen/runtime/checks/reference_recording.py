@@ -50,7 +50,7 @@ _PICTURE_NAME: Final = re.compile(r"^[0-9]+\.png$")
 @final
 @dataclass(frozen=True, slots=True)
 class References:
-    """A model copy with reference images, and the labels of probes whose images are empty."""
+    """A model copy with reference images, and the labels of test inputs that draw nothing."""
 
     model: Path
     images: tuple[ReferenceImage, ...]
@@ -206,7 +206,7 @@ def _existing_pictures(folder: Path) -> list[Path]:
 
 
 def _spread_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
-    """Choose evenly spread probes, except all-zero inputs, whose camera would be invalid."""
+    """Choose evenly spread test inputs, except all-zero inputs, whose camera would be invalid."""
     candidates = [probe for probe in probes if not probe.zeros] or list(probes)
     limit = min(len(candidates), MAX_REFERENCES)
     if count is None:

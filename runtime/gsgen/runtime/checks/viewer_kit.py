@@ -20,7 +20,7 @@ from gsgen.sdk.binding import FrameSession
 
 
 def draw_frames(model: Path, frames: Sequence[KitFrame]) -> list[Float[np.ndarray, "h w 3"]]:
-    """Run a generator frame by frame, and draw its pictures with the float64 renderer."""
+    """Run an ONNX generator frame by frame, and draw its frames with the float64 renderer."""
     pictures = []
     with FrameSession(model, provider="cpu") as session:
         manifest = session.manifest

@@ -1,4 +1,4 @@
-"""`gsgen bake`: writes frames of a generator as plain splat files."""
+"""`gsgen bake`: writes frames of an ONNX generator as plain splat files."""
 
 __all__ = ["bake"]
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.contract.commands.output import echo_error
 from gsgen.contract.errors import ConfigInvalid, ExitCode
 from gsgen.runtime.commands.options import Axis, Provider, Sizes, read_tracks
 
@@ -123,8 +124,7 @@ def bake(
                 progress=progress,
             )
         except FormatError as error:
-            clear()
-            typer.echo(f"gsgen: {error}", err=True)
+            echo_error(error)
             raise typer.Exit(ExitCode.FAILURE) from error
         finally:
             clear()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from gsgen.contract.commands.output import echo_error
 from gsgen.contract.errors import ConfigInvalid, ExitCode
 from gsgen.contract.process.atomic_files import refuse_itself
 from gsgen.formats.codecs import CODECS, Codec, Content, codec_named, format_titles
@@ -171,8 +172,7 @@ def _reported(
         try:
             result = run(step=on_step)
         except FormatError as error:
-            clear()
-            typer.echo(f"gsgen: {error}", err=True)
+            echo_error(error)
             is_unreadable = is_reading and error.path in sources
             code = ExitCode.UNREADABLE if is_unreadable else ExitCode.FAILURE
             raise typer.Exit(code) from error

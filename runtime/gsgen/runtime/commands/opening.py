@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from gsgen.contract.commands.output import echo_error
 from gsgen.contract.errors import ExitCode, InputUnreadable, UnknownName
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def read_scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
     try:
         return {path: read_scene(path) for path in scenes if is_scene_file(path)}
     except SceneUnreadable as error:
-        typer.echo(f"gsgen: {error}", err=True)
+        echo_error(error)
         raise typer.Exit(ExitCode.UNREADABLE) from error
 
 
@@ -88,7 +89,7 @@ def open_scenes(
                     models.append(PostProcessor(path, provider, sizes_by_path.get(path)))
                     stack.callback(models[-1].close)
             except (InputUnreadable, SceneUnreadable) as error:
-                typer.echo(f"gsgen: {error}", err=True)
+                echo_error(error)
                 raise typer.Exit(ExitCode.UNREADABLE) from error
             finally:
                 clear()

@@ -1,4 +1,4 @@
-"""`gsgen render`: draws splat files and generators into pictures and videos."""
+"""`gsgen render`: draws splat files and ONNX generators into pictures and videos."""
 
 __all__ = ["render"]
 

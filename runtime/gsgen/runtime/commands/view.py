@@ -1,4 +1,4 @@
-"""`gsgen view`: shows splat files and generators in a window."""
+"""`gsgen view`: shows splat files and ONNX generators in a window."""
 
 __all__ = ["view"]
 
@@ -156,7 +156,7 @@ def _open_window(interface: "Viewer", title: str, home: "Camera") -> None:
 def _page_view(
     background: str | None, fov: float | None, up: str | None, time: float | None, *, play: bool
 ) -> "ModelView":
-    """Return how a page shows models, from the options of the command."""
+    """Return the display settings of a web page of models, from the options of `gsgen view`."""
     from gsgen.runtime.scene.colors import color_of
     from gsgen.runtime.web.pages import ModelView
 

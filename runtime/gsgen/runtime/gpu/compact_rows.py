@@ -17,7 +17,7 @@ _ROUNDING: Final = 1e-5  # of the largest variance: negative pivots closer to ze
 
 
 def pack_rows(rows: Float[np.ndarray, "n 10"]) -> UInt32[np.ndarray, "n 8"]:
-    """Pack Gaussian rows into the 32 bytes each that page.wgsl reads.
+    """Pack each Gaussian into the 32 bytes that the shader ``page.wgsl`` reads.
 
     A covariance is stored by its Cholesky factor L, Σ = L Lᵀ, so that every stored value is a
     covariance; rounding Σ itself would make flat Gaussians far thicker. Rows whose covariance is
@@ -63,7 +63,7 @@ def _over(
 
 
 def unpack_rows(packed: UInt32[np.ndarray, "n 8"]) -> Float32[np.ndarray, "n 10"]:
-    """Unpack 32-byte Gaussian rows as page.wgsl does."""
+    """Unpack Gaussians of 32 bytes each, as the shader ``page.wgsl`` does."""
     rows = np.empty((len(packed), layout.ROW), np.float32)
     rows[:, :4] = packed[:, :4].view(np.float32)
     fixed = packed[:, 4:7].copy().view(np.int16).astype(np.float32) / _FIXED_POINT_ONE

@@ -1,10 +1,10 @@
-"""Arithmetic of buffer sizes and dispatches that also works on sizes recorded as formulas."""
+"""Arithmetic of GPU buffer and dispatch sizes, as numbers or as recorded formulas."""
 
 __all__ = ["at_least"]
 
 
 def at_least(value: int, least: int) -> int:
-    """Return the larger of two integers without a comparison, so that it can be a formula.
+    """Return the larger of two integers without comparing, so that the result can be a formula.
 
     ``max`` compares, and a comparison of recorded sizes is a branch that holds for some of them
     only. Sums and absolute values are recorded as a formula for all sizes (gsgen.runtime.web).

@@ -74,7 +74,7 @@ def _bytes_of_appearance(stride: int) -> int:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PageSlots:
-    """The slots of the splat pool that one GPU page holds, and the GPU buffers about these slots.
+    """The slots of the splat pool (for streamed tiles) in one GPU page, and their buffers.
 
     Attributes:
         pool: The pool.
@@ -227,7 +227,7 @@ class Residency:
         self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
-        """Begin a frame with a splat set, whose rows are in spatial order from its second frame on.
+        """Begin a frame that draws a splat set; from its second frame on, rows are sorted in space.
 
         Neighbours in memory are then read together by a tile, which nearly halves the time of a
         frame of a million Gaussians. Rows that change keep the order of an earlier frame if they

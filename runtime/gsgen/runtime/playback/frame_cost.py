@@ -12,7 +12,8 @@ import numpy as np
 from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.playback.frame_sequence import FrameSequence
-from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.frame_plan import Plan
+from gsgen.runtime.renderer.placed_pages import Placed
 from gsgen.runtime.scene.camera import Camera
 
 _WARM_UP_FRAMES: Final = 2  # these compile kernels and grow the buffer of pairs

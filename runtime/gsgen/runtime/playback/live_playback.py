@@ -1,4 +1,4 @@
-"""Plays splat files and generators in real time while a window shows them."""
+"""Plays splat files and ONNX generators in real time while a window shows them."""
 
 __all__ = ["LivePlayback"]
 
@@ -90,7 +90,7 @@ class LivePlayback(Playback):
 
     @property
     def busy(self) -> bool:
-        """Whether a frame is being computed, was computed and not taken, or will change."""
+        """Whether a frame of the playback is being computed, waits to be drawn, or will change."""
         return self._pending is not None or self._is_streaming()
 
     def _is_streaming(self) -> bool:
@@ -129,7 +129,7 @@ class LivePlayback(Playback):
         self.take(wait=True)
 
     def player(self, renderer: Renderer, background: Sequence[float], output: Output) -> Player:
-        """Return a player of the sources; post-process models apply to colours only."""
+        """Return a player that draws the sources; post-process models run if colours are drawn."""
         post = self.post if output == "color" else ()
         return self.make_player(renderer, background, output, post)
 

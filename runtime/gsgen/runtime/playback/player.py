@@ -151,7 +151,7 @@ class Player:
 
 
 def _each(values: Sequence[Values]) -> Iterator[Values]:
-    """Yield each model's input values, then empty mappings for all further models."""
+    """Yield each model's input values, then empty mappings for all models without values."""
     yield from values
     yield from repeat({})
 
@@ -191,7 +191,7 @@ def _common_space(sources: Sequence[Source]) -> Literal["srgb", "linear"]:
 
 @final
 class GeneratorPlayer:
-    """Runs one generator, and draws the Gaussians of every frame.
+    """Runs one ONNX generator, and draws the Gaussians of every frame.
 
     ::
 
@@ -250,7 +250,7 @@ class GeneratorPlayer:
 
     @property
     def manifest(self) -> GeneratorManifest:
-        """The manifest of the played generator."""
+        """The manifest of the ONNX generator that is played."""
         return self.source.manifest
 
     def render(
@@ -261,7 +261,7 @@ class GeneratorPlayer:
         pose: np.ndarray | None = None,
         values: Values | None = None,
     ) -> Frame:
-        """Compute and draw one frame of the generator.
+        """Compute and draw one frame of the ONNX generator.
 
         Args:
             camera: Camera, and the size of the image.
@@ -284,7 +284,7 @@ class GeneratorPlayer:
         poses: Iterable[np.ndarray] | None = None,
         values: Iterable[Values] | None = None,
     ) -> Iterator[Frame]:
-        """Yield frame after frame of the generator, computing one while another is drawn.
+        """Yield frame after frame of an ONNX generator, computing one while another is drawn.
 
         Args:
             cameras: One per frame, or one for all.

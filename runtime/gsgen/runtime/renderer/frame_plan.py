@@ -1,19 +1,17 @@
 """The frame plan: all GPU buffers and dispatches of a frame, recorded once and reused."""
 
-__all__ = ["Placed", "Plan", "frame_counts"]
+__all__ = ["Plan"]
 
 from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-from jaxtyping import Float, UInt32
+from jaxtyping import Float
 
-from gsgen.runtime.errors import CapacityExceeded
-from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.readback import Staging
-from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import FRAME, PAGE, frame_uniform, page_uniforms
 from gsgen.runtime.kernels.project.slots import slot_table
 from gsgen.runtime.kernels.raster.draw_meshes import MeshesStep
@@ -29,21 +27,27 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import Columns
-from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
+from gsgen.runtime.renderer.bands import Band, Drawing
+from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
+from gsgen.runtime.renderer.placed_pages import (
+    Placed,
+    scene_order,
+    slot_rows,
+    sorted_pages,
+    weighted_pages,
+)
+from gsgen.runtime.renderer.slabs import KEY_STAGES, Slabs
 from gsgen.runtime.renderer.weighted_plan import WeightedPart
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 
-Placed = tuple[SplatSet, Page]
-"""A splat set with one of its GPU pages."""
-
 
 @final
 class Plan:
-    """GPU buffers and steps that draw some pages of Gaussians and meshes at one image size.
+    """GPU buffers and dispatches that draw Gaussians and meshes at one image size.
 
     Args:
         device: Device of the buffers.
@@ -59,6 +63,8 @@ class Plan:
             ``layer colors`` and ``layer depths``; only without meshes, weighted sets and normals.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
         deep: Whether the depth sort is deep, because very many depths share a key.
+        slab_splats: Most splats that are drawn at once, if the scene may have more; its sets are
+            sorted, in pages that belong to no pool, and among no meshes.
 
     Attributes:
         stages: Steps of a frame, by stage.
@@ -67,6 +73,7 @@ class Plan:
             all further bytes.
         images: The buffers that :meth:`collect` reads, by output.
         inputs: The uniforms that :meth:`submit` writes, and the counts, by name.
+        slabs: Buffers and steps of a scene that is drawn in slabs of depth, or None.
 
     Raises:
         CapacityExceeded: A buffer would be larger than the device binds.
@@ -87,8 +94,9 @@ class Plan:
         panorama: bool = False,
         published: bool = False,
         deep: bool = False,
+        slab_splats: int | None = None,
     ) -> None:
-        summed, placed = _weighted(placed), _sorted(placed)
+        summed, placed = weighted_pages(placed), sorted_pages(placed)
         self._weighted: WeightedPart | None = None
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
@@ -97,13 +105,16 @@ class Plan:
         tile = kernels.cut.tile
         self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
         self.pair_capacity = pair_capacity
-        self._gaussians = sum(page.capacity for _, page in placed)
-        self._origins = _origins(placed)
+        self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
+        self._origins = scene_order(placed)
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
         self._mesh_slots = device.uniform("meshes", MESH_UNIFORM.itemsize * max(1, len(meshes)))
         self.buffers: dict[str, Buffer] = {}
+        self.slabs: Slabs | None = None
+        if slab_splats is not None:
+            self.slabs = self._slabs(placed, slab_splats, with_ids="depth" in outputs)
         n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
@@ -139,10 +150,7 @@ class Plan:
                 published=published,
                 deep=deep,
             )
-            self.buffers |= self._weighted.buffers
-            self.images |= self._weighted.images
-            self.stages |= self._weighted.stages
-            self.clears += self._weighted.clears
+            self._add(self._weighted)
         if alone and self._weighted is not None:
             self.inputs |= self._weighted.inputs
         else:
@@ -151,6 +159,21 @@ class Plan:
         if self._weighted is not None:
             self._held["counts of cells"] = self._weighted.counts
         self._staging = Staging(device, self._held | self.images)
+
+    def _add(self, part: WeightedPart) -> None:
+        """Add the buffers, images and stages of weighted sums."""
+        self.buffers |= part.buffers
+        self.images |= part.images
+        self.stages |= part.stages
+        self.clears += part.clears
+
+    def _slabs(self, placed: Sequence[Placed], splats: int, *, with_ids: bool) -> Slabs:
+        """Return the slabs of a scene; their splats have ids in the order of the sets."""
+        pages = [page for _, page in placed]
+        slabs = Slabs(self._device, self._kernels, pages, splats, self._origins, with_ids=with_ids)
+        self.buffers |= slabs.buffers
+        self._origins = None
+        return slabs
 
     def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
         self.buffers[name] = self._device.storage(name, size, extra=extra)
@@ -171,6 +194,7 @@ class Plan:
             (self._ranges, 0, None),
             (self._counts, 4 * Counts.TIED, 8),  # and UNSORTED
             *((dispatch, 0, 4) for dispatch in dispatches),
+            *((slabs.tally, 0, None) for slabs in (self.slabs,) if slabs is not None),
         ]
 
     def _record(
@@ -182,7 +206,8 @@ class Plan:
         columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
         colors = self._storage("colors", VEC4 * n)
         lows = self._storage("lows", 4 * n)
-        stages = {"project": self._project(placed, columns[0].keys, colors, lows)}
+        normals = self._storage("normals", VEC4 * n) if "normal" in outputs else None
+        stages = self._project(placed, columns[0].keys, colors, lows, normals)
         # Stage 2: sort the drawn splats, nearest first, exactly: blending depends on the order.
         stages["sort"], order = self._sort_by_depth(columns, lows)
         # Stage 3, by the hardware: quads need no tiles, so colours are complete here.
@@ -200,12 +225,9 @@ class Plan:
         if "color" in outputs:
             stages["blend"] = [self._blend("color", members, colors, pick=False)]
         if "depth" in outputs:
-            stages["depth"] = [self._blend("depth", members, colors, pick=True)]
-        if "normal" in outputs:
-            # The sort overwrites the keys that mark absent Gaussians, so normals are computed in
-            # stage 1. They are blended like colours.
-            normals = self._storage("normals", VEC4 * n)
-            stages["project"] += self._normals(placed, columns[0].keys, normals)
+            ids = colors if self.slabs is None else self.slabs.takers
+            stages["depth"] = [self._blend("depth", members, ids, pick=True)]
+        if normals is not None:  # they are blended like colours
             stages["normal"] = [self._blend("normal", members, normals, pick=False)]
         return stages
 
@@ -248,24 +270,49 @@ class Plan:
         )
 
     def _project(
-        self, placed: Sequence[Placed], keys: Buffer, colors: Buffer, lows: Buffer
-    ) -> list[Step]:
-        recorded = []
+        self,
+        placed: Sequence[Placed],
+        keys: Buffer,
+        colors: Buffer,
+        lows: Buffer,
+        normals: Buffer | None,
+    ) -> dict[str, list[Step]]:
+        """Return the stages that project all Gaussians, or those of a slab.
+
+        Normals are computed here, because the sort overwrites the keys that mark absent Gaussians.
+        """
         outputs = (self._frame, keys, *self._projected, colors, lows)
+        if self.slabs is not None:
+            steps = self.slabs.project_steps(
+                outputs,
+                self._counts,
+                self._slots,
+                normals,
+                panorama=self._panorama,
+                records=self._records,
+            )
+            return {
+                "keys": self.slabs.key_steps(outputs, self._slots, panorama=self._panorama),
+                "tally": self.slabs.tally_steps(self._slots),
+                "project": steps,
+            }
+        recorded = list[Step]()
         for slot, (_, page) in enumerate(placed):
-            slot_rows = _slot_rows(page)
-            if slot_rows:
-                cull = self._kernels.cull_slots(slot_rows, self._panorama)
+            rows_of_slot = slot_rows(page)
+            if rows_of_slot:
+                cull = self._kernels.cull_slots(rows_of_slot, self._panorama)
                 recorded.append(cull.step(self._frame, keys, lows, self._slots, slot, page))
             kernel = self._kernels.project(
-                page.half, page.stride, self._panorama, page.packed, slot_rows, self._records
+                page.half, page.stride, self._panorama, page.packed, rows_of_slot, self._records
             )
             recorded.append(kernel.step(outputs, self._slots, slot, page))
-        return recorded
+        if normals is not None:
+            recorded += self._normals(placed, keys, normals)
+        return {"project": recorded}
 
     def _normals(self, placed: Sequence[Placed], keys: Buffer, normals: Buffer) -> list[Step]:
         return [
-            self._kernels.normals(page.packed, _slot_rows(page)).step(
+            self._kernels.normals(page.packed, slot_rows(page)).step(
                 keys, normals, self._slots, slot, page
             )
             for slot, (_, page) in enumerate(placed)
@@ -276,7 +323,9 @@ class Plan:
     ) -> tuple[list[Step], Buffer]:
         """Return the steps of the depth sort, and the buffer of drawn Gaussians, nearest first."""
         n, origins = self._gaussians, None
-        if self._origins is not None:
+        if self.slabs is not None:
+            origins = self.slabs.origins
+        elif self._origins is not None:
             origins = self._storage("origins", 4 * n)
             self._device.write(origins, self._origins)
         spare = self._storage("keys of Gaussians c", 4 * n) if self._deep else None
@@ -315,12 +364,45 @@ class Plan:
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
         count = layers.count if layers else 0
-        kernel = self._kernels.blend(pick, self._panorama, count, self._records)
+        carried = self.slabs is not None
+        kernel = self._kernels.blend(pick, self._panorama, count, self._records, carried)
         among = None
         if layers is not None:
             layer_colors = layers.normals if name == "normal" else layers.colors
             among = (layer_colors, layers.depths)
         return kernel.step(self._tiles, (*resources, self.images[name]), among)
+
+    def draw(
+        self,
+        placed: Sequence[Placed],
+        band: Band,
+        background: Float[np.ndarray, "3"],
+        *,
+        meshes: Sequence[PlacedMesh] = (),
+        fetch: bool = True,
+    ) -> Drawing:
+        """Draw a frame, in slabs if the plan has them, and wait for its counters and images.
+
+        Arguments, results and errors are those of :meth:`submit` and :meth:`collect`.
+        """
+
+        def run(only: Sequence[str] | None, *, resumes: bool, continues: bool) -> Drawing:
+            fetched = fetch and not continues
+            self.submit(
+                placed,
+                band.camera,
+                background,
+                meshes=meshes,
+                only=only,
+                fetch=fetched,
+                band=band,
+                state=(resumes, continues),
+            )
+            return self.collect(fetch=fetched)
+
+        if self.slabs is None:
+            return run(None, resumes=False, continues=False)
+        return self.slabs.draw([name for name in self.stages if name not in KEY_STAGES], run)
 
     def submit(
         self,
@@ -333,25 +415,33 @@ class Plan:
         clock: StageClock | None = None,
         fetch: bool = True,
         staging: Staging | None = None,
+        band: Band | None = None,
+        state: tuple[bool, bool] = (False, False),
     ) -> None:
         """Write the uniforms of a frame, and submit its GPU commands.
 
         Args:
             placed: The pages of the plan with their present sets.
-            camera: The camera, with the image size of the plan.
+            camera: The camera, with the image size of the plan; that of the band, if any.
             background: Red, green, blue of the background, multiplied by its alpha.
             meshes: The meshes of the plan with their present transforms.
             only: Stages to run; all if None.
             clock: Measures the GPU time of each stage.
             fetch: Whether :meth:`collect` will read images, too.
             staging: From :meth:`counts_staging`: receives the counts in place of :meth:`collect`.
+            band: The rows of a larger image that the plan draws, or None.
+            state: Whether the image holds the state of pixels after nearer slabs, and whether it
+                keeps their state for farther ones.
         """
+        band = band or Band.of(camera)
         device = self._device
         if self._weighted is not None:
-            self._weighted.write(_weighted(placed), camera)
-        placed = _sorted(placed)
-        device.write(self._frame, frame_uniform(camera, background))
-        device.write(self._bare_frame, frame_uniform(camera, np.zeros(3)))
+            self._weighted.write(weighted_pages(placed), camera)
+        placed = sorted_pages(placed)
+        for buffer, color in ((self._frame, background), (self._bare_frame, np.zeros(3))):
+            uniform = frame_uniform(band.whole, color, first_row=band.first, rows=band.rows)
+            uniform["resumes"], uniform["continues"] = state
+            device.write(buffer, uniform)
         pages, base = list[tuple[SplatSet, int, int, int]](), 0
         for splat_set, page in placed:
             live = min(max(splat_set.data.count - page.first, 0), page.capacity)
@@ -415,51 +505,3 @@ class Plan:
             known = ids != ABSENT
             ids[known] = self._origins[ids[known]]
         return counts, images
-
-
-def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
-    """Return the index of each GPU row in scene order; None if the rows are in scene order."""
-    if all(page.rows_of is None for _, page in placed):
-        return None
-    parts, base = [], 0
-    for _, page in placed:
-        row_indices = np.arange(page.first, page.first + page.capacity)
-        parts.append((row_indices if page.rows_of is None else page.rows_of) + (base - page.first))
-        base += page.capacity
-    return np.concatenate(parts).astype(np.uint32)
-
-
-def _slot_rows(page: Page) -> int:
-    """Return the rows of each slot in a GPU page of the splat pool; 0 for other pages."""
-    return 0 if page.slots is None else page.slots.pool.slot_rows
-
-
-def _weighted(placed: Sequence[Placed]) -> list[Placed]:
-    return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is not None]
-
-
-def _sorted(placed: Sequence[Placed]) -> list[Placed]:
-    return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]
-
-
-def frame_counts(
-    device: Device, kernels: Kernels, counts: Sequence[UInt32[np.ndarray, " n"]]
-) -> UInt32[np.ndarray, " n"]:
-    """Add up the GPU counters of a frame's sorted and weighted splats, except pair capacities.
-
-    Raises:
-        CapacityExceeded: More splats are drawn than one GPU dispatch can assign to tiles.
-    """
-    most = MOST_GROUPS * WALK_THREADS * kernels.cut.walk
-    for part in counts:
-        if (visible := int(part[Counts.VISIBLE])) > most:
-            raise CapacityExceeded(
-                f"the scene has {visible:,} splats in the image; {device.name} draws at most {most:,}",
-                where="scene",
-                hint="Draw fewer Gaussians, or a smaller part of the scene.",
-            )
-    total = np.asarray(np.sum(counts, axis=0), np.uint32)
-    total[Counts.PAIR_CAPACITY] = counts[0][Counts.PAIR_CAPACITY]
-    total[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + total[Counts.DRAWN]
-    total[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)
-    return total

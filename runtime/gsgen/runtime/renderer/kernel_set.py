@@ -8,7 +8,9 @@ from typing import Final, final
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project.cull_slots import CullSlots
 from gsgen.runtime.kernels.project.normals import NormalsKernel
+from gsgen.runtime.kernels.project.place_splats import PlaceSplats
 from gsgen.runtime.kernels.project.project import ProjectKernel
+from gsgen.runtime.kernels.project.tally_keys import TallyKeys
 from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes
 from gsgen.runtime.kernels.raster.draw_quads import DrawQuads
 from gsgen.runtime.kernels.shared.kernel import VEC4
@@ -53,17 +55,18 @@ class Kernels:
         )
         self.ranges = TileRanges(device)
         self.blend = cache(
-            lambda pick, panorama, layers, records: BlendTiles(
+            lambda pick, panorama, layers, records, carried=False: BlendTiles(
                 device,
                 pick=pick,
                 panorama=panorama,
                 layers=layers,
                 tile=self.cut.tile,
                 records=records,
+                carried=carried,
             )
         )
         self.project = cache(
-            lambda half, words, panorama, packed, slot_rows, records: ProjectKernel(
+            lambda half, words, panorama, packed, slot_rows, records, slab=None: ProjectKernel(
                 device,
                 words,
                 half=half,
@@ -72,13 +75,18 @@ class Kernels:
                 slot_rows=slot_rows,
                 tile=self.cut.tile,
                 records=records,
+                slab=slab,
             )
         )
+        self.tally = cache(lambda: TallyKeys(device))
+        self.place = cache(lambda arranged: PlaceSplats(device, arranged=arranged))
         self.cull_slots = cache(
             lambda slot_rows, panorama: CullSlots(device, slot_rows, panorama=panorama)
         )
         self.normals = cache(
-            lambda packed, slot_rows: NormalsKernel(device, packed=packed, slot_rows=slot_rows)
+            lambda packed, slot_rows, placed=False: NormalsKernel(
+                device, packed=packed, slot_rows=slot_rows, placed=placed
+            )
         )
         self.order = DepthOrder(device, self.cut, self.sort)
         self.weighted = cache(

@@ -47,7 +47,7 @@ class LateCounts:
         """Return the GPU counters of all frames but the newest ``in_flight``, oldest frame first.
 
         Those of a frame are several if it has cells: see
-        :func:`gsgen.runtime.renderer.frame_plan.frame_counts`.
+        :func:`gsgen.runtime.renderer.frame_counts.frame_counts`.
         """
         began, counts = time.perf_counter(), []
         while len(self._in_flight) > in_flight:

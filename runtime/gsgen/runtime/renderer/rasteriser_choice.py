@@ -24,8 +24,9 @@ from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.sort.sort import cut_for
-from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.placed_pages import Placed
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from jaxtyping import Float32, Int64, UInt32
 
 from gsgen.contract.spec import layout
-from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, MemoryFull, SceneInvalid
+from gsgen.runtime.errors import DeviceUnavailable, MemoryFull, SceneInvalid
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.mesh_residency import MeshResidency
@@ -19,14 +18,19 @@ from gsgen.runtime.gpu.splat_residency import Residency, bytes_of
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4
-from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.shared.shader import LARGE_TILE
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
-from gsgen.runtime.renderer.frame_plan import Placed, Plan, frame_counts
+from gsgen.runtime.renderer.bands import Band, Drawing, PairsExceeded, band_rows, draw_bands
+from gsgen.runtime.renderer.frame_counts import frame_counts
+from gsgen.runtime.renderer.frame_images import frame_of
+from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.late_counts import LateCounts
+from gsgen.runtime.renderer.placed_pages import Placed
 from gsgen.runtime.renderer.rasteriser_choice import Rasteriser, RasteriserOption, choose
+from gsgen.runtime.renderer.slabs import most_splats
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import COLOR_ONLY, NOTHING, Frame, Output
+from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import PooledSet
@@ -39,6 +43,7 @@ PAIRS_ROOM: Final = 1.25
 
 _ENOUGH: Final = 0.9  # of the room for pairs; more are made room for before they are needed
 
+_MANY: Final = 1 << 32  # splats: more than any device draws at once
 _OUTPUTS: Final = ("color", "depth", "normal")
 
 
@@ -105,7 +110,7 @@ class Renderer:
             self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
         self._mesh_residency = MeshResidency(self.device)
-        self._pairs = FIRST_PAIRS
+        self._pairs = min(FIRST_PAIRS, self._most_pairs)
         if rasteriser == "quads" and not self.device.blends_floats:
             raise DeviceUnavailable(
                 f"{self.device.name} cannot blend 32-bit floats", hint="Use the rasteriser 'tiles'."
@@ -115,7 +120,7 @@ class Renderer:
             self.rasteriser: Rasteriser = (
                 choose(self.device, self._kernels) if rasteriser == "auto" else rasteriser
             )
-        self._deep = False
+        self._deep, self._most_in_slab = False, _MANY
         self._rows: object = None
         self._key: object = None
         self._plan: Plan | None = None
@@ -145,8 +150,8 @@ class Renderer:
             MemoryFull: The device has no memory for the scene or the image.
             SceneInvalid: ``background`` or ``outputs`` is invalid.
         """
-        _, counts, images = self._drawn(scene, camera, background, outputs)
-        return _frame(scene, camera, counts, images, float(background[3]))
+        counts, images = self._drawn(scene, camera, background, outputs)
+        return frame_of(scene, camera, counts, images, float(background[3]))
 
     def draw(
         self,
@@ -172,7 +177,7 @@ class Renderer:
         """
         if wait:
             self._steady = None
-            plan, counts, _ = self._drawn(scene, camera, background, (output,), fetch=False)
+            plan, counts = self._drawn_at_once(scene, camera, background, output)
         else:
             behind = _premultiplied(background)
             with self._device_errors(scene, camera):
@@ -182,22 +187,36 @@ class Renderer:
         return Drawn(image, row, int(counts[Counts.VISIBLE]), int(counts[Counts.PAIRS]))
 
     def _drawn(
-        self,
-        scene: Scene,
-        camera: Camera,
-        background: Sequence[float],
-        outputs: Collection[Output],
-        *,
-        fetch: bool = True,
-    ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
-        """Draw a scene until all pairs fit and ties are sorted; read images only if ``fetch``."""
+        self, scene: Scene, camera: Camera, background: Sequence[float], outputs: Collection[Output]
+    ) -> Drawing:
+        """Draw a scene in as many bands as its buffers need, and read its images."""
         requested = _known(outputs)
         if self._published:
             _require_alone(scene)
         behind = _premultiplied(background)
         with self._device_errors(scene, camera):
             placed, meshes = self._uploaded(scene)
-            return self._fitted(scene, camera, behind, requested, placed, meshes, fetch=fetch)
+
+            def draw(band: Band) -> Drawing:
+                _, *drawing = self._fitted(scene, band, behind, requested, placed, meshes)
+                return drawing[0], drawing[1]
+
+            layers = bool(meshes) + any(splat_set.weighted is not None for splat_set, _ in placed)
+            rows = band_rows(self.device, camera, len(requested), layers)
+            return draw_bands(camera, rows, draw)
+
+    def _drawn_at_once(
+        self, scene: Scene, camera: Camera, background: Sequence[float], output: Output
+    ) -> tuple[Plan, np.ndarray]:
+        """Draw an image that stays in one GPU buffer."""
+        requested = _known((output,))
+        if self._published:
+            _require_alone(scene)
+        behind = _premultiplied(background)
+        with self._device_errors(scene, camera):
+            placed, meshes = self._uploaded(scene)
+            band = Band.of(camera)
+            return self._fitted(scene, band, behind, requested, placed, meshes, fetch=False)[:2]
 
     @contextmanager
     def _device_errors(self, scene: Scene, camera: Camera) -> Iterator[None]:
@@ -209,7 +228,7 @@ class Renderer:
             # Free the plan's memory, and the rows that it keeps alive, for a smaller scene.
             self._plan, self._key, self._rows = None, None, None
             self._shape, self._steady = None, None
-            self._pairs = FIRST_PAIRS
+            self._pairs = min(FIRST_PAIRS, self._most_pairs)
             raise _too_large(scene, camera, error, compact=self._compact) from error
 
     def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
@@ -223,27 +242,30 @@ class Renderer:
     def _fitted(
         self,
         scene: Scene,
-        camera: Camera,
+        band: Band,
         behind: np.ndarray,
         requested: frozenset[Output],
         placed: list[Placed],
         meshes: list[PlacedMesh],
         *,
-        fetch: bool,
+        fetch: bool = True,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
         """Draw until splat-tile pairs fit and depth ties are sorted; read images if ``fetch``."""
-        plan = self.plan(placed, camera, requested, meshes)
-        plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
-        counts, images = plan.collect(fetch=fetch)
-        while self._must_redraw(counts):
+        while True:
+            plan = self.plan(placed, band.camera, requested, meshes)
+            counts, images = plan.draw(placed, band, behind[:3], meshes=meshes, fetch=fetch)
+            try:
+                if not self._must_redraw(counts):
+                    return plan, counts, images
+            except PairsExceeded:
+                # Narrower bands have fewer pairs; an image that stays on the GPU has one band.
+                if (fetch and band.rows > LARGE_TILE) or not self._halve_slabs(placed, meshes):
+                    raise
+                continue
             if counts[Counts.TIED]:
                 for splat_set in scene.sets:
                     self._residency.restore_order(splat_set.data)
-                placed = self._pages(scene)
-            plan = self.plan(placed, camera, requested, meshes)
-            plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
-            counts, images = plan.collect(fetch=fetch)
-        return plan, counts, images
+                placed[:] = self._pages(scene)
 
     def _drawn_late(
         self, scene: Scene, camera: Camera, behind: np.ndarray, requested: frozenset[Output]
@@ -253,10 +275,11 @@ class Renderer:
             self._take(parts)
         placed, meshes = self._uploaded(scene)
         plan = self.plan(placed, camera, requested, meshes)
-        if self._steady is None or self._steady[0] != self._shape:
+        if plan.slabs or self._steady is None or self._steady[0] != self._shape:
             self._steady = None  # keeps the rows of other sets
+            band = Band.of(camera)
             plan, counts, _ = self._fitted(
-                scene, camera, behind, requested, placed, meshes, fetch=False
+                scene, band, behind, requested, placed, meshes, fetch=False
             )
             self._steady = (self._shape, counts)
             return plan, counts
@@ -268,12 +291,16 @@ class Renderer:
     def _take(self, parts: list[np.ndarray]) -> bool:
         """Use an earlier frame's counters; return whether that frame lacked splats or order."""
         counts = frame_counts(self.device, self._kernels, parts)
-        incomplete = self._must_redraw(counts)
+        try:
+            incomplete = self._must_redraw(counts)
+        except PairsExceeded:  # the next frame is waited for, and drawn in thinner slabs
+            self._steady = None
+            return True
         if self._steady is not None:
             # If rows must return to their own order, the next frame is waited for.
             self._steady = None if counts[Counts.TIED] else (self._steady[0], counts)
         if int(counts[Counts.WANTED_PAIRS]) > _ENOUGH * self._pairs:
-            self._grow(int(counts[Counts.WANTED_PAIRS]))
+            self._grow(min(int(counts[Counts.WANTED_PAIRS]), self._most_pairs))
         return incomplete
 
     def settle(self) -> bool:
@@ -332,9 +359,10 @@ class Renderer:
         contents = (pages, tuple(mesh.buffers for mesh in meshes))
         rows = [page.rows for _, page in placed]
         if rows != self._rows:
-            self._rows, self._deep = rows, False  # others may have depths farther apart
+            # Others may have depths farther apart, or fewer pairs.
+            self._rows, self._deep, self._most_in_slab = rows, False, _MANY
         self._shape = (contents, size, outputs, panorama)
-        key = (self._shape, self._pairs, self._deep)
+        key = (self._shape, self._pairs, self._deep, self._most_in_slab)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._plan = Plan(
@@ -345,10 +373,11 @@ class Renderer:
                 outputs,
                 self._pairs,
                 meshes=meshes,
-                quads=self._takes_quads(outputs),
+                quads=self._takes_quads(outputs) and self._slab_splats(placed, meshes) is None,
                 panorama=panorama,
                 published=self._published,
                 deep=self._deep,
+                slab_splats=self._slab_splats(placed, meshes),
             )
             self._key = key
         return self._plan
@@ -356,6 +385,21 @@ class Renderer:
     def _takes_quads(self, outputs: frozenset[Output]) -> bool:
         """Return whether quads draw the colours; not in "auto" if another output needs tiles."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
+
+    def _slab_splats(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> int | None:
+        """Return the splats of a slab if the Gaussians exceed it and can be drawn in slabs."""
+        most = min(most_splats(self.device, self._kernels), self._most_in_slab)
+        is_large = sum(page.capacity for _, page in placed) > most
+        return most if is_large and _fits_slabs(placed, meshes) else None
+
+    def _halve_slabs(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
+        """Halve the slabs of a scene, whose pairs exceed a binding; return whether that can help."""
+        splats = sum(page.capacity for _, page in placed)
+        most = min(splats, most_splats(self.device, self._kernels), self._most_in_slab)
+        if most < 2 or not _fits_slabs(placed, meshes):
+            return False
+        self._most_in_slab = most // 2
+        return True
 
     @property
     def _most_pairs(self) -> int:
@@ -366,13 +410,18 @@ class Renderer:
         """Raise the capacity for splat-tile pairs, or raise if the device cannot hold them."""
         most = self._most_pairs
         if pairs > most:
-            raise CapacityExceeded(
+            raise PairsExceeded(
                 f"the image needs {pairs:,} pairs of a splat and a tile; "
                 f"{self.device.name} holds at most {most:,}",
                 where="scene",
                 hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
         self._pairs = min(int(pairs * PAIRS_ROOM), most)
+
+
+def _fits_slabs(placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
+    """Return whether a scene can be drawn in slabs: sorted sets without pools and meshes can."""
+    return not meshes and not any(splat_set.weighted or page.slots for splat_set, page in placed)
 
 
 def _bare_set(pooled: PooledSet) -> SplatSet:
@@ -433,65 +482,3 @@ def _premultiplied(background: Sequence[float]) -> np.ndarray:
             where="background",
         )
     return np.append(color[:3] * color[3], color[3])
-
-
-def _frame(
-    scene: Scene,
-    camera: Camera,
-    counts: np.ndarray,
-    images: dict[str, np.ndarray],
-    opacity_behind: float,
-) -> Frame:
-    """Convert the 32-bit words of rendered GPU images to a frame."""
-    color, pick, normal = (
-        images[name].view(np.float32) if name in images else None
-        for name in ("color", "depth", "normal")
-    )
-    covered = next(image for image in (color, pick, normal) if image is not None)
-    alpha = covered[..., 3].copy()
-    if color is not None:
-        color[..., 3] += (1 - alpha) * np.float32(opacity_behind)
-    return Frame(
-        rgba=color,
-        alpha=alpha,
-        depth=None if pick is None else _mean_depth(pick),
-        median_depth=None if pick is None else _median_depth(pick),
-        ids=None if pick is None else _ids(images["depth"][..., 2], scene),
-        normal=None if normal is None else _in_world(normal[..., :3], camera),
-        visible=int(counts[Counts.VISIBLE]),
-        pairs=int(counts[Counts.PAIRS]),
-        color_space=scene.color_space,
-    )
-
-
-def _mean_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
-    total, alpha = pick[..., 0], pick[..., 3]
-    nothing = np.full(alpha.shape, np.inf, np.float32)
-    return np.asarray(np.divide(total, alpha, out=nothing, where=alpha > 0))
-
-
-def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
-    median = pick[..., 1]
-    return np.asarray(np.where(median > 0, median, np.float32(np.inf)))
-
-
-def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
-    """Convert ids that count only the depth-sorted splat sets to row indices in the scene."""
-    ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
-    weighted = [splat_set.weighted is not None for splat_set in scene.sets]
-    summed = np.array([*weighted, *(False for _ in scene.pools)], bool)
-    if not summed.any() or summed.all():
-        return np.asarray(ids)
-    own_sizes = [len(splat_set.data) for splat_set in scene.sets]
-    sizes = np.array([*own_sizes, *(len(pooled.pool) for pooled in scene.pools)])
-    first, set_sizes = (np.cumsum(sizes) - sizes)[~summed], sizes[~summed]
-    start = np.cumsum(set_sizes) - set_sizes
-    set_index = np.searchsorted(start, ids, side="right") - 1
-    return np.asarray(np.where(ids < 0, NOTHING, ids + (first - start)[set_index]))
-
-
-def _in_world(normal: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """Return normals in camera space as unit vectors in world space; zeros stay zeros."""
-    turned = normal @ camera.view[:3, :3].astype(np.float32)  # rows times R are Rᵀ n
-    size = np.linalg.norm(turned, axis=-1, keepdims=True)
-    return np.asarray(np.divide(turned, size, out=np.zeros_like(turned), where=size > 0))

@@ -298,7 +298,7 @@ class Camera:
 
     @property
     def projection(self) -> Float[np.ndarray, "4 4"]:
-        """The matrix from camera to clip space, depth 0 to 1, that generators receive, [4, 4].
+        """The matrix from camera to clip space, depth 0 to 1, for ONNX generators, [4, 4].
 
         A panorama has no such matrix: it returns that of a box of 1e5 units around the camera, so
         that models that cull by the view cull nothing, not even points behind the camera.

@@ -36,7 +36,9 @@ class Frame:
         ids: Index of that Gaussian in the scene, or NOTHING; see ``Scene.locate``.
         normal: Unit vectors in world space that point towards the camera, [height, width, 3];
             zero where nothing is drawn.
-        visible: Number of drawn Gaussians; of those in cells, all that are in the image.
+        visible: Number of drawn Gaussians; of those in cells, all that are in the image. In an
+            image that is drawn in bands, because it exceeds a GPU binding, a Gaussian counts in
+            each band that it touches.
         pairs: Number of pairs of a tile and a splat or cell that touches it, which the cost
             grows with.
         color_space: Colour space of ``rgba``.

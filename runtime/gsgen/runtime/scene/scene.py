@@ -159,7 +159,7 @@ class Scene:
         return summary_html("scene", rows, preview_png(self))
 
     def locate(self, index: int) -> tuple[int, int]:
-        """Return the index of the splat set, and the row in the set, of an id of ``Frame.ids``.
+        """Return the splat set's index, and the row in the set, of a Gaussian id in a frame's ids.
 
         Raises:
             IndexError: The scene has fewer Gaussians.

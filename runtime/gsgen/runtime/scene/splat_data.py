@@ -1,4 +1,4 @@
-"""Gaussians in the contract's packed rows; their values may change between frames."""
+"""Gaussians in the packed layout of the contract; their values may change between frames."""
 
 __all__ = ["SplatData"]
 
@@ -18,7 +18,7 @@ _HALVES = (np.dtype(np.float16), np.dtype(np.float32))
 
 @final
 class SplatData:
-    """Packed rows of Gaussians and their appearance, as a generator emits them.
+    """Packed Gaussians and their colours, as an ONNX generator outputs them.
 
     Attributes:
         rows: ``x y z opacity xx xy xz yy yz zz``, [N, 10], float32 or float16.
@@ -94,7 +94,7 @@ class SplatData:
 
     @classmethod
     def from_points(cls, points: PointCloud, opacity: float = 0.8) -> "SplatData":
-        """Convert a point cloud to balls, sized by the mean distance of three nearest neighbours.
+        """Convert a point cloud to round Gaussians, sized by the distance to three neighbours.
 
         A ball is at most four times the median size: isolated points would hide the others.
 

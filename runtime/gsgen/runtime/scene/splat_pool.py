@@ -1,4 +1,4 @@
-"""A splat pool: fixed GPU space, in slots, for tiles that enter and leave between frames.
+"""A splat pool: fixed GPU memory, in slots, for streamed tiles that come and go.
 
 A pool has as many rows from its first frame to its last, so that arrivals and evictions change
 neither buffers nor the frame plan. A tile takes slots anywhere; what is drawn of a slot stands in
@@ -30,7 +30,7 @@ _REACH = 3.5
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SlotWrite:
-    """Rows of a tile that wait to be copied into the splat pool, from row ``first`` on."""
+    """Gaussians of a streamed tile that wait to be copied into the splat pool on the GPU."""
 
     first: int  # row of the pool
     rows: Float32[np.ndarray, "n 10"]
@@ -86,7 +86,7 @@ class SplatPool:
 
     @property
     def free_slots(self) -> int:
-        """The number of slots of the splat pool that no tile holds."""
+        """The number of slots of the splat pool (for streamed tiles) that no tile occupies."""
         return len(self._free)
 
     @property
@@ -196,7 +196,7 @@ class SplatPool:
         return self._slots_of[tile]
 
     def evict(self, tile: int) -> None:
-        """Free the slots of the splat pool that a tile holds.
+        """Free the slots that a tile occupies in the splat pool (GPU memory for streamed tiles).
 
         Raises:
             SceneInvalid: The tile is not in the pool.

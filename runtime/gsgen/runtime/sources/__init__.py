@@ -1,1 +1,1 @@
-"""Sources: from which files, generators or scenes do Gaussians and meshes come?"""
+"""Sources: from which files, ONNX generators or scenes do Gaussians and meshes come?"""

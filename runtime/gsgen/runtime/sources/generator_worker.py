@@ -1,4 +1,4 @@
-"""Computes the frames of a generator in a thread while other frames are drawn."""
+"""Computes the frames of an ONNX generator in a thread while other frames are drawn."""
 
 __all__ = ["FrameDelta", "GeneratorWorker"]
 
@@ -26,7 +26,7 @@ _BLOCK = 1 << 16  # elements compared at a time: most often the first block diff
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FrameDelta:
-    """The outputs of a generator that differ from those of the previous frame.
+    """The outputs of an ONNX generator that differ from those of the previous frame.
 
     Attributes:
         rows: The packed rows, of which ``count`` are live; None if unchanged.
@@ -45,7 +45,7 @@ class FrameDelta:
 
 @final
 class GeneratorWorker:
-    """Runs a generator in a thread of its own, and keeps copies of the drawn outputs.
+    """Runs an ONNX generator in a thread of its own, and keeps copies of the drawn outputs.
 
     ONNX Runtime releases Python's lock while it computes, so drawing continues. All its calls come
     from one thread: a CUDA graph must be replayed by the thread that recorded it.
@@ -90,7 +90,7 @@ class GeneratorWorker:
         self._forget()
 
     def start(self, camera: "Camera | None", values: Mapping[str, object]) -> "Future[FrameDelta]":
-        """Begin to compute a frame of the generator, after the pending ones.
+        """Begin to compute a frame of the ONNX generator, after the pending ones.
 
         Args:
             camera: Camera of the frame; None leaves the camera inputs unchanged.
@@ -167,7 +167,7 @@ def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
 
 @final
 class _OutputBuffer:
-    """The drawn copy of a generator's output, and a spare array for the next frame."""
+    """The drawn copy of an ONNX generator's output, and a spare array for the next frame."""
 
     def __init__(self) -> None:
         self._shown: np.ndarray | None = None

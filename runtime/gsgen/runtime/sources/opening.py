@@ -18,7 +18,7 @@ def open_source(
     sizes: Mapping[str, int] | None = None,
     streaming: StreamSettings | None = None,
 ) -> Source:
-    """Open a file of Gaussians or triangles, a tileset, or a generator (suffix ``.onnx``).
+    """Open a file of Gaussians or triangles, a tileset, or an ONNX generator as a source.
 
     Args:
         path: The file.

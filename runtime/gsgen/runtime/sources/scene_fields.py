@@ -35,11 +35,11 @@ class Fields:
         self._known: list[str] = []
 
     def location(self, name: str) -> str:
-        """Return the location of a field for error messages."""
+        """Return the location of a scene file's field for error messages."""
         return f"{self.where}{self._separator}{name}"
 
     def refuse(self, name: str, message: str) -> NoReturn:
-        """Raise SceneInvalid with the location of a field."""
+        """Raise SceneInvalid with the location of a scene file's field."""
         refuse(message, self.location(name))
 
     def has(self, name: str) -> bool:
@@ -164,7 +164,7 @@ class Fields:
             yield Fields(document, where)
 
     def close(self) -> None:
-        """Raise if a field of the JSON object is unknown, that is, was never read."""
+        """Raise if a field of a scene file's JSON object is unknown, that is, was never read."""
         for name in self._document:
             if name not in self._known:
                 raise UnknownName.among("field", name, set(self._known), self.where)

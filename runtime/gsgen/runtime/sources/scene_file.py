@@ -39,7 +39,7 @@ _MAX_BYTES: Final = 64 << 20  # inputs such as poses may be in the file
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SceneModel:
-    """A splat file or a generator of a scene file, with its transform to world, [4, 4]."""
+    """A splat file or ONNX generator of a scene file, with its transform to world, [4, 4]."""
 
     path: Path
     transform: Float[np.ndarray, "4 4"]

@@ -1,4 +1,4 @@
-"""Sources of Gaussians: files, and generators that compute new ones in every frame."""
+"""Sources of Gaussians: files, and ONNX generators, which compute them in every frame."""
 
 __all__ = [
     "GeneratorSource",
@@ -142,7 +142,7 @@ class Source(ABC):
 
     @property
     def time(self) -> Input | None:
-        """The time input of the source's generator; None if the source has no time input."""
+        """The time input of the source's ONNX generator; None if the source has no time input."""
         return next((spec for spec in self.inputs if spec.role == "time"), None)
 
     def named(self, word: str) -> list[Input]:
@@ -151,7 +151,7 @@ class Source(ABC):
 
     @abstractmethod
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input tensor of the source's generator."""
+        """Return the shape of an input tensor of the source's ONNX generator."""
 
     def extent(self) -> tuple[Center, float]:
         """Return the centre of a box around most Gaussians of a source, and half the diagonal.
@@ -267,7 +267,7 @@ class GeneratorSource(Source):
             raise
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Begin to run the generator for a frame."""
+        """Begin to run the ONNX generator for a frame."""
         self.abandon()
         self._pending = frame, self._worker.start(camera, values)
 
@@ -277,7 +277,7 @@ class GeneratorSource(Source):
         return self._pending is None or self._pending[1].done()
 
     def finish(self) -> None:
-        """Wait for the generator, and copy its changed outputs."""
+        """Wait for the ONNX generator, and copy its changed outputs."""
         if self._pending is None:
             return
         (frame, future), self._pending = self._pending, None
@@ -290,11 +290,11 @@ class GeneratorSource(Source):
             raise
 
     def interrupt(self) -> None:
-        """Stop the pending run of the generator."""
+        """Stop the pending run of the ONNX generator."""
         self._worker.interrupt()
 
     def abandon(self) -> None:
-        """Wait for the pending run of the generator, and discard its result or error."""
+        """Wait for the pending run of the ONNX generator, and discard its result or error."""
         if self._pending is not None:
             (_, future), self._pending = self._pending, None
             if future.exception() is None:
@@ -318,11 +318,11 @@ class GeneratorSource(Source):
         )
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input tensor of the generator."""
+        """Return the shape of an input tensor of the ONNX generator."""
         return self._worker.session.inputs[name].shape
 
     def close(self) -> None:
-        """Release the session of the generator."""
+        """Release the session of the ONNX generator."""
         self._worker.close()
 
 

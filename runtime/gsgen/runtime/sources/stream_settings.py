@@ -45,7 +45,7 @@ class StreamOpener(Protocol):
         ...
 
     def open_stream(self, path: Path, settings: StreamSettings) -> "Source":
-        """Open a streamed source.
+        """Open a file or an address as a source that streams what the camera needs.
 
         Raises:
             GsgenError: The file is invalid, or cannot be read.

@@ -1,4 +1,4 @@
-"""ONNX Runtime Web, which computes generators in a page: fetched once, by exact version and digest."""
+"""ONNX Runtime Web, which runs models in a web page: fetched once, by exact version and digest."""
 
 __all__ = ["ORT_FILES", "ORT_VERSION", "cached_ort", "ort_folder"]
 

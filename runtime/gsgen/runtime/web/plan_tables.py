@@ -42,7 +42,7 @@ class PlanTables:
         self._rows: dict[tuple[str, str], int] = {}
 
     def pipeline(self, pipeline: RecordedPipeline) -> int:
-        """Return the number of a pipeline's row."""
+        """Return the row index of a recorded compute pipeline in the JSON table of pipelines."""
         row = {
             "label": pipeline.label,
             "module": self.row("modules", module_row(self, pipeline.module)),

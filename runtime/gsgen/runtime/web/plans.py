@@ -139,7 +139,7 @@ def _contract() -> dict[str, Any]:
 
 
 def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
-    """Return the kernels between a generator's outputs and pages, and operators without kernels.
+    """Return the kernels that copy model outputs to GPU pages, and ONNX copy operators.
 
     Rows that a page can bind as they are have no kernel. Operators that copy buffers spoil the
     captured graph of a model whose outputs they produce.

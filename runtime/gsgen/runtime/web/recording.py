@@ -12,8 +12,9 @@ from gsgen.contract.spec.layout import ROW
 from gsgen.contract.spec.manifest import WeightedSum
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Page, stride
-from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.renderer.placed_pages import Placed
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData

@@ -83,7 +83,7 @@ def _digest(splats: Splats, first: int) -> str:
 
 
 def anchor_depths(log_scale: Float32[np.ndarray, "n 3"], cube: Cube) -> Int64[np.ndarray, " n"]:
-    """Return each splat's deepest octree level, where tiles are still twice as long as 3σ."""
+    """Return the deepest octree level for each splat: the last with tiles twice as long as 3σ."""
     x, y, z = log_scale.T  # a maximum along rows of three would take ten times as long
     largest = np.maximum(np.maximum(x, y), z).astype(np.float64)
     ratio = math.log(cube.side / (2 * SIGMAS)) - largest

@@ -143,7 +143,7 @@ def score_tileset(
 
 
 def level_cut(root: Tile, level: int) -> Iterator[tuple[Tile, Content]]:
-    """Yield the contents that are drawn if ``root`` and the tiles below are refined so often.
+    """Yield the tile contents that are drawn if the root is refined a given number of times.
 
     Tiles without content do not count: they are refined in any case.
     """

@@ -14,7 +14,7 @@ Table = Float64[np.ndarray, "n m"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OptionHulls:
-    """The concave hulls of many tiles' qualities as one list of upgrades, for any weights.
+    """Upgrades of many tiles' file qualities, along concave hulls of value over cost.
 
     A step leads from one option on a tile's hull to the next; the first of each tile leads from
     nothing (cost 0, value 0). Steps of a tile follow each other with falling efficiency.

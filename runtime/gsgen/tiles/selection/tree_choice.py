@@ -79,7 +79,7 @@ class _Level:
     step_child: Rows = field(default_factory=_no_rows)
 
     def starts(self) -> Rows:
-        """Return the position of each tree node's first frontier point."""
+        """Return the position of each tree node's first point on its concave frontier."""
         return np.searchsorted(self.owner, np.arange(len(self.nodes)))
 
 

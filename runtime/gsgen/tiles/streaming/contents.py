@@ -76,7 +76,7 @@ class ContentReader:
         return files
 
     def read_model(self, neural: NeuralTile) -> bytes:
-        """Return the bytes of the ONNX model of a neural tile's generator.
+        """Return the bytes of the ONNX model that a neural tile declares.
 
         Raises:
             TilesetInvalid: The file is missing, or cannot be read.
@@ -140,7 +140,7 @@ class ContentReader:
         )
 
     def _entry(self, tile: int) -> Tile:
-        """Return a tile with its content files of the quality that was read last."""
+        """Return a tile whose content files have the quality that was read last."""
         if self._ladder is None:
             return self._tree.tiles[tile]
         return self._ladder.tiles[self._fetched[tile]][tile]

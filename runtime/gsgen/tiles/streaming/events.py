@@ -21,7 +21,7 @@ from gsgen.tiles.streaming.session_frame import SessionFrame, TileArrival
 @final
 @dataclass(slots=True, kw_only=True)
 class NeuralEvents:
-    """The events of the generators of neural tiles in one frame.
+    """The events of the ONNX generators of neural tiles in one frame.
 
     Attributes:
         opened: Tiles whose generator was opened.
@@ -185,7 +185,7 @@ class ReplayLink:
 
     @property
     def free(self) -> int:
-        """The number of tile requests that the replayed link still accepts."""
+        """The number of tile requests that the replayed network link still accepts."""
         return self._connections - len(self._requested)
 
     def request(self, tile: int) -> None:

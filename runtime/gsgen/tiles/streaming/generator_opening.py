@@ -1,4 +1,4 @@
-"""Opens the generators of neural tiles: digest, validation, and a worker that runs the model."""
+"""Opens the ONNX generators of neural tiles: digest, validation, and a worker that runs each."""
 
 __all__ = ["GeneratorOpener", "ModelReader"]
 
@@ -19,7 +19,7 @@ ModelReader = Callable[[NeuralTile], bytes]
 
 @final
 class GeneratorOpener:
-    """Opens the generators of neural tiles; a model that has conformed is not validated again.
+    """Opens the ONNX generators of neural tiles; conforming models are validated once only.
 
     Args:
         tiles: Tiles of the tileset, by key.
@@ -31,7 +31,7 @@ class GeneratorOpener:
         self._conforming: set[int] = set()
 
     def open(self, tile: int) -> tuple[GeneratorWorker, int]:
-        """Read, check and open a tile's generator; return its worker and the model size in bytes.
+        """Read, check and open a tile's ONNX generator; return its worker and the model size.
 
         Raises:
             TilesetInvalid: The model cannot be had, or breaks a promise of the tile.
@@ -63,7 +63,7 @@ def _raise_first(violations: Sequence[Violation]) -> None:
 
 
 def _require_drawable(worker: GeneratorWorker) -> None:
-    """Raise if a generator's Gaussians cannot be blended with those of other tiles."""
+    """Raise if an ONNX generator's Gaussians cannot be blended with those of other tiles."""
     manifest = worker.manifest
     assert manifest.outputs.appearance is not None  # the worker requires it
     for name, actual, expected in (

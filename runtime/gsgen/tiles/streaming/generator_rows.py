@@ -1,4 +1,4 @@
-"""Converts the Gaussians of a neural tile's generator to rows of the splat pool."""
+"""Converts the output of a tile's ONNX generator to rows of the splat pool (GPU memory)."""
 
 __all__ = ["tile_rows"]
 
@@ -30,7 +30,7 @@ def tile_rows(
     box: Box,
     sh_degree: int,
 ) -> TileArrival:
-    """Convert a tile generator's output to splat-pool rows, in the root tile's coordinates.
+    """Convert the output of a tile's ONNX generator to splat-pool rows, in root coordinates.
 
     Args:
         tile: Key of the tile.

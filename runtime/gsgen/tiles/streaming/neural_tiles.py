@@ -1,4 +1,4 @@
-"""Runs the generators of neural tiles, whose output Gaussians replace the tiles' splats.
+"""Runs the ONNX generators of neural tiles, whose Gaussians replace the tiles' splats.
 
 Of the drawn neural tiles, the largest ones in view have a generator, at most as many as there are
 sessions. Each frame, in this order:
@@ -85,7 +85,7 @@ class _Generator:
 
 @final
 class NeuralTiles:
-    """The generators of a tileset's neural tiles, run within time and upload budgets.
+    """The ONNX generators of a tileset's neural tiles, run within time and upload budgets.
 
     Attributes:
         time_range: First and last time of all neural tiles; None without an input ``time``.
@@ -148,16 +148,16 @@ class NeuralTiles:
 
     @property
     def tiles(self) -> tuple[int, ...]:
-        """The keys of the neural tiles whose generators may run."""
+        """The keys of the neural tiles whose ONNX generators may run."""
         return tuple(self._neural)
 
     def splats_max(self, tile: int) -> int:
-        """Return the declared maximum number of Gaussians of a tile's generator."""
+        """Return the declared maximum number of Gaussians of a tile's ONNX generator."""
         return self._neural[tile].splats_max
 
     @property
     def open_tiles(self) -> tuple[int, ...]:
-        """The tiles whose generators are open, in ascending order."""
+        """The tiles whose ONNX generators are open, in ascending order."""
         return tuple(sorted(self._open))
 
     @property
@@ -184,7 +184,7 @@ class NeuralTiles:
         uploaded: int,
         is_complete: bool,
     ) -> list[TileArrival]:
-        """Open and run generators; return the Gaussians that replace tiles' rows in the splat pool.
+        """Open and run ONNX generators; return the Gaussians that replace rows of their tiles.
 
         Args:
             camera: In the root frame.
@@ -211,19 +211,19 @@ class NeuralTiles:
         return updates
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a generator is open or a model run ends, for a limited time."""
+        """Sleep until an ONNX generator is open or a model run ends, for a limited time."""
         pending: list[Future[Any]] = [*self._loading.values()]
         pending += [entry.pending for entry in self._open.values() if entry.pending]
         if pending:
             wait_for(pending, timeout=seconds, return_when=FIRST_COMPLETED)
 
     def interrupt(self) -> None:
-        """Stop all pending model runs of generators, which then fail."""
+        """Stop all pending runs of ONNX generators, which then fail."""
         for entry in self._open.values():
             entry.worker.interrupt()
 
     def close(self) -> None:
-        """Stop all model runs, and release all generators."""
+        """Stop all runs of ONNX generators, and release these models."""
         self.interrupt()
         for load in self._loading.values():
             load.cancel()
@@ -261,7 +261,7 @@ class NeuralTiles:
                 self._fail(tile, error, time)
 
     def _take(self, tile: int, entry: _Generator, delta: FrameDelta) -> None:
-        """Convert the changed outputs of a generator's run to rows of the splat pool."""
+        """Convert the changed outputs of an ONNX generator's run to rows of the splat pool."""
         entry.rows = entry.rows if delta.rows is None else delta.rows
         entry.appearance = entry.appearance if delta.appearance is None else delta.appearance
         entry.shown = entry.begun
@@ -292,7 +292,7 @@ class NeuralTiles:
         )
 
     def _fail(self, tile: int, error: GsgenError, time: float) -> None:
-        """Draw a tile's stored splats in place of its failed generator, and report the reason."""
+        """Draw a tile's stored splats if its ONNX generator has failed, and report the reason."""
         self._release(tile)
         may_pass = isinstance(error, StoreUnavailable)
         self._retry_at[tile] = time + RETRY_AFTER if may_pass else np.inf
@@ -313,7 +313,7 @@ class NeuralTiles:
     # ---- 2. and 3. Which generators are open
 
     def _largest(self, camera: Camera, tiles: Sequence[int], time: float) -> list[int]:
-        """Return the neural tiles whose generators should be open: the largest ones in view."""
+        """Return the neural tiles whose ONNX generators should be open: the largest in view."""
         centers, axes = self._tree.center, self._tree.half_axes
         size = {
             tile: float(
@@ -326,7 +326,7 @@ class NeuralTiles:
         return sorted(size, key=lambda tile: (-size[tile], tile))[: self._options.sessions]
 
     def _close_others(self, tiles: Sequence[int], time: float) -> None:
-        """Close the longest unused generators, as many as new generators of this frame need."""
+        """Close the longest unused ONNX generators, as many as this frame's new ones need."""
         for tile in tiles:
             if tile in self._open:
                 self._open[tile].last_drawn = time
@@ -340,7 +340,7 @@ class NeuralTiles:
             self._release(tile)
 
     def _load(self, tiles: Sequence[int]) -> None:
-        """Begin to open the generator of the largest tile without an open one, one at a time."""
+        """Begin to open the ONNX generator of the largest neural tile that has none open."""
         for tile in tiles:
             has_room = len(self._open) < self._options.sessions
             if tile not in self._open and not self._loading and has_room:
@@ -349,14 +349,14 @@ class NeuralTiles:
     # ---- 4. Runs
 
     def _inputs(self, tile: int, camera: Camera, values: Mapping[str, object]) -> object:
-        """Return a comparable key of the inputs that a tile's generator gets in this frame."""
+        """Return a comparable key of the inputs that a tile's ONNX generator gets in this frame."""
         roles = self._neural[tile].inputs
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         seen = (camera.view.tobytes(), *lens) if set(roles) & set(CAMERA_ROLES) else None
         return seen, self._time(tile, values)
 
     def _time(self, tile: int, values: Mapping[str, object]) -> float | None:
-        """Return the time input of a tile's generator, clamped to its range; None without time."""
+        """Return the time input of a tile's ONNX generator, in its range; None without time."""
         span = self._neural[tile].time_range
         if span is None:
             return None
@@ -364,7 +364,7 @@ class NeuralTiles:
         return min(max(value, span[0]), span[1])
 
     def _run(self, inputs: Mapping[int, object], camera: Camera, time: float) -> None:
-        """Begin model runs of generators whose inputs changed, up to the limit a second."""
+        """Begin runs of ONNX generators whose inputs changed, up to the limit per second."""
         rate = self._options.runs_per_second
         if np.isfinite(rate):
             self._tokens += rate * (time - self._token_time)
@@ -392,12 +392,12 @@ class NeuralTiles:
     # ---- 5. Uploads
 
     def _expected(self, tile: int) -> TileArrival:
-        """Return the Gaussians that a tile should show: generator output, or stored splats."""
+        """Return the Gaussians that a tile should show: ONNX generator output, or stored splats."""
         entry = self._open.get(tile)
         return self._contents[tile] if entry is None or entry.result is None else entry.result
 
     def _updates(self, uploaded: int) -> list[TileArrival]:
-        """Return Gaussians that tiles should show and the pool lacks, within the upload budget."""
+        """Return Gaussians that tiles should show and the splat pool lacks, by upload budget."""
         updates: list[TileArrival] = []
         for tile in sorted(self._in_pool):
             rows = self._expected(tile)

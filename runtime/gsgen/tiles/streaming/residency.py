@@ -85,7 +85,7 @@ class ResidentTiles:
         self.used_slots -= int(self._slots[tile])
 
     def _victims(self, lack: int) -> tuple[int, ...] | None:
-        """Return tiles to evict for ``lack`` slots of the splat pool; None if too few can go."""
+        """Return tiles to evict so that ``lack`` slots of the splat pool get free; or None."""
         if lack <= 0:
             return ()
         rows = np.flatnonzero(self.resident & ~self._protected)

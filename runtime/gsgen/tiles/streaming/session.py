@@ -86,7 +86,7 @@ class SessionOptions:
 
 
 class ArrivalLink(Link, Protocol):
-    """Protocol of links that deliver decoded tiles."""
+    """Protocol of network links that deliver decoded tiles."""
 
     def poll(self) -> Sequence[FetchResult[TileArrival]]:
         """Return the tiles that arrived or failed since the last call."""
@@ -245,7 +245,7 @@ class TilesetSession:
         )
 
     def _reserved_rows(self) -> Int64[np.ndarray, " n"]:
-        """Return the most splat-pool rows that each tile's generator may write; 0 without one."""
+        """Return the most splat-pool rows that each tile's ONNX generator fills; 0 without one."""
         reserved = np.zeros(len(self.tree), np.int64)
         if self.neural:
             for tile in self.neural.tiles:

@@ -98,7 +98,7 @@ class TilesSource(Source):
             self._report_missing(frame)
 
     def _report_missing(self, frame: SessionFrame) -> None:
-        """Write a line to stderr if a frame is drawn without some tiles or generator outputs."""
+        """Write a line to stderr if a frame is drawn without some tiles or model outputs."""
         line = ""
         if not frame.is_complete:
             line = f"{frame.missing} tiles did not arrive within {self._wait:g} s; coarser ones are"
@@ -129,7 +129,7 @@ class TilesSource(Source):
         return frame
 
     def _rewrite(self, frame: SessionFrame, camera: Camera) -> bool:
-        """Write new Gaussians of neural tiles' generators into the tiles' splat-pool slots."""
+        """Write new Gaussians of tiles' ONNX generators into the tiles' slots of the splat pool."""
         if self._neural is None:
             return False
         for tile in frame.evicted:
@@ -152,7 +152,7 @@ class TilesSource(Source):
         return len(self._neural.unsettled) if self._neural else 0
 
     def interrupt(self) -> None:
-        """Stop the model runs of generators, whose tiles then draw their stored splats."""
+        """Stop the runs of tiles' ONNX generators; these tiles then draw their stored splats."""
         if self._neural:
             self._neural.interrupt()
 

@@ -79,7 +79,7 @@ def tiles_good_implicit() -> TilesetSketch:
 
 @_example()
 def tiles_good_neural() -> TilesetSketch:
-    """Fixture: a valid tileset with a leaf that also holds a generator."""
+    """Fixture: a valid tileset with a leaf tile that also holds an ONNX generator."""
     return _neural()
 
 
@@ -286,7 +286,7 @@ def tiles_draft_names() -> TilesetSketch:
 
 @_example("GT020")
 def tiles_neural_digest() -> TilesetSketch:
-    """Fixture: a tileset with a generator whose digest differs from the declared one."""
+    """Fixture: a tileset with an ONNX generator whose digest differs from the declared one."""
     sketch = _neural()
     extension = sketch.document["root"]["children"][0]["extensions"][NEURAL]
     extension["sha256"] = hashlib.sha256(b"another model").hexdigest()

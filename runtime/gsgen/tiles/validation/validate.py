@@ -128,7 +128,7 @@ def _check(
 
 
 def _undecided(rule: Rule, inspected: InspectedTileset) -> str:
-    """Return why a rule saw only a part of what it checks; empty where it saw everything."""
+    """Return why a rule checked only a part of the tileset; empty if it checked everything."""
     if rule.level >= Level.VALUES and inspected.undecoded:
         return f"{inspected.undecoded} (see --timeout)"
     if rule.level is Level.RENDER:

@@ -64,10 +64,13 @@ class ParsedEdit:
         """Apply the edit and return the edited splats; raise if no splat is left."""
         result = self.apply(splats)
         if not len(result):
-            raise ValueInvalid(
-                f"{self.text} leaves none of {len(splats)} splats", expected="at least one splat"
-            )
+            raise none_left(self.text, len(splats))
         return result
+
+
+def none_left(edits: str, count: int) -> ValueInvalid:
+    """Return the error of edits that remove all of ``count`` splats."""
+    return ValueInvalid(f"{edits} leaves none of {count} splats", expected="at least one splat")
 
 
 def _numbers(text: str, metavar: str) -> tuple[float, ...]:

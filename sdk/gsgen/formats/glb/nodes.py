@@ -112,7 +112,7 @@ def moved(splats: Splats, matrix: Matrix) -> Splats:
 def _axes(
     spread: Float64[np.ndarray, "n 3 3"],
 ) -> tuple[Float64[np.ndarray, "n 3 3"], Float64[np.ndarray, "n 3"]]:
-    """Decompose covariances S Sᵀ of a spread matrix S into rotations and standard deviations."""
+    """Decompose covariances S Sᵀ of 3×3 matrices S into rotations and standard deviations."""
     u, sizes, _ = np.linalg.svd(spread)
     u[:, :, 2] *= np.sign(np.linalg.det(u))[:, None]
     return u, sizes

@@ -45,7 +45,7 @@ def write_ply(
 
 
 def write_ply_parts(path: FilePath, parts: Iterable[Splats], count: int) -> None:
-    """Write ``count`` splats that come in parts of equal degree and flags as a binary PLY file."""
+    """Write ``count`` splats as a binary PLY file; the parts have equal SH degree and flags."""
     encoding: Encoding = "binary_little_endian"
     with replacing(path) as file:
         for index, part in enumerate(parts):

@@ -116,7 +116,7 @@ class PointCloud:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedRows:
-    """One frame of a generator: packed Gaussians and their appearance.
+    """One frame of an ONNX generator: packed Gaussians and their appearance (colours).
 
     The validator checks the values, and that both data types agree.
 

@@ -25,12 +25,13 @@ _SHARE_SPLIT: Final = 3  # later, the worst third
 Rows = Float32[np.ndarray, "n d"]
 
 
-def make_palette(values: Rows, size: int) -> Rows:
-    """Return at most ``size`` palette entries that quantise rows with a small squared error.
+def training_step(count: int) -> int:
+    """Return the step of the rows, of ``count``, that choose a palette: half a million at most."""
+    return -(-count // _TRAINING)
 
-    Of more than half a million rows, evenly spaced ones decide.
-    """
-    rows = np.ascontiguousarray(values[:: -(-len(values) // _TRAINING)])
+
+def make_palette(rows: Rows, size: int) -> Rows:
+    """Return at most ``size`` palette entries that quantise rows with a small squared error."""
     # Real scenes have clusters, which a tree finds; noise has none, and rows of it start better.
     spaced = rows[np.linspace(0, len(rows) - 1, min(size, len(rows))).astype(np.int64)]
     starts = [_split_clusters(candidate, size) for candidate in (rows, spaced)]
@@ -40,7 +41,7 @@ def make_palette(values: Rows, size: int) -> Rows:
 
 
 def _moved(rows: Rows, palette: Rows, rounds: int) -> tuple[Rows, float]:
-    """Return the palette after Lloyd iterations, and the squared error before the last one."""
+    """Return the SH palette after Lloyd iterations, and the squared error before the last one."""
     error = 0.0
     for _ in range(rounds):
         labels = nearest_entries(rows, palette)
@@ -55,7 +56,7 @@ def _error(rows: Rows, palette: Rows, labels: Int64[np.ndarray, " n"]) -> float:
 
 
 def nearest_entries(values: Rows, palette: Rows) -> Int64[np.ndarray, " n"]:
-    """Return for each row the index of a nearest palette entry, among the closest blocks."""
+    """Return the nearest SH palette entry of each row, searched in the closest blocks only."""
     block = max(1, round(len(palette) ** 0.5))
     starts = np.arange(0, len(palette), block)
     centres = _group_means(palette, starts)
@@ -133,4 +134,6 @@ def _distances(
     rows: Rows, entries: Rows
 ) -> Float32[np.ndarray, "n k"] | Float64[np.ndarray, "n k"]:
     """Return squared distances of rows to palette entries, up to a constant per row."""
-    return np.asarray(np.square(entries).sum(axis=1) - 2 * (rows @ entries.T))
+    distances = rows @ (-2 * entries).T
+    distances += np.square(entries).sum(axis=1)
+    return np.asarray(distances)

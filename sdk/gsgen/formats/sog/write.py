@@ -3,13 +3,13 @@
 import json
 import math
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, final
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt8
+from jaxtyping import Float32, Float64, Int64, UInt8, UInt16, UInt32
 
 from gsgen.formats.shared.errors import NotSupported
 from gsgen.formats.shared.files import FilePath, naming, replacing
@@ -27,9 +27,9 @@ from gsgen.formats.sog.meta import (
     QUATERNION_TAG,
     STREAMED_META,
 )
-from gsgen.formats.sog.palette import make_palette, nearest_entries
+from gsgen.formats.sog.palette import make_palette, nearest_entries, training_step
 
-__all__ = ["SplatColumns", "sog_order", "write_sog", "write_sog_columns"]
+__all__ = ["SplatParts", "sog_order", "write_sog", "write_sog_parts"]
 
 _MOST_DEGREE: Final = 3
 _LAST_STEP: Final = 65535
@@ -38,11 +38,11 @@ _ROWS: Final = 1 << 18
 _SMALL: Final = 1 << 10  # splats of a scene whose palette has an entry for each
 _WIDEST: Final = 16383  # pixels of a side, the limit of WebP
 
-Rows = Int64[np.ndarray, " m"]
+Rows = UInt32[np.ndarray, " m"]
 
 
-class SplatColumns(Protocol):
-    """Splats whose arrays are computed on demand: one at a time is in memory."""
+class SplatParts(Protocol):
+    """Splats that are read in parts; each iteration yields the same ones again."""
 
     @property
     def antialiased(self) -> bool:
@@ -56,15 +56,13 @@ class SplatColumns(Protocol):
 
     def __len__(self) -> int: ...
 
-    def column(self, name: str) -> Float32[np.ndarray, "n ..."]:
-        """Return the array of the named field of :class:`Splats`, such as ``position``."""
-        ...
+    def __iter__(self) -> Iterator[Splats]: ...
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class _InMemory:
-    """Splats whose arrays are all in memory, for :func:`write_sog_columns`."""
+    """Splats whose arrays are all in memory, for :func:`write_sog_parts`."""
 
     splats: Splats
 
@@ -79,8 +77,8 @@ class _InMemory:
     def __len__(self) -> int:
         return len(self.splats)
 
-    def column(self, name: str) -> Float32[np.ndarray, "n ..."]:
-        return np.asarray(getattr(self.splats, name))
+    def __iter__(self) -> Iterator[Splats]:
+        yield self.splats
 
 
 def write_sog(path: FilePath, splats: Splats) -> None:
@@ -96,11 +94,14 @@ def write_sog(path: FilePath, splats: Splats) -> None:
     """
     with naming(path):
         require_drawable(splats)
-    write_sog_columns(path, _InMemory(splats))
+    write_sog_parts(path, _InMemory(splats))
 
 
-def write_sog_columns(path: FilePath, splats: SplatColumns) -> None:
-    """Write valid splats as a SOG file, with one array of the splats in memory at a time."""
+def write_sog_parts(path: FilePath, splats: SplatParts) -> None:
+    """Write valid splats as a SOG file, with one array of the splats in memory at a time.
+
+    SH coefficients above degree 0 are not held in memory: a sample chooses the palette.
+    """
     with naming(path):
         if Path(path).name.lower() == STREAMED_META:
             raise NotSupported(
@@ -145,7 +146,7 @@ class _Images:
 
     def __init__(self, order: Int64[np.ndarray, " n"]) -> None:
         self.files: dict[str, bytes] = {}
-        self.order = order
+        self.order = order.astype(np.uint32)  # half the memory
 
     def add(self, name: str, pixels: Callable[[Rows], UInt8[np.ndarray, "m c"]]) -> str:
         """Encode a SOG image with one pixel per splat; missing channels are 255."""
@@ -157,21 +158,58 @@ class _Images:
         return name
 
 
-def _files(splats: SplatColumns) -> dict[str, bytes]:
+def _column(
+    splats: SplatParts, select: Callable[[Splats], Float32[np.ndarray, "m ..."]]
+) -> Float32[np.ndarray, "n ..."]:
+    """Return one array of all splats, which ``select`` returns of each part."""
+    table = np.empty(0, np.float32)
+    end = 0
+    for part in splats:
+        array = select(part)
+        if not end:
+            table = np.empty((len(splats), *array.shape[1:]), np.float32)
+        table[end : end + len(array)] = array
+        end += len(array)
+    return table
+
+
+def _higher_batches(splats: SplatParts) -> Iterator[Float32[np.ndarray, "m d"]]:
+    """Yield SH coefficients above degree 0 in batches of 2¹⁸ splats.
+
+    The batches do not depend on the sizes of the parts, so that rounding does not either.
+    """
+    parts: list[Float32[np.ndarray, "m d"]] = []
+    missing = _ROWS
+    for part in splats:
+        rows = part.sh[:, 1:].reshape(len(part), -1)
+        while len(rows) >= missing:
+            yield np.concatenate([*parts, rows[:missing]])
+            parts, rows, missing = [], rows[missing:], _ROWS
+        if len(rows):
+            parts.append(rows)
+            missing -= len(rows)
+    if parts:
+        yield np.concatenate(parts)
+
+
+def _files(splats: SplatParts) -> dict[str, bytes]:
     """Return the content of each file of a SOG, meta.json last."""
-    steps, low, high = _stored_positions(splats.column("position"))
+    steps, low, high = _stored_positions(_column(splats, lambda part: part.position))
     images = _Images(grid_order(steps))
     meta: dict[str, Any] = {"version": 2, "count": len(splats)}
     if splats.antialiased:
         meta["model"] = ANTIALIASED
     meta["means"] = _add_means(steps, images) | {"mins": low.tolist(), "maxs": high.tolist()}
     del steps
-    meta["scales"] = _add_scales(_finite_scales(splats.column("log_scale")), images)
-    meta["quats"] = _add_turns(splats.column("rotation"), images)
-    sh = splats.column("sh")
-    meta["sh0"] = _add_colors(sh[:, 0], splats.column("logit_opacity"), images)
+    meta["scales"] = _add_scales(
+        _finite_scales(_column(splats, lambda part: part.log_scale)), images
+    )
+    meta["quats"] = _add_turns(_column(splats, lambda part: part.rotation), images)
+    logit_opacity = _column(splats, lambda part: part.logit_opacity)
+    meta["sh0"] = _add_colors(_column(splats, lambda part: part.sh[:, 0]), logit_opacity, images)
+    del logit_opacity
     if splats.degree:
-        meta["shN"] = _add_palette(sh, images)
+        meta["shN"] = _add_palette(splats, images)
     return images.files | {META: json.dumps(meta, separators=(",", ":")).encode()}
 
 
@@ -241,18 +279,20 @@ def _turns(rotation: Float32[np.ndarray, "m 4"]) -> UInt8[np.ndarray, "m 4"]:
     )
 
 
-def _add_palette(sh: Float32[np.ndarray, "n k 3"], images: _Images) -> dict[str, Any]:
+def _add_palette(splats: SplatParts, images: _Images) -> dict[str, Any]:
     """Add the SOG images of the SH palette and of its labels; return their JSON description.
 
     The palette is rounded to its codebook before each splat takes the nearest entry.
     """
-    width = PALETTE_WIDTH * (sh.shape[1] - 1)
-    higher = sh[:, 1:].reshape(len(sh), -1)
-    palette = make_palette(higher, _palette_size(len(sh)))
-    members = np.bincount(nearest_entries(higher, palette), minlength=len(palette))
+    size = (splats.degree + 1) ** 2 - 1
+    sample = _training_rows(splats)
+    palette = make_palette(sample, _palette_size(len(splats)))
+    members = np.bincount(nearest_entries(sample, palette), minlength=len(palette))
+    del sample
     book = make_codebook(palette, np.repeat(members, palette.shape[1]))
     coded = codes(palette, book)
-    labels = nearest_entries(higher, book[coded])
+    labels = _labels(splats, book[coded])
+    width = PALETTE_WIDTH * size
     pixels = np.full((-(-len(palette) // PALETTE_WIDTH) * width, 4), 255, np.uint8)
     pixels[: coded.size // 3, :3] = coded.reshape(-1, 3)
     centroids = "shN_centroids.webp"
@@ -264,10 +304,26 @@ def _add_palette(sh: Float32[np.ndarray, "n k 3"], images: _Images) -> dict[str,
 
     return {
         "count": len(palette),
-        "bands": math.isqrt(sh.shape[1]) - 1,
+        "bands": splats.degree,
         "codebook": _numbers(book),
         "files": [centroids, images.add("shN_labels.webp", label_pixels)],
     }
+
+
+def _training_rows(splats: SplatParts) -> Float32[np.ndarray, "m d"]:
+    """Return the SH coefficients above degree 0 of the evenly spaced splats of the palette."""
+    step = training_step(len(splats))
+    first, samples = 0, []  # the next row of the sample, counted from the start of the batch
+    for rows in _higher_batches(splats):
+        samples.append(rows[first::step].copy())
+        first = (first - len(rows)) % step
+    return np.concatenate(samples)
+
+
+def _labels(splats: SplatParts, palette: Float32[np.ndarray, "p d"]) -> UInt16[np.ndarray, " n"]:
+    """Return the palette entry of each splat."""
+    batches = _higher_batches(splats)
+    return np.concatenate([nearest_entries(rows, palette).astype(np.uint16) for rows in batches])
 
 
 def _palette_size(count: int) -> int:

@@ -144,7 +144,7 @@ def write_spz(
 
 
 def write_spz_parts(path: FilePath, parts: Iterable[Splats], count: int, reach: float) -> None:
-    """Write splats that come in parts of equal degree and flags as an SPZ file, version 3.
+    """Write splats that come in parts of equal SH degree and flags as an SPZ file, version 3.
 
     Encoded attributes are kept in temporary files until all parts are read.
 

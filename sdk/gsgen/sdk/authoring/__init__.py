@@ -1,1 +1,1 @@
-"""How does an author write a generator or a post-process model in torch?"""
+"""How does an author write a generator of Gaussians or a post-process model in torch?"""

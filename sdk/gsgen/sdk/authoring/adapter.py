@@ -1,4 +1,4 @@
-"""Wraps an existing torch module as a generator, without changing it.
+"""Wraps an existing torch module as a generator of Gaussians, without changing the module.
 
 For example, for a module that takes a view matrix and a time and returns a dict::
 
@@ -44,7 +44,7 @@ def wrap(
     producer: Producer | None = None,
     weighted_sum: WeightedSum | None = None,
 ) -> GaussianGenerator:
-    """Return a generator that runs the torch module ``module``.
+    """Return a generator of Gaussians that runs the torch module ``module``.
 
     Args:
         module: Anything that returns a dict, a tuple, an object with attributes or one tensor.
@@ -82,7 +82,7 @@ def wrap(
 
 
 class _Wrapped(GaussianGenerator):
-    """A generator that runs a user's torch module and picks the Gaussians from its result."""
+    """A Gaussian generator that runs a user's torch module and picks Gaussians from its result."""
 
     def __init__(self, module: nn.Module, outputs: Mapping[str, Take], *, by_name: bool) -> None:
         super().__init__()

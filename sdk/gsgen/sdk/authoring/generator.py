@@ -1,4 +1,4 @@
-"""The base class of generators: torch modules that declare inputs and return Gaussians."""
+"""The base class of Gaussian generators: torch modules with declared inputs."""
 
 __all__ = ["GaussianGenerator", "Gaussians"]
 
@@ -112,7 +112,7 @@ class Gaussians:
 
 
 class GaussianGenerator(nn.Module, ABC):
-    """Base class of generators: a torch module that returns Gaussians for every frame.
+    """Base class of Gaussian generators: a torch module that returns Gaussians for every frame.
 
     Subclasses set the class attributes below (or set them on the instance) and write
     ``forward``, which takes the declared inputs in order and returns :class:`Gaussians`.

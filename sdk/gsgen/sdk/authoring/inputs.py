@@ -219,7 +219,7 @@ def appearance_id(count: int, name: str = "appearance_id") -> Input:
 def control(
     name: str, *, range: Range, default: float, size: int = 1, label: str | None = None
 ) -> Input:
-    """Declare the input for a named slider, float32 [size]."""
+    """Declare the input whose value a named slider of the viewer sets, float32 [size]."""
     return Input(
         name=name, role="control", shape=(size,), range=range, default=default, label=label
     )

@@ -46,14 +46,14 @@ def check_whole_cells(capacity: int, per_cell: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """The dtype of a generator's packed outputs, and their capacity in rows."""
+    """The dtype of a generator's packed outputs, and their capacity (number of rows)."""
 
     dtype: torch.dtype  # float32 or float16, for all outputs except the count
     capacity: int  # number of rows of the outputs; rows after the Gaussians are zero
 
 
 class PackedGenerator(nn.Module):
-    """Wraps a generator as a torch module with outputs in the contract's packed layout."""
+    """Wraps a Gaussian generator as a torch module with outputs in the packed layout."""
 
     def __init__(self, generator: GaussianGenerator, packed: Packed) -> None:
         super().__init__()

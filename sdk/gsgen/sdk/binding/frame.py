@@ -16,7 +16,7 @@ from gsgen.sdk.binding.buffers import Buffer
 
 
 class FrameSource(Protocol):
-    """Protocol of the session that computed a frame and holds its output buffers."""
+    """Protocol of a model's session that computed a frame and holds the frame's output buffers."""
 
     manifest: Manifest | None
 

@@ -22,7 +22,7 @@ from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WarmSession:
-    """A bound session that has run at least once."""
+    """An ONNX Runtime session with bound buffers that has run at least once."""
 
     choice: Choice  # the chosen provider
     bound: BoundSession  # the session and its buffers

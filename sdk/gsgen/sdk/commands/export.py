@@ -38,7 +38,7 @@ class _Targets(TyperGroup):
         return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command for an export target; raise with suggestions if unknown."""
+        """Return the command that exports a method or a ``module:factory``; raise if unknown."""
         word = args[0]
         if word not in self.commands and is_target(word):
             wants_help = bool({"-h", "--help"} & set(args))
@@ -67,7 +67,7 @@ def _unknown(word: str, plugins: list[str]) -> UnknownName:
 
 
 def _command_for(target: str, *, wants_help: bool) -> Any:
-    """Return the command that exports ``target``; the target is imported when the command runs."""
+    """Return the command that exports ``module:factory``, which is imported when it runs."""
     single = typer.Typer(add_completion=False)
     entry = typer.Option(
         "--arg",
@@ -96,7 +96,7 @@ def _command_for(target: str, *, wants_help: bool) -> Any:
 
 
 def _described(target: str) -> str:
-    """Return a sentence about the arguments that a user's generator factory takes."""
+    """Return a sentence about the arguments that a user's torch generator factory takes."""
     from gsgen.sdk.plugins.factory import load_factory
 
     parameters = load_factory(target).parameters.values()

@@ -1,4 +1,4 @@
-"""Exports a static scene as a generator without inputs; torch is not needed.
+"""Exports a static scene as an ONNX generator without inputs; torch is not needed.
 
 The graph holds weights alone. Each output ends on a Mul by one, so that capture and replay have a
 kernel to record.
@@ -121,7 +121,7 @@ def export_constant(
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> ExportedConstant:
-    """Export a static scene as a generator that outputs the same Gaussians in every frame.
+    """Export a static scene as an ONNX generator that outputs equal Gaussians in every frame.
 
     Options are those of :func:`gsgen.sdk.export`; the graph needs no rewrites. ``dtype`` is the
     source's own by default. Rows up to ``capacity`` are zero. The bits of the outputs are compared,
@@ -151,7 +151,7 @@ def export_constant(
 def constant_manifest(
     packed: ConstantRows, name: str, *, family: str | None, capacity: int | None = None
 ) -> GeneratorManifest:
-    """Return the manifest of a generator that outputs constant packed Gaussians."""
+    """Return the manifest of an ONNX generator that outputs constant packed Gaussians."""
     count = len(packed.rows)
     total = count if capacity is None else capacity
     if total < count:
@@ -185,7 +185,7 @@ def write_constant(
     count: int | None = None,
     opset: int = OPSET,
 ) -> None:
-    """Write a generator that outputs given packed Gaussians and appearance bit for bit.
+    """Write an ONNX generator that outputs given packed Gaussians and appearance bit for bit.
 
     ``manifest`` names the outputs; rows up to its capacity are zero, and the first ``count`` rows
     are live, by default all. Write to the draft of

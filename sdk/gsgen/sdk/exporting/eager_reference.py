@@ -1,4 +1,4 @@
-"""Run a generator in eager torch, as the reference that an exported model is compared with."""
+"""Run a torch generator in eager mode, as the reference that an exported model has to match."""
 
 __all__ = ["EagerRuns", "Reference", "call_module", "measure_bounds", "run_eager", "run_watched"]
 
@@ -95,7 +95,7 @@ class EagerRuns:
 
 
 def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
-    """Run a generator once in eager torch, without gradients."""
+    """Run a torch generator once in eager mode, without gradients."""
     return _reference(generator, probe, call_module(generator, _tensors(probe)))
 
 
@@ -115,7 +115,7 @@ def packed_outputs(reference: Reference, manifest: GeneratorManifest) -> dict[st
 
 
 def run_watched(generator: GaussianGenerator, probe: Probe) -> tuple[Reference, Watch]:
-    """Run a generator once in eager torch, and record operations that tracing cannot follow."""
+    """Run a torch generator in eager mode, and record operations that tracing cannot follow."""
     tensors = _tensors(probe)
     with Watch(generator, tensors) as watch:
         output = call_module(generator, tensors)

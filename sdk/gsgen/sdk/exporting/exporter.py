@@ -1,4 +1,4 @@
-"""Exports a generator to ONNX: runs it in torch, traces, rewrites, verifies and validates it."""
+"""Exports a torch generator to ONNX: runs it, traces, rewrites, verifies and validates it."""
 
 __all__ = ["Exported", "export"]
 
@@ -86,7 +86,7 @@ _HALF_BUDGET, _HALF_PROBES = 24, 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported(ExportResult):
-    """The result of exporting a generator to ONNX.
+    """The result of exporting a torch generator to ONNX.
 
     Attributes:
         manifest: The embedded manifest.
@@ -143,7 +143,7 @@ def export(
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> Exported:
-    """Export a generator as an ONNX file that conforms to the contract and agrees with torch.
+    """Export a torch generator as an ONNX file that conforms and agrees with torch.
 
     Args:
         generator: The module; it is put into evaluation mode and moved to the CPU.
@@ -280,7 +280,7 @@ def _default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
 
 @dataclass(frozen=True, slots=True)
 class _Description:
-    """The declarations of a generator, and the results of its runs in eager torch."""
+    """The declarations of a torch generator, and the results of its runs in eager torch."""
 
     manifest: GeneratorManifest  # the manifest to embed
     references: EagerRuns  # results at the contract's probes, and at probes far from them
@@ -291,7 +291,7 @@ class _Description:
 def _describe(
     generator: GaussianGenerator, options: _Options, dtype: Dtype, progress: Progress
 ) -> _Description:
-    """Build the manifest of a generator from its declarations and its outputs in eager torch."""
+    """Build a torch generator's manifest from its declarations and its outputs in eager torch."""
     _check_inputs(generator)
     # The bounds are not known yet, so the first probes lie around the default bounds.
     draft = _manifest(generator, options.name, dtype, None, 1, None)

@@ -66,7 +66,7 @@ def describe_size(manifest: GeneratorManifest, *, seconds: float, runs: int) -> 
 
 
 def check_fits(generator: GaussianGenerator, manifest: GeneratorManifest, target: str) -> None:
-    """Raise if an output of the generator exceeds the target's storage buffer size.
+    """Raise if an output of the generator model exceeds the storage buffer size of the target GPU.
 
     Raises:
         GeneratorInvalid: It is; the hint names the options that make it smaller.

@@ -75,7 +75,7 @@ def _hint(suspects: Suspects, references: EagerRuns) -> str:
 
 
 def _is_stable(generator: GaussianGenerator, references: EagerRuns) -> bool | None:
-    """Return whether a generator's float32 and float64 outputs agree; None if float64 fails."""
+    """Return whether a torch generator agrees in float32 and float64; None if float64 fails."""
     wide = deepcopy(generator).double()
     for reference in references:
         inputs = {

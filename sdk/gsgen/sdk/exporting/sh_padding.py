@@ -1,4 +1,4 @@
-"""Pads a generator's SH coefficients with zeros up to the degree that a viewer reads."""
+"""Pads a generator's SH coefficients with zeros up to the degree that a viewer can read."""
 
 __all__ = ["padded_harmonics"]
 

@@ -1,4 +1,4 @@
-"""Converts a generator to float16, except where the rounding error exceeds the tolerance.
+"""Converts an ONNX generator to float16, except where rounding errors exceed the tolerance.
 
 A search rounds nodes alone and in groups, at the contract's probes, and compares the outputs with
 those of float32 in the contract's units: positions in standard deviations of their Gaussian,

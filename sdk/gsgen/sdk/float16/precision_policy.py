@@ -1,4 +1,4 @@
-"""Decides which nodes and weights stay float32: sensitive ones, ε guards, isolated nodes."""
+"""Decides which nodes and weights stay float32: sensitive ones, tiny ε terms, isolated ones."""
 
 __all__ = ["RetainedFloat32", "choose_tables", "epsilon_guards", "merge_islands", "retained_nodes"]
 
@@ -85,7 +85,7 @@ def choose_tables(
 
 
 def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
-    """Return nodes that must stay float32: comparisons, ε guards, constants above 65,504.
+    """Return nodes that must stay float32: comparisons, tiny ε terms, constants above 65,504.
 
     Case 1: a comparison turns a small error into a large one, at a time between the probes.
     Case 2: a constant beyond 65,504 becomes infinite.
@@ -125,7 +125,7 @@ def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
 def retained_nodes(
     nodes: Sequence[ir.Node], guarded: Mapping[ir.Node, str], costly: Sequence[Sensitivity]
 ) -> list[RetainedFloat32]:
-    """Return the nodes that stay float32: ε guards, and groups with too large an error."""
+    """Return the nodes that stay float32: tiny ε terms, and groups with too large an error."""
     able = set(nodes)
     retained = [
         RetainedFloat32(node_key(node), reason) for node, reason in guarded.items() if node in able

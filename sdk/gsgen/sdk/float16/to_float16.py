@@ -59,7 +59,7 @@ class ToFloat16(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> None:
-        """Return None: no target needs this rewrite, since a search must choose the nodes first."""
+        """Return None: no target runtime needs this rewrite; a search chooses the nodes first."""
         return
 
     def rewrite(self, model: ir.Model) -> None:

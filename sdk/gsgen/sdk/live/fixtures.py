@@ -28,7 +28,7 @@ def live_fixtures() -> list[Fixture]:
 
 @invalid("GB011", level=Level.LIVE)
 def integers_of_64_bits() -> ModelSpec:
-    """Fixture: a generator that adds and removes a number above 2³², which a GPU truncates."""
+    """Fixture: ONNX generator that adds and removes a number above 2³², which a GPU truncates."""
     counted = drifting().reworded(
         SHIFT_NODE,
         "scaled = Mul (time, thousand) whole = Cast <to = 7> (scaled) far = Add (whole, big) "
@@ -41,7 +41,7 @@ def integers_of_64_bits() -> ModelSpec:
 
 @invalid("GB014", level=Level.LIVE)
 def branches_by_if() -> ModelSpec:
-    """Fixture: a generator with an If whose branches differ, so that WebGPU cannot capture it."""
+    """Fixture: an ONNX generator with an If of different branches, which WebGPU cannot capture."""
     branched = drifting().reworded(
         SHIFT_NODE,
         "late = Greater (time, half) turned = If (late) <then_branch = t () => (float[1] a) { a = Neg (time) }, "
@@ -53,7 +53,7 @@ def branches_by_if() -> ModelSpec:
 
 @invalid("GB015", level=Level.LIVE)
 def round_on_the_cpu() -> ModelSpec:
-    """Fixture: a generator that rounds time to tenths by Round, which has no GPU kernel."""
+    """Fixture: an ONNX generator that rounds time to tenths by Round, which has no GPU kernel."""
     stepped = drifting().reworded(
         SHIFT_NODE,
         "scaled = Mul (time, ten) whole = Round (scaled) step = Div (whole, ten) "
@@ -64,7 +64,7 @@ def round_on_the_cpu() -> ModelSpec:
 
 @invalid("GB016", level=Level.LIVE)
 def output_from_idle_sum() -> ModelSpec:
-    """Fixture: a generator whose output is a ReduceSum over no axes, which is only a copy."""
+    """Fixture: an ONNX generator whose output is a ReduceSum over no axes, which is only a copy."""
     return drifting().reworded(
         _OUTPUT_NODE,
         "packed = Concat <axis = 1> (moved, opacity, spread) "
@@ -74,7 +74,7 @@ def output_from_idle_sum() -> ModelSpec:
 
 @invalid("GB017", level=Level.LIVE)
 def split_into_many() -> ModelSpec:
-    """Fixture: a generator with a Split into more outputs than a GPU kernel may bind."""
+    """Fixture: an ONNX generator with a Split into more outputs than a GPU kernel may bind."""
     parts = ", ".join(f"part_{index}" for index in range(_PARTS))
     wide_split = drifting().reworded(
         SHIFT_NODE,

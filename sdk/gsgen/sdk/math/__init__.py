@@ -1,4 +1,4 @@
-"""Which torch functions for generators survive ONNX export and graph capture?
+"""Which torch functions for Gaussian generators survive ONNX export and graph capture?
 
 Three hazards shape these functions. The exporter removes ``x + c`` for c below 1e-8, so an epsilon
 that guards a norm disappears; a clamp under the square root stays. Boolean indexing gives shapes

@@ -64,7 +64,7 @@ def _sample(
 
 
 def _rows(corners: Int[Tensor, "n 8 3"], size: int, resolution: int) -> Int[Tensor, "n 8"]:
-    """Return the row in the hash table of each grid corner's feature."""
+    """Return the row index in the hash table of each grid corner's feature."""
     side = resolution + 1
     x, y, z = corners.unbind(dim=-1)
     if side**3 <= size:

@@ -28,35 +28,33 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         ParityFailed,
         RewriteFailed,
     )
-    from gsgen.sdk.plugins.export_report import Outcome, write_report
+    from gsgen.sdk.plugins.export_report import Outcome, emit_report
 
     faults = (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed, RewriteFailed)
     try:
         result = _export(build, request)
     except faults as error:
         clear()
-        if request.report is not None:
-            outcome = Outcome(
-                written=False,
-                report=error.report if isinstance(error, ExportRejected) else None,
-                parity=error.parity if isinstance(error, ParityFailed) else None,
-                error=error,
-            )
-            reported = replace(request, dtype=request.dtype or "float32")
-            write_report(request.report, reported, source, outcome)
-        _show_failure(error)
+        outcome = Outcome(
+            written=False,
+            report=error.report if isinstance(error, ExportRejected) else None,
+            parity=error.parity if isinstance(error, ParityFailed) else None,
+            error=error,
+        )
+        emit_report(replace(request, dtype=request.dtype or "float32"), source, outcome)
+        if not request.as_json:
+            _show_failure(error)
         typer.echo(f"gsgen: {request.output} was not written", err=True)
         raise typer.Exit(1) from error
     clear()
     for note in result.notes:
         typer.echo(f"note: {note}", err=True)
-    if request.report is not None:
-        outcome = Outcome(
-            written=True, report=result.report, parity=result.parity, changes=result.changes
-        )
-        reported = replace(request, dtype=result.dtype)
-        write_report(request.report, reported, source, outcome)
-    _show(result)
+    outcome = Outcome(
+        written=True, report=result.report, parity=result.parity, changes=result.changes
+    )
+    emit_report(replace(request, dtype=result.dtype), source, outcome)
+    if not request.as_json:
+        _show(result)
 
 
 def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult":
@@ -105,7 +103,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
 
 
 def _refuse_pictures(request: "ExportRequest") -> None:
-    """Raise if pictures of an eager module are requested, and the source has none to draw."""
+    """Raise if pictures of a torch module are requested for a scene that has no torch module."""
     if request.pictures:
         message = "only a generator in torch has an eager module to draw"
         hint = "Leave it out; `gsgen references --from` takes pictures of the training code."

@@ -42,6 +42,7 @@ class ExportRequest:
     pictures: int = 0  # reference pictures of the eager module
     rewrite: bool = True  # whether to rewrite the graph for runtimes
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
+    as_json: bool = False  # whether to print that report instead of text
 
     def __post_init__(self) -> None:
         """Raise if the JSON report of an export would overwrite a model file."""
@@ -111,6 +112,9 @@ def _request(
     report: Annotated[
         Path | None, typer.Option(help="Write a report on the export to this file, as JSON.")
     ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print that report instead of text.")
+    ] = False,
 ) -> ExportRequest:
     return ExportRequest(
         output=output,
@@ -124,6 +128,7 @@ def _request(
         pictures=pictures,
         rewrite=not no_rewrite,
         report=report,
+        as_json=as_json,
     )
 
 

@@ -1,6 +1,6 @@
-"""The JSON document that `gsgen export --report` writes."""
+"""The JSON document that `gsgen export` writes with --report and prints with --json."""
 
-__all__ = ["Outcome", "write_report"]
+__all__ = ["Outcome", "emit_report"]
 
 import json
 import math
@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import typer
 
 from gsgen.contract.commands.output import write_text
 from gsgen.contract.errors import GsgenError
@@ -34,13 +36,15 @@ class Outcome:
     error: GsgenError | None = None  # the error that stopped the export
 
 
-def write_report(path: Path, request: ExportRequest, source: str, outcome: Outcome) -> None:
-    """Write the options and the outcome of an export to a JSON file."""
+def emit_report(request: ExportRequest, source: str, outcome: Outcome) -> None:
+    """Write and print the options and the outcome of an export as JSON, where requested."""
+    options = {key: _json_value(value) for key, value in asdict(request).items()}
+    del options["as_json"]  # says how the report is printed, not what was exported
     document = {
         "schema": _SCHEMA,
         "tool": f"gsgen {version('gsgen')}",
         "source": source,
-        "options": {key: _json_value(value) for key, value in asdict(request).items()},
+        "options": options,
         "written": outcome.written,
         "error": _error(outcome.error) if outcome.error else None,
         "rewrites": [
@@ -49,7 +53,11 @@ def write_report(path: Path, request: ExportRequest, source: str, outcome: Outco
         "parity": _parity(outcome.parity) if outcome.parity else None,
         "validation": to_dict(outcome.report) if outcome.report else None,
     }
-    write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+    text = json.dumps(document, indent=2, ensure_ascii=False)
+    if request.report is not None:
+        write_text(request.report, text + "\n")
+    if request.as_json:
+        typer.echo(text)
 
 
 def _error(error: GsgenError) -> dict[str, Any]:

@@ -22,14 +22,14 @@ _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 @dataclass(frozen=True, slots=True)
 class Factory:
-    """A user's callable that returns a generator, or a generator itself."""
+    """A user's callable that returns a torch generator, or a torch generator itself."""
 
     target: str  # ``module:name``, as the user typed it
     make: Any  # the class, function or finished generator
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """The parameters of a user's factory function; empty for a finished generator."""
+        """The parameters of a user's factory function; empty for a finished torch generator."""
         if not _is_factory(self.make):
             return {}
         try:
@@ -57,7 +57,7 @@ class Factory:
         return values
 
     def build(self, arguments: dict[str, Any]) -> Any:
-        """Call a user's factory and return its generator."""
+        """Call a user's factory function and return the torch generator that it builds."""
         if not _is_factory(self.make):
             return self.make
         try:
@@ -177,7 +177,7 @@ def _no_module(name: str, absent: str, search_folder: Path) -> UnknownName:
 
 
 def _candidates(holder: Any) -> list[str]:
-    """Return the names in a module that are generators, or functions that may return one."""
+    """Return the names in a Python module of torch generators, and of functions returning one."""
     import torch
 
     module_name = getattr(holder, "__name__", None)
@@ -191,7 +191,7 @@ def _candidates(holder: Any) -> list[str]:
 
 
 def _checked(module: Any, target: str) -> Any:
-    """Return a torch module that is a generator or post-process model; raise for others."""
+    """Return a module that is a torch generator or post-process model; raise for others."""
     import torch
 
     from gsgen.sdk.authoring.generator import GaussianGenerator
@@ -204,7 +204,10 @@ def _checked(module: Any, target: str) -> Any:
         return module
     hint = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
     if isinstance(module, torch.nn.Module):
-        hint = "Wrap it: gsgen.sdk.wrap(module, inputs=…, outputs=…)."
+        hint = (
+            "Write a function that returns gsgen.sdk.wrap(module, inputs=[inputs.time()], outputs="
+            "{'position': 0, 'opacity': 1, …}), and export that."
+        )
     message = f"returns {name_of(type(module))}, expected a GaussianGenerator"
     raise GeneratorInvalid(message, where=target, hint=hint)
 

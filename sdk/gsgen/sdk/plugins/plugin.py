@@ -1,4 +1,4 @@
-"""Plugins: each declares one published method, and converts the method's files to a generator.
+"""Plugins: each declares one published method, and converts its files to an ONNX generator.
 
 A package registers an object of :class:`Plugin` under the entry point group ``gsgen.generators``.
 If it needs an extra, the entry point names the extra in square brackets.

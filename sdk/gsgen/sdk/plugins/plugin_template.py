@@ -10,7 +10,7 @@ import sys
 import tempfile
 import unicodedata
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import metadata, version
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,6 +28,7 @@ _FILES = {
     "workflow.yml.in": ".github/workflows/test.yml",
     "init.py.in": "src/@package@/__init__.py",
     "checkpoint.py.in": "src/@package@/checkpoint.py",
+    "example.py.in": "src/@package@/example.py",
     "generator.py.in": "src/@package@/generator.py",
     "plugin.py.in": "src/@package@/plugin.py",
     "conftest.py.in": "tests/conftest.py",
@@ -58,6 +59,7 @@ def write_plugin_package(name: str, into: Path) -> PluginPackage:
         "class": "".join(part.capitalize() for part in name.split("-")),
         "title": name.replace("-", " ").capitalize(),
         "gsgen": version("gsgen"),
+        "repository": _repository(),
     }
     texts = {
         _filled(where, replacements): _template(source, replacements)
@@ -68,6 +70,12 @@ def write_plugin_package(name: str, into: Path) -> PluginPackage:
     except OSError as error:
         raise ConfigInvalid(f"cannot be written: {error.strerror}", where=str(folder)) from error
     return PluginPackage(folder, package, tuple(Path(where) for where in sorted(texts)))
+
+
+def _repository() -> str:
+    """Return the address of gsgen's repository, from the metadata of the installed package."""
+    labels = (str(entry).split(", ", 1) for entry in metadata("gsgen").get_all("Project-URL", []))
+    return dict(labels)["Repository"]
 
 
 def _check_name(name: str) -> None:

@@ -1,1 +1,1 @@
-"""How is a model's graph rewritten for a target, and proven to compute the same outputs?"""
+"""How is a model's graph rewritten for a target runtime, and proven to compute the same?"""

@@ -46,7 +46,7 @@ class Comparison:
 
 
 def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe, ...]:
-    """Return the test inputs of a model: those of the contract if the model has a manifest."""
+    """Return the test inputs of a model: by its manifest if it has one, else random numbers."""
     shapes = {tensor.name: _shape(tensor, sizes) for tensor in subject.graph.inputs}
     dtypes = {tensor.name: _dtype(tensor) for tensor in subject.graph.inputs}
     manifest = subject.manifest

@@ -50,7 +50,7 @@ def _pairs(behaviour: Behaviour, role: str) -> Iterator[_Pair]:
     needs=(*REPRODUCIBLE, "GO001", "GO002", "GO016"),
 )
 def root_translation_added(behaviour: Behaviour) -> Iterator[Violation]:
-    """A root translation that moves all rows alike moves them by its own value, in local units.
+    """A root translation that moves all Gaussians alike moves them by its value, in local units.
 
     Why:
         It is added to the body after posing and rotating. A model that adds it before the rotation

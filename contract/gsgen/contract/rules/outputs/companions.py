@@ -1,4 +1,4 @@
-"""Rules GO of models shipped beside a generator: images and camera tensors have declared sizes."""
+"""GO rules of models shipped beside an ONNX generator: image and camera tensors fit."""
 
 from collections.abc import Iterator
 

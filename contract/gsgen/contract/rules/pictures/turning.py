@@ -125,7 +125,7 @@ def _same_place(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Boo
     needs=(*REPRODUCIBLE, "GI001", "GI007", "GM006", "GO001", "GO002", "GV054"),
 )
 def forward_axis(behaviour: Behaviour) -> Iterator[Violation]:
-    """A camera that looks at the scene draws more rows than one that looks away from it.
+    """A camera that looks at the scene draws more Gaussians than one that looks away from it.
 
     Why:
         A camera of the contract looks along +z, one of OpenGL along −z. Culled with the wrong sign,

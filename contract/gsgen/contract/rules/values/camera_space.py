@@ -120,7 +120,7 @@ def rows_in_local_space(probe_runs: ProbeRuns) -> Iterator[Violation]:
 
 
 def _follows(first: _Seen, second: _Seen, drawn: Bool[np.ndarray, " n"], space: str) -> bool:
-    """Return whether the centres of two runs agree only in camera space."""
+    """Return whether the Gaussian centres of two model runs agree only in camera space."""
     undone = [_undone(seen, space) for seen in (first, second)]
     if undone[0] is None or undone[1] is None:
         return False

@@ -188,7 +188,7 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     needs=CELLS,
 )
 def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
-    """The visibility of a cell, column 3, lies in [0, 1].
+    """The visibility of each cell (group of Gaussians), column 3, lies in [0, 1].
 
     Why:
         The weight of every Gaussian of the cell is multiplied by it: beyond 1 the cell outweighs
@@ -258,7 +258,7 @@ def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     needs=(*CELLS, "GO010", "GO011"),
 )
 def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
-    """The rows of a cell with visibility 0 have opacity 0.
+    """The Gaussians (rows) of a cell with visibility 0 have opacity 0.
 
     Why:
         Renderers without a weighted sum blend the rows by sorting, and know nothing of visibility:

@@ -213,7 +213,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     needs=PACKED_ROWS,
 )
 def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
-    """Drawn rows are not copies of each other.
+    """Drawn Gaussians (rows) are not copies of each other.
 
     Why:
         Copies are sorted and blended one over the other: they cost as much as other rows, and only

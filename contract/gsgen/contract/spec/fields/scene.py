@@ -1,4 +1,4 @@
-"""The frame, the bounds and the blending of a generator's Gaussians."""
+"""Manifest fields for coordinate frame, bounds and blending of a model's Gaussians."""
 
 __all__ = ["Bounds", "Space", "Tolerances", "WeightedSum"]
 

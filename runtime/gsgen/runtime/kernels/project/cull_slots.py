@@ -1,4 +1,4 @@
-"""Lists the slots of the splat pool that may be in view, to project only their Gaussians."""
+"""Lists splat pool slots (streamed tiles) in view, so that only their Gaussians are projected."""
 
 __all__ = ["CullSlots", "seen_reference"]
 
@@ -20,7 +20,7 @@ CULL_MARGIN: Final = JACOBIAN_MARGIN / 2
 
 @final
 class CullSlots:
-    """The kernel ``cull_slots.wgsl``, which lists the splat pool's slots that a camera may see.
+    """The kernel ``cull_slots.wgsl``: lists splat pool slots (streamed tiles) that are in view.
 
     Args:
         device: Device of the kernel.
@@ -44,7 +44,7 @@ class CullSlots:
     def step(
         self, frame: Buffer, keys: Buffer, lows: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> Step:
-        """Return the dispatch that lists the visible pool slots of a GPU page."""
+        """Return the dispatch that lists the visible splat pool slots of a page of Gaussians."""
         assert page.slots is not None
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (
@@ -57,7 +57,7 @@ class CullSlots:
 def seen_reference(
     slots: Shaped[np.ndarray, " s"], frame: Shaped[np.ndarray, ""], page: Shaped[np.ndarray, ""]
 ) -> Bool[np.ndarray, " s"]:
-    """Return the mask of pool slots in view of a pinhole camera: ``cull_slots.wgsl`` in NumPy.
+    """Return the mask of splat pool slots in view of a camera: ``cull_slots.wgsl`` in NumPy.
 
     All eight corners of a box are tested against each side of the image and the near plane, which
     is another way to the same result as the shader's extents.

@@ -1,4 +1,4 @@
-"""Divides the live rows of a generator among its GPU pages."""
+"""Divides a frame's live Gaussians among the GPU pages (buffers) that hold them."""
 
 __all__ = ["LiveCounts", "live_counts_reference"]
 
@@ -15,7 +15,7 @@ from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
 @final
 class LiveCounts:
-    """The kernel ``live_counts.wgsl``, for up to 64 pages."""
+    """The kernel ``live_counts.wgsl``: counts live Gaussians in each of up to 64 GPU pages."""
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(
@@ -23,7 +23,7 @@ class LiveCounts:
         )
 
     def step(self, total: Buffer, live: Buffer) -> Step:
-        """Return the dispatch that writes a count per page.
+        """Return the dispatch that writes the number of live Gaussians of each GPU page.
 
         Args:
             total: The number of live rows, as int32.
@@ -33,6 +33,6 @@ class LiveCounts:
 
 
 def live_counts_reference(total: int, pages: int) -> UInt32[np.ndarray, " n"]:
-    """Return the live rows of each page: the reference of ``live_counts.wgsl``."""
+    """Return the live Gaussians of each GPU page: the NumPy reference of ``live_counts.wgsl``."""
     first = np.arange(pages) * PAGE_ROWS
     return np.clip(total - first, 0, PAGE_ROWS).astype(np.uint32)

@@ -62,7 +62,9 @@ fn thinnest(covariance: mat3x3f) -> vec3f {
 
 // Write the normal of row `own`, whose `eye` is set; nothing for a row that is not drawn.
 fn write_normal(own: u32) {
-    if (own >= page.count || keys[page.base + own] == ABSENT) {
+    // If PLACED, the keys are the indices of the rows' splats, or ABSENT.
+    let key = keys[select(page.base + own, own, PLACED)];
+    if (own >= page.count || key == ABSENT) {
         return;
     }
     let offset = (read_center(own).position - eye.at) - eye.rest;
@@ -70,5 +72,5 @@ fn write_normal(own: u32) {
     let axis = thinnest(page.linear * read_covariance(own) * transpose(page.linear));
     let towards = select(axis, -axis, dot(axis, at) > 0.0);
     let normal = select(-normalize(at), towards, dot(axis, axis) > 0.5);
-    normals[page.base + own] = vec4f(normal, 0.0);
+    normals[select(page.base + own, key, PLACED)] = vec4f(normal, 0.0);
 }

@@ -22,9 +22,12 @@ class NormalsKernel:
         device: Device of the kernel.
         packed: Whether rows are packed by compact_rows.py.
         slot_rows: Rows of a slot, for pages of a pool; 0 for others.
+        placed: Whether splats are those of a slab, of which the kernel gets the indices as keys.
     """
 
-    def __init__(self, device: Device, *, packed: bool = False, slot_rows: int = 0) -> None:
+    def __init__(
+        self, device: Device, *, packed: bool = False, slot_rows: int = 0, placed: bool = False
+    ) -> None:
         self.kernel = Kernel(
             device,
             "normals_pooled" if slot_rows else "normals",
@@ -32,6 +35,7 @@ class NormalsKernel:
             ("rw", "urru" if slot_rows else "ur"),
             THREADS=THREADS,
             PACKED=packed,
+            PLACED=placed,
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
         )
@@ -50,7 +54,7 @@ class NormalsKernel:
 def normals_reference(
     covariance: Float[np.ndarray, "n 3 3"], position: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Return the normals (shortest axes) of Gaussians that are no balls, in camera space.
+    """Return the normals (shortest axes) of non-spherical Gaussians, in camera space.
 
     This is the reference of ``normals.wgsl``; arguments are in camera space, too.
     """

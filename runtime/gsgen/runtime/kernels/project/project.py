@@ -13,7 +13,7 @@ __all__ = [
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, Literal, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt32
@@ -64,6 +64,8 @@ FRAME: Final = _bytes(
         "near": ("f4", 40),
         "period": ("f4", 44),
         "size": ("2u4", 48),
+        "resumes": ("u4", 56),
+        "continues": ("u4", 60),
         "background": ("4f4", 64),
     },
 )
@@ -100,8 +102,23 @@ PAGE: Final = _bytes(
 """The bytes of ``struct Page`` in page.wgsl."""
 
 
-def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[np.ndarray, ""]:
-    """Return the ``Frame`` uniform of a camera; the background is multiplied by its alpha."""
+def frame_uniform(
+    camera: Camera,
+    background: Float[np.ndarray, "3"],
+    *,
+    first_row: int = 0,
+    rows: int | None = None,
+) -> Shaped[np.ndarray, ""]:
+    """Return the uniform data (WGSL struct ``Frame``) of a camera, or of some rows of its image.
+
+    Splats have the same numbers in both, since rows count from the origin of the whole image.
+
+    Args:
+        camera: Camera of the whole image.
+        background: Red, green, blue, multiplied by alpha.
+        first_row: First row to draw.
+        rows: Number of rows; all if None.
+    """
     uniform = np.zeros((), FRAME)
     focal = np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
@@ -113,6 +130,8 @@ def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[
     uniform["slope_high"] = (size - center + margin) / focal
     uniform["near"], uniform["size"] = camera.near, size
     uniform["period"] = camera.period
+    uniform["origin"][1] -= first_row
+    uniform["size"][1] = camera.height if rows is None else rows
     uniform["background"][:3] = background
     return uniform
 
@@ -120,14 +139,14 @@ def frame_uniform(camera: Camera, background: Float[np.ndarray, "3"]) -> Shaped[
 def page_uniform(
     placed: SplatSet, camera: Camera, base: int, capacity: int, count: int
 ) -> Shaped[np.ndarray, ""]:
-    """Return the ``Page`` uniform of one GPU page of Gaussians, computed in float64."""
+    """Return the uniform data of one GPU page of Gaussians (WGSL struct ``Page``), from float64."""
     return np.asarray(page_uniforms([(placed, base, capacity, count)], camera)[0])
 
 
 def page_uniforms(
     pages: Sequence[tuple[SplatSet, int, int, int]], camera: Camera
 ) -> Shaped[np.ndarray, " n"]:
-    """Return the ``Page`` uniforms of GPU pages, computed in float64.
+    """Return the uniform data of GPU pages of Gaussians (WGSL struct ``Page``), from float64.
 
     They are computed together, because numpy takes as long for one matrix as for thirty.
 
@@ -189,6 +208,8 @@ class ProjectKernel:
         slot_rows: Rows of a slot, for pages of a pool; 0 for others.
         tile: Edge of the tiles that are counted, in pixels.
         records: Whether each splat is one record.
+        slab: "keys" computes nothing but the keys of a page; "splats" projects Gaussians that are
+            in a slab, to the indices of ``place_splats.wgsl``.
     """
 
     def __init__(
@@ -203,16 +224,20 @@ class ProjectKernel:
         slot_rows: int = 0,
         tile: int = TILE,
         records: bool = False,
+        slab: Literal["keys", "splats"] | None = None,
     ) -> None:
         name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
+        name = "project_placed" if slab == "splats" else name
+        page_bindings = "urrur" if slot_rows else "urrr" if slab == "splats" else "urr"
         self.kernel = Kernel(
             device,
             name,
             "project_pooled" if slot_rows else "project",
-            ("uwwww", "urrr") if weighted else ("uwwwww", "urrur" if slot_rows else "urr"),
+            ("uwwww", "urrr") if weighted else ("uwwwww", page_bindings),
             THREADS=THREADS,
             TILE=tile,
             RECORDS=records,
+            KEYS_ONLY=slab == "keys",
             SLOT_ROWS=slot_rows,
             PAGE_SLOTS=PAGE_SLOTS,
             HALF_APPEARANCE=half,
@@ -224,7 +249,7 @@ class ProjectKernel:
         )
 
     def step(
-        self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *cells: Buffer
+        self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *others: Buffer
     ) -> Step:
         """Return the dispatch that projects the Gaussians of a GPU page.
 
@@ -233,11 +258,11 @@ class ProjectKernel:
             uniform: Buffer with the uniforms of all pages.
             slot: Index of this page's uniform.
             page: The page.
-            cells: Buffer of the set's cells, for weighted sums only.
+            others: Buffer of the set's cells, for weighted sums, or of the rows' places in a slab.
         """
         page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         slots = page.slots
-        further = cells if slots is None else (slots.table, slots.seen)
+        further = others if slots is None else (slots.table, slots.seen)
         binds = (
             self.kernel.bind(*outputs),
             self.kernel.bind(page_binding, page.rows, page.appearance, *further, group=1),
@@ -250,7 +275,7 @@ class ProjectKernel:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Projected:
-    """Projected splats in float64.
+    """Splats projected into the image: centres, inverse covariances, depths, colours; float64.
 
     Attributes:
         drawn: Mask of drawn Gaussians; the other fields are undefined for the rest.

@@ -11,5 +11,6 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
         return;
     }
     eye = page_eye();
-    project_row(own, own < page.count, page.opacity_scale);
+    // If KEYS_ONLY, keys are an array of the page alone.
+    project_row(own, select(page.base + own, own, KEYS_ONLY), own < page.count, page.opacity_scale);
 }

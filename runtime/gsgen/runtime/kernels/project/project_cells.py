@@ -1,4 +1,4 @@
-"""Projects the cells of weighted-sum rendering: depth, bounding circle and tile count."""
+"""Projects cells (groups of Gaussians) for weighted-sum rendering: depth, circle, tile count."""
 
 __all__ = ["ProjectCells", "box_reference", "circle_reference"]
 
@@ -17,7 +17,7 @@ from gsgen.runtime.kernels.shared.shader import MIN_EIGENVALUE_GAP, PANORAMA_CON
 
 @final
 class ProjectCells:
-    """The kernel ``project_cells.wgsl``, which projects the cells of weighted-sum rendering."""
+    """The kernel ``project_cells.wgsl``: projects groups of Gaussians for weighted sums."""
 
     def __init__(self, device: Device, *, panorama: bool = False) -> None:
         self.kernel = Kernel(
@@ -33,7 +33,7 @@ class ProjectCells:
     def step(
         self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, cells: Buffer, count: int
     ) -> Step:
-        """Return the dispatch that projects the cells of one splat set.
+        """Return the dispatch that projects the cells (groups of Gaussians) of one splat set.
 
         Args:
             outputs: Resources of bind group 0 of the shader, in order.
@@ -50,7 +50,7 @@ class ProjectCells:
 def circle_reference(
     covariance: Float[np.ndarray, "n 2 2"], reach: float
 ) -> Float[np.ndarray, " n"]:
-    """Return the radii of cells' bounding circles in whole pixels: reference of ``circle.wgsl``.
+    """Return bounding circle radii of cells (groups) in pixels: reference of ``circle.wgsl``.
 
     Args:
         covariance: 2D covariances in pixels², with the dilation.
@@ -64,7 +64,7 @@ def circle_reference(
 def box_reference(
     mean: Float[np.ndarray, "2"], radius: float, size: tuple[int, int]
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Return the mask of tiles that a cell's circle touches: the reference of ``cell_box.wgsl``.
+    """Return the mask of image tiles that a cell's bounding circle touches, as ``cell_box.wgsl``.
 
     ``mean``, ``radius`` and the image ``size`` are in pixels; panoramas are not covered.
     """

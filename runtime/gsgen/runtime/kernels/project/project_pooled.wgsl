@@ -16,5 +16,6 @@ fn project_pooled(
     let row = workgroup.x % (SLOT_ROWS / THREADS) * THREADS + thread;
     eye = slot_eye(slot);
     let opacity_scale = page.opacity_scale * slots[slot].fade;
-    project_row(slot * SLOT_ROWS + row, row < slots[slot].live, opacity_scale);
+    let own = slot * SLOT_ROWS + row;
+    project_row(own, page.base + own, row < slots[slot].live, opacity_scale);
 }

@@ -5,9 +5,8 @@
 
 @group(0) @binding(5) var<storage, read_write> lows: array<u32>;  // depth remainders, as bits that sort alike
 
-// Write row `own`, whose `eye` is set; a row that is not live gets the key ABSENT and no splat.
-fn project_row(own: u32, is_live: bool, opacity_scale: f32) {
-    let index = page.base + own;
+// Write the splat of row `own`, whose `eye` is set, at `index`; if KEYS_ONLY, write its key alone. A row that is not live gets the key ABSENT and no splat.
+fn project_row(own: u32, index: u32, is_live: bool, opacity_scale: f32) {
     var key = ABSENT;
     var low = 0u;
     if (is_live) {
@@ -23,5 +22,7 @@ fn project_row(own: u32, is_live: bool, opacity_scale: f32) {
         }
     }
     keys[index] = key;
-    lows[index] = select(low, ABSENT, key == ABSENT);
+    if (!KEYS_ONLY) {
+        lows[index] = select(low, ABSENT, key == ABSENT);
+    }
 }

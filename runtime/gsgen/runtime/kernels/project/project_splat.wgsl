@@ -95,6 +95,10 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
         return ABSENT;
     }
 
+    if (KEYS_ONLY) {
+        return bitcast<u32>(depth);
+    }
+
     // Step 4: count the tiles, and compute the colour.
     let scaled = flat.scaled;
     let conic = vec3f(scaled.z, -scaled.y, scaled.x) / flat.determinant / flat.unit;

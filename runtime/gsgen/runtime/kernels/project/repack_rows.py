@@ -1,4 +1,4 @@
-"""Copies rows of a generator's outputs on the GPU into the layout of pages."""
+"""Copies Gaussians from a model's output buffers on the GPU into the renderer's buffers."""
 
 __all__ = ["RepackRows", "repack_reference"]
 
@@ -14,7 +14,7 @@ from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
 @final
 class RepackRows:
-    """The kernel ``repack_rows.wgsl``.
+    """The kernel ``repack_rows.wgsl``, which copies model outputs into the renderer's buffers.
 
     Args:
         device: Device of the kernel.
@@ -40,14 +40,14 @@ class RepackRows:
         )
 
     def step(self, numbers: Buffer, words: Buffer, rows: int) -> Step:
-        """Return the dispatch that copies rows."""
+        """Return the dispatch that copies rows of a model output into a renderer's buffer."""
         return Step(self.kernel, (self.kernel.bind(numbers, words),), (-(-rows // THREADS), 1, 1))
 
 
 def repack_reference(
     rows: Float[np.ndarray, "n c"], words: int, *, half_target: bool
 ) -> UInt32[np.ndarray, "n w"]:
-    """Copy rows into rows of whole words: the reference of ``repack_rows.wgsl``."""
+    """Copy rows into rows of whole 32-bit words: the NumPy reference of ``repack_rows.wgsl``."""
     dtype = np.float16 if half_target else np.float32
     target = np.zeros((len(rows), words * (2 if half_target else 1)), dtype)
     target[:, : rows.shape[1]] = rows

@@ -1,4 +1,4 @@
-"""The slot table of the splat pool: camera centre, fade and bounding box of each slot."""
+"""The slot table of the splat pool (streamed tiles): camera centre, fade and box of each slot."""
 
 __all__ = ["SLOT", "slot_table"]
 
@@ -25,7 +25,7 @@ SLOT: Final = np.dtype(
 def slot_table(
     pool: SplatPool, first: int, count: int, transform: Float[np.ndarray, "4 4"], camera: Camera
 ) -> Shaped[np.ndarray, " s"]:
-    """Return the table of ``count`` slots of the splat pool, computed in float64.
+    """Return the data of ``count`` tile slots of the splat pool for shaders, from float64.
 
     The camera centre is relative to the origin of each slot, so that positions far from the origin
     of the scene lose nothing.

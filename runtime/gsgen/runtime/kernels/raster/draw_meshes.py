@@ -258,7 +258,7 @@ class DrawMeshes:
 def seen_reference(
     data: MeshData, uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 8"]:
-    """Draw a mesh in float64, the reference of ``draw_meshes.wgsl``: colour, 1, normal, depth.
+    """Draw a mesh in float64, as ``draw_meshes.wgsl`` does: RGB, coverage 1, normal, depth.
 
     ``uniform`` is the result of :func:`mesh_uniform`, ``rays`` that of :func:`mesh_rays`.
     """
@@ -297,7 +297,7 @@ def seen_reference(
 def _beside_reference(
     point: Float[np.ndarray, "3"], uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """Return a point's offset to the right of and below each pixel's ray, and the point's depth."""
+    """Return a point's offsets from each pixel's ray, to the right and down, and its depth."""
     (sine, cosine), (down_sine, down_cosine) = _angles(uniform, rays)
     x, y, z = point
     if uniform["period"]:

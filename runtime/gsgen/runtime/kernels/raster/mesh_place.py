@@ -52,7 +52,7 @@ class PlacedMesh:
 
 
 def mesh_uniform(placed: PlacedMesh, camera: Camera) -> Shaped[np.ndarray, ""]:
-    """Return the ``Place`` uniform of a mesh, computed in float64."""
+    """Return the uniform data of a mesh (WGSL struct ``Place``), computed in float64."""
     uniform = np.zeros((), MESH_UNIFORM)
     mesh, data = placed.mesh, placed.mesh.data
     linear, offset = mesh.transform[:3, :3], mesh.transform[:3, 3]

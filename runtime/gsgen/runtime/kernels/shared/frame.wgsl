@@ -9,6 +9,8 @@ struct Frame {
     near: f32,
     period: f32,         // of a panorama: pixels of a full turn
     size: vec2u,         // pixels
+    resumes: u32,        // 1: the image holds the state of pixels after nearer splats
+    continues: u32,      // 1: it keeps their state for farther splats
     background: vec4f,   // red, green, blue; alpha stays that of the splats
 }
 

@@ -67,6 +67,24 @@ fn layer_cell(layer: u32, cell: u32) -> LayerCell {
     return LayerCell(min(vec4f(upper, lower), vec4f(NOWHERE)), 1.0 - alpha, vec4f(-1.0));
 }
 
+// Return the state of a cell that `write_cell` kept after nearer splats.
+fn read_cell(number: u32) -> Cell {
+    var cell = Cell(vec4f(1.0), ZERO, ZERO, ZERO, vec4u(ABSENT));
+    let first = corner + offset_of(number);
+    for (var i = 0u; i < 4u; i++) {
+        if (first.x < frame.size.x && first.y + i < frame.size.y) {
+            let state = image[(first.y + i) * frame.size.x + first.x];
+            let numbers = bitcast<vec4f>(state);
+            cell.red[i] = numbers.x;
+            cell.green[i] = numbers.y;
+            cell.blue[i] = select(numbers.z, 0.0, PICK);
+            cell.taker[i] = state.z;
+            cell.transmittance[i] = numbers.w;
+        }
+    }
+    return cell;
+}
+
 // Step 1: initialise the state, and return the range of the tile's pairs.
 fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
     corner = vec2u(tile.x * TILE + local.x, tile.y * TILE + local.y * 4u * QUADS);
@@ -74,6 +92,9 @@ fn begin_tile(tile: vec2u, local: vec2u) -> vec2u {
     y = f32(corner.y) + 0.5 - frame.origin.y + vec4f(0.0, 1.0, 2.0, 3.0);
 //!repeat CELL CELLS
     cell_CELL = Cell(vec4f(1.0), ZERO, ZERO, ZERO, vec4u(ABSENT));
+    if (CARRIED && frame.resumes != 0u) {
+        cell_CELL = read_cell(CELLu);
+    }
 //!repeat LAYER LAYERS
     layer_LAYER_CELL = layer_cell(LAYERu, CELLu);
 //!end
@@ -114,7 +135,9 @@ fn blended(cell: Cell, above: vec4f, id: u32, depth: f32, color: vec3f) -> Cell 
         let is_halved = (before >= vec4f(0.5)) & (after < vec4f(0.5));
         result.red += amount * depth;
         result.green = select(cell.green, vec4f(depth), is_halved);
-        result.taker = select(cell.taker, vec4u(id), is_halved);
+        // The arrays of a slab have other indices: there colours are the halves of the scene's.
+        let taker = select(id, (u32(color.x) << 16u) | u32(color.y), CARRIED);
+        result.taker = select(cell.taker, vec4u(taker), is_halved);
     } else {
         result.red += amount * color.x;
         result.green += amount * color.y;
@@ -180,7 +203,11 @@ fn write_cell(number: u32, cell: Cell) {
         if (first.x < frame.size.x && first.y + i < frame.size.y) {
             let index = (first.y + i) * frame.size.x + first.x;
             let alpha = 1.0 - rest[i];
-            if (PICK) {
+            if (CARRIED && frame.continues != 0u) {
+                let third = select(bitcast<u32>(cell.blue[i]), cell.taker[i], PICK);
+                let others = bitcast<vec3u>(vec3f(cell.red[i], cell.green[i], cell.transmittance[i]));
+                image[index] = vec4u(others.xy, third, others.z);
+            } else if (PICK) {
                 let depths = bitcast<vec2u>(vec2f(cell.red[i], cell.green[i]));
                 image[index] = vec4u(depths, cell.taker[i], bitcast<u32>(alpha));
             } else {

@@ -89,6 +89,8 @@ class BlendTiles:
         layers: Number of image layers among the splats.
         tile: Edge of a tile, in pixels.
         records: Whether each splat is one record.
+        carried: Whether pixels keep their state in the image between slabs. Ids are then computed
+            from arrays of ``place_splats.wgsl`` in place of colours.
 
     Attributes:
         kernel: The kernel.
@@ -104,6 +106,7 @@ class BlendTiles:
         layers: int = 0,
         tile: int = TILE,
         records: bool = False,
+        carried: bool = False,
     ) -> None:
         together, constants = workgroup_shape(device, layers, panorama=panorama)
         narrow = device.software and not together and lanes(device) == _NARROW_CELL["LANES"]
@@ -119,6 +122,7 @@ class BlendTiles:
             ("urrrrrw", "rr") if layers else ("urrrrrw",),
             PICK=pick,
             RECORDS=records,
+            CARRIED=carried,
             MASKED=self.shader == "blend_subgroups" and not panorama,
             **constants,
         )

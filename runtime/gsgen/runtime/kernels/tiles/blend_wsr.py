@@ -1,4 +1,4 @@
-"""Blends the cells of each image tile front to back, by weighted sums of their Gaussians."""
+"""Blends cells (groups of Gaussians) in each image tile front to back, by weighted sums."""
 
 __all__ = ["BlendWsr", "blend_wsr_reference"]
 
@@ -19,7 +19,7 @@ from gsgen.runtime.kernels.tiles.blend_tiles import workgroup_shape
 
 @final
 class BlendWsr:
-    """Blends cells by weighted sums: ``blend_wsr.wgsl``, or ``blend_wsr_subgroups.wgsl``.
+    """Blends groups of Gaussians by weighted sums: ``blend_wsr.wgsl`` or its subgroup version.
 
     Args:
         device: Device of the kernel.

@@ -1,1 +1,1 @@
-"""How does a generator become a tile, with splats for viewers that cannot run models?"""
+"""How does an ONNX generator become a tile, with splats for viewers that run no models?"""

@@ -1,4 +1,4 @@
-"""Adds generators to a tile tree, each with first-frame splats that all viewers draw."""
+"""Adds ONNX generators to a tile tree, with first-frame splats that all viewers draw."""
 
 __all__ = ["add_neural_tiles"]
 

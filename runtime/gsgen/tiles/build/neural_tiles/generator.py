@@ -1,4 +1,4 @@
-"""Validates a generator that becomes a neural tile, and computes its first-frame splats."""
+"""Validates an ONNX generator to become a neural tile, and computes its first-frame splats."""
 
 __all__ = ["Generator", "open_generator"]
 
@@ -47,7 +47,7 @@ class Generator:
 
 
 def open_generator(path: Path) -> Generator:
-    """Validate a generator for a neural tile, and compute its first-frame splats.
+    """Validate an ONNX generator for a neural tile, and compute its first-frame splats.
 
     Raises:
         ConfigInvalid: The generator does not conform, or lacks what a neural tile needs.

@@ -1,4 +1,4 @@
-"""Rules (GT) of neural tiles: the generator that a tile holds."""
+"""Rules (GT) of neural tiles: the ONNX generator that a tile holds."""
 
 import tempfile
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of
     kinds=(TILESET,),
 )
 def neural_content(inspected: InspectedTileset) -> Iterator[Violation]:
-    """The generator of a neural tile conforms, has the declared digest, and stays in the tile.
+    """A neural tile's ONNX generator conforms, has the declared digest, and stays in the tile.
 
     Why:
         A viewer runs the model instead of drawing the content. One that fails, or that puts

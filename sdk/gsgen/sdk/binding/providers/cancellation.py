@@ -1,4 +1,4 @@
-"""Cancels running inferences of a session from another thread."""
+"""Cancels running inferences of an ONNX Runtime session from another thread."""
 
 __all__ = ["Stop"]
 
@@ -9,7 +9,7 @@ FATAL: Final = 4  # the log level; lesser messages are in the raised error and n
 
 @final
 class Stop:
-    """Cancels running inferences of a session from another thread.
+    """Cancels running inferences of an ONNX Runtime session from another thread.
 
     ONNX Runtime checks for cancellation between two operators, including those in a loop's body;
     a running operator is finished.

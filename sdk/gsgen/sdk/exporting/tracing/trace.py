@@ -38,7 +38,7 @@ def trace_generator(
     opset: int,
     hazards: Sequence[Hazard] = (),
 ) -> ir.Model:
-    """Trace a generator with packed outputs, and return its ONNX graph.
+    """Trace a torch generator with packed outputs, and return its ONNX graph.
 
     ``hazards`` explain an error.
     """

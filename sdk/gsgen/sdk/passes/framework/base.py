@@ -1,4 +1,4 @@
-"""Base classes of graph rewrites: name, error budget, and the targets that need the rewrite.
+"""Base classes of graph rewrites: name, error budget, and the runtimes that need the rewrite.
 
 A rewrite is a pass over onnx-ir in a file of its own. Its docstring gives the reason and a picture;
 the documentation page is generated from it. Rewrites are listed in
@@ -237,7 +237,7 @@ class Substitute(ByTables, NodeRewrite):
         return True
 
     def variant(self, node: ir.Node) -> str:
-        """Return the variant of an operator in the operator tables; empty for the usual variant."""
+        """Return the form of a node that operator tables list apart; empty for the usual form."""
         return ""
 
 

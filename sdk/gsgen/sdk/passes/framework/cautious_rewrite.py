@@ -1,13 +1,14 @@
 """Graph rewrites with preconditions, which record each node left unchanged, and why."""
 
-__all__ = ["CautiousRewrite", "Refusal"]
+__all__ = ["CautiousNodeRewrite", "CautiousRewrite", "Refusal"]
 
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import onnx_ir as ir
 from onnx_ir import passes
 
-from gsgen.sdk.passes.framework.base import Rewrite, describe_item
+from gsgen.sdk.passes.framework.base import NodeRewrite, Rewrite, describe_item, every_node
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,3 +39,21 @@ class CautiousRewrite(Rewrite):
     def refuse(self, item: ir.Node | ir.Value, reason: str) -> None:
         """Record that a node, output or weight of the graph stays unchanged, with the reason."""
         self.refusals.append(Refusal(self.name, describe_item(item), reason))
+
+
+class CautiousNodeRewrite(CautiousRewrite, NodeRewrite):
+    """A graph rewrite that replaces single nodes, unless a node has an obstacle."""
+
+    def rewrite(self, model: ir.Model) -> None:
+        """Replace every matching node, those of subgraphs included; refuse it with its obstacle."""
+        for node in [node for node in every_node(model) if self.matches(node)]:
+            obstacle = self.obstacle(node)
+            if obstacle:
+                self.refuse(node, obstacle)
+                continue
+            self.note(node)
+            self.replace(node)
+
+    @abstractmethod
+    def obstacle(self, node: ir.Node) -> str:
+        """Return the reason why a matching node cannot be replaced; empty if it can."""

@@ -1,4 +1,4 @@
-"""Ranges of values inside an ONNX graph, from the contract's range analysis."""
+"""Ranges of values inside an ONNX graph, from gsgen's interval arithmetic."""
 
 __all__ = ["fits_int32", "spans_of"]
 

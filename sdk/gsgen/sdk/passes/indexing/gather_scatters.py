@@ -9,14 +9,14 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.cautious_rewrite import CautiousNodeRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute, required
 
 _LARGEST = 1 << 24
 
 
-class GatherScatters(CautiousRewrite):
+class GatherScatters(CautiousNodeRewrite):
     """Replace scatters with constant indices by a Gather from the joined old and new elements.
 
     ScatterND and ScatterElements update in place. If their base is an input, a weight or a tensor
@@ -29,25 +29,31 @@ class GatherScatters(CautiousRewrite):
     name = "gather-scatters"
     wanted_by = "every target"
 
-    def rewrite(self, model: ir.Model) -> None:
-        """Rewrite every scatter with known indices and shapes."""
-        for node in list(model.graph.all_nodes()):
-            if not is_op(node, "ScatterElements", "ScatterND"):
-                continue
-            obstacle = _obstacle(node)
-            if obstacle:
-                self.refuse(node, obstacle)
-                continue
-            self.note(node)
-            _replace(node)
+    def matches(self, node: ir.Node) -> bool:
+        """Return whether a node is a scatter."""
+        return is_op(node, "ScatterElements", "ScatterND")
 
+    def obstacle(self, node: ir.Node) -> str:
+        """Return the reason why a scatter cannot be rewritten as a Gather; empty if it can."""
+        reduction = node.attributes.get("reduction")
+        if reduction is not None and reduction.as_string() != "none":
+            return f"it does not replace elements: its reduction is {reduction.as_string()!r}"
+        return scatter_obstacle(node)
 
-def _obstacle(node: ir.Node) -> str:
-    """Return the reason why a scatter cannot be rewritten as a Gather; empty if it can."""
-    reduction = node.attributes.get("reduction")
-    if reduction is not None and reduction.as_string() != "none":
-        return f"it does not replace elements: its reduction is {reduction.as_string()!r}"
-    return scatter_obstacle(node)
+    def replace(self, node: ir.Node) -> None:
+        """Replace a scatter by a Gather from the joined old and new elements."""
+        write = InsertionPoint(node)
+        data, _, updates = node.inputs
+        targets = scatter_targets(node)
+        order = np.arange(targets.rows, dtype=np.int64)
+        # If several updates have the same index, the last one counts; NumPy assigns in this order.
+        order[targets.flat] = targets.rows + np.arange(targets.flat.size)
+        old = write.op("Reshape", data, write.int64(targets.rows, *targets.row_shape))
+        # A size of zero would mean the size of the updates' first axis.
+        new = write.op("Reshape", updates, write.int64(targets.flat.size or -1, *targets.row_shape))
+        both = write.op("Concat", old, new, axis=0)
+        gathered = write.op("Gather", both, write.constant(order, "order"), axis=0)
+        write.replace(write.op("Reshape", gathered, write.int64(*required(fixed_shape(data)))))
 
 
 def scatter_obstacle(node: ir.Node) -> str:
@@ -84,21 +90,6 @@ def scatter_targets(node: ir.Node) -> ScatterTargets:
         row_shape, flat = (), _flat_indices(np.moveaxis(index, 0, -1), shape)
     rows = math.prod(shape) // max(math.prod(row_shape), 1) if math.prod(row_shape) else 0
     return ScatterTargets(rows, row_shape, flat.reshape(-1))
-
-
-def _replace(node: ir.Node) -> None:
-    write = InsertionPoint(node)
-    data, _, updates = node.inputs
-    targets = scatter_targets(node)
-    order = np.arange(targets.rows, dtype=np.int64)
-    # If several updates have the same index, the last one counts; NumPy assigns in this order.
-    order[targets.flat] = targets.rows + np.arange(targets.flat.size)
-    old = write.op("Reshape", data, write.int64(targets.rows, *targets.row_shape))
-    # A size of zero would mean the size of the updates' first axis.
-    new = write.op("Reshape", updates, write.int64(targets.flat.size or -1, *targets.row_shape))
-    both = write.op("Concat", old, new, axis=0)
-    gathered = write.op("Gather", both, write.constant(order, "order"), axis=0)
-    write.replace(write.op("Reshape", gathered, write.int64(*required(fixed_shape(data)))))
 
 
 def _flat_indices(indices: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:

@@ -27,7 +27,7 @@ _MOVES = ("Gather", "Slice", "Squeeze", "Unsqueeze", "Reshape", "Transpose", "Ex
 
 
 class _Unprovable(Exception):
-    """The remainder of a value cannot be computed in int32; the message is the reason."""
+    """Raised if the remainder of a value cannot be computed in int32; the message says why."""
 
 
 class NarrowHashes(ByTables, CautiousRewrite):

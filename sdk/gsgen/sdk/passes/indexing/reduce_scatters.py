@@ -5,8 +5,8 @@ __all__ = ["ReduceScatters"]
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import ErrorBudget, every_node, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.base import ErrorBudget, is_op
+from gsgen.sdk.passes.framework.cautious_rewrite import CautiousNodeRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, numpy_dtype, required
 from gsgen.sdk.passes.indexing.gather_scatters import (
@@ -22,7 +22,7 @@ _NEUTRAL = {"add": 0, "mul": 1}
 _PADDING = 16
 
 
-class ReduceScatters(CautiousRewrite):
+class ReduceScatters(CautiousNodeRewrite):
     """Replace scatters with a reduction and constant indices by a Gather and a Reduce operator.
 
     They update in place: a captured graph meets the values of the previous frame, and adds to them.
@@ -39,24 +39,30 @@ class ReduceScatters(CautiousRewrite):
     exactness = ErrorBudget(relative=1e-5)
     wanted_by = "every target"
 
-    def rewrite(self, model: ir.Model) -> None:
-        """Rewrite every reducing scatter with known indices and shapes."""
-        for node in [n for n in every_node(model) if is_op(n, "ScatterElements", "ScatterND")]:
-            attribute = node.attributes.get("reduction")
-            reduction = "none" if attribute is None else attribute.as_string()
-            if reduction not in _REDUCTIONS:
-                continue
-            obstacle = scatter_obstacle(node)
-            if obstacle:
-                self.refuse(node, obstacle)
-                continue
-            targets = scatter_targets(node)
-            groups = _groups(targets)
-            if groups.size > _PADDING * (targets.rows + targets.flat.size):
-                self.refuse(node, f"one row has {groups.shape[1] - 1} updates, most have far fewer")
-                continue
-            self.note(node)
-            _replace(node, targets, groups, reduction)
+    def matches(self, node: ir.Node) -> bool:
+        """Return whether a node is a scatter with a reduction."""
+        return is_op(node, "ScatterElements", "ScatterND") and _reduction(node) in _REDUCTIONS
+
+    def obstacle(self, node: ir.Node) -> str:
+        """Return the reason why a scatter cannot be rewritten as a reduction; empty if it can."""
+        obstacle = scatter_obstacle(node)
+        if obstacle:
+            return obstacle
+        targets = scatter_targets(node)
+        most = int(np.bincount(targets.flat).max(initial=0))
+        if targets.rows * (1 + most) > _PADDING * (targets.rows + targets.flat.size):
+            return f"one row has {most} updates, most have far fewer"
+        return ""
+
+    def replace(self, node: ir.Node) -> None:
+        """Replace a scatter by the reduction of each old row with its updates."""
+        targets = scatter_targets(node)
+        _replace(node, targets, _groups(targets), _reduction(node))
+
+
+def _reduction(node: ir.Node) -> str:
+    attribute = node.attributes.get("reduction")
+    return "none" if attribute is None else attribute.as_string()
 
 
 def _groups(targets: ScatterTargets) -> np.ndarray:

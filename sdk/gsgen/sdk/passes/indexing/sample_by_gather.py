@@ -7,8 +7,8 @@ import math
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import ByTables, ErrorBudget, every_node, is_op
-from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.base import ByTables, ErrorBudget, is_op
+from gsgen.sdk.passes.framework.cautious_rewrite import CautiousNodeRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import (
     constant_of,
@@ -24,7 +24,7 @@ _IMAGE_RANK, _VOLUME_RANK = 4, 5
 _FLOAT, _INT = ir.DataType.FLOAT, ir.DataType.INT32
 
 
-class SampleByGather(ByTables, CautiousRewrite):
+class SampleByGather(ByTables, CautiousNodeRewrite):
     """Replace a GridSample with linear interpolation by Gathers and arithmetic.
 
     Kernels of GridSample exist for images and operator sets 16 to 19 only; in onnxruntime-web 1.22
@@ -45,26 +45,24 @@ class SampleByGather(ByTables, CautiousRewrite):
     exactness = ErrorBudget(relative=2e-6)
     wanted_by = "targets without a kernel for GridSample in the model's dtype"
 
-    def rewrite(self, model: ir.Model) -> None:
-        """Rewrite every GridSample that lacks a kernel, subgraphs included."""
-        for node in [node for node in every_node(model) if is_op(node, "GridSample")]:
-            if not self._lacks_kernel(node):
-                continue
-            obstacle = _obstacle(node)
-            if obstacle:
-                self.refuse(node, obstacle)
-                continue
-            self.note(node)
-            _replace(node)
-
-    def _lacks_kernel(self, node: ir.Node) -> bool:
+    def matches(self, node: ir.Node) -> bool:
+        """Return whether a node is a GridSample that lacks a kernel."""
+        if not is_op(node, "GridSample"):
+            return False
         # Case 2: the tables are those of images.
         is_volume = rank_of(node.inputs[0]) == _VOLUME_RANK
         return self.target is None or is_volume or self.target.lacks_kernel(node, self.opset)
 
+    def obstacle(self, node: ir.Node) -> str:
+        """Return the reason why a GridSample cannot be rewritten as Gathers; empty if it can."""
+        return _obstacle(node)
+
+    def replace(self, node: ir.Node) -> None:
+        """Replace a GridSample by Gathers of the neighbouring pixels, and their weighted sum."""
+        _replace(node)
+
 
 def _obstacle(node: ir.Node) -> str:
-    """Return the reason why a GridSample cannot be rewritten as Gathers; empty if it can."""
     image, grid = (fixed_shape(value) for value in node.inputs)
     if image is None or grid is None:
         return "the sizes of its inputs are not known"

@@ -1,0 +1,84 @@
+"""Gives the Gaussians of a range of depths consecutive indices, in the order of their rows."""
+
+__all__ = ["PAGE_BYTES", "PLACE_BLOCK", "PlaceSplats", "place_reference"]
+
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import UInt32
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.kernels.project.project import PAGE
+from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
+from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+from gsgen.runtime.kernels.shared.shader import ABSENT
+
+_ROWS: Final = 16  # of an invocation
+PLACE_BLOCK: Final = THREADS * _ROWS
+"""Rows of a workgroup."""
+
+PAGE_BYTES: Final = 256
+"""Bytes from the end of one page to that of the next: an offset that every device can bind at."""
+
+
+@final
+class PlaceSplats:
+    """The kernels of ``place_splats.wgsl``, which number the splats of a slab.
+
+    Args:
+        device: Device of the kernels.
+        arranged: Whether the order of rows in memory differs from that of their sets.
+    """
+
+    def __init__(self, device: Device, *, arranged: bool) -> None:
+        self._kernels = [
+            Kernel(
+                device,
+                "place_splats",
+                entry,
+                ("urwwwrwww", "u"),
+                THREADS=THREADS,
+                RUN=_ROWS,
+                ARRANGED=arranged,
+                PAGE_STEP=PAGE_BYTES // 4,
+                **COUNT_CONSTANTS,
+            )
+            for entry in ("count", "place")
+        ]
+
+    def steps(
+        self, resources: tuple[Buffer, ...], ends: Buffer, uniform: Buffer, slot: int, page: Page
+    ) -> list[Step]:
+        """Return the dispatches that number the splats of a GPU page.
+
+        Args:
+            resources: Resources of bind group 0 of the shader without ``ends``, in order.
+            ends: The number of splats before each page and after the last, PAGE_BYTES apart.
+            uniform: Buffer with the uniforms of all pages.
+            slot: Index of the page in both.
+            page: The page.
+        """
+        part = (ends, slot * PAGE_BYTES, 2 * PAGE_BYTES)
+        page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
+        groups = (-(-page.capacity // PLACE_BLOCK), 1, 1)
+        return [
+            Step(
+                kernel,
+                (
+                    kernel.bind(*resources[:3], part, *resources[3:]),
+                    kernel.bind(page_binding, group=1),
+                ),
+                groups,
+            )
+            for kernel in self._kernels
+        ]
+
+
+def place_reference(
+    keys: UInt32[np.ndarray, " n"], low: int, high: int, before: int
+) -> UInt32[np.ndarray, " n"]:
+    """Return the index of each row's splat, or ABSENT: the reference of ``place_splats.wgsl``."""
+    is_in_slab = (keys >= low) & (keys < high)
+    return np.where(is_in_slab, before + np.cumsum(is_in_slab) - 1, ABSENT).astype(np.uint32)

@@ -1,0 +1,52 @@
+"""Counts the sort keys of Gaussians by their leading bits."""
+
+__all__ = ["BINS", "TallyKeys", "tally_reference"]
+
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Int64, UInt32
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.kernels.project.project import PAGE
+from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
+
+BINS: Final = 1 << 12
+"""Numbers of a tally."""
+
+
+@final
+class TallyKeys:
+    """The kernel ``tally_keys.wgsl``, which counts sort keys by their leading bits."""
+
+    def __init__(self, device: Device) -> None:
+        self.kernel = Kernel(device, "tally_keys", "tally_keys", ("urw", "u"), THREADS=THREADS)
+
+    def step(
+        self, slab: Buffer, keys: Buffer, tally: Buffer, uniform: Buffer, slot: int, page: Page
+    ) -> Step:
+        """Return the dispatch that adds the keys of a GPU page to a tally.
+
+        Args:
+            slab: Uniform of the counted range of keys.
+            keys: Keys of the page.
+            tally: One number per bin.
+            uniform: Buffer with the uniforms of all pages.
+            slot: Index of this page's uniform.
+            page: The page.
+        """
+        binds = (
+            self.kernel.bind(slab, keys, tally),
+            self.kernel.bind((uniform, slot * PAGE.itemsize, PAGE.itemsize), group=1),
+        )
+        return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
+
+
+def tally_reference(
+    keys: UInt32[np.ndarray, " n"], low: int, high: int, shift: int
+) -> Int64[np.ndarray, " m"]:
+    """Count keys from ``low`` to before ``high``: the reference of ``tally_keys.wgsl``."""
+    counted = keys[(keys >= low) & (keys < high)]
+    return np.bincount((counted - np.uint32(low)) >> np.uint32(shift), minlength=BINS)

@@ -1,0 +1,113 @@
+"""Divides an image that is larger than a GPU binding into bands of rows, drawn one by one."""
+
+__all__ = ["Band", "Drawing", "PairsExceeded", "band_rows", "draw_bands"]
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+import numpy as np
+
+from gsgen.runtime.errors import CapacityExceeded
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.kernel import VEC4
+from gsgen.runtime.kernels.shared.shader import LARGE_TILE
+from gsgen.runtime.scene.camera import Camera
+
+_ROW_ALIGNMENT: Final = 256  # bytes; rows of an image of quads are padded to it
+_COUNTS_ROOM: Final = 1024  # bytes of a frame's counters in the buffer that is read back
+
+Drawing = tuple[np.ndarray, dict[str, np.ndarray]]
+"""The counters of a frame, and its images as [rows, width, 4] words."""
+
+
+class PairsExceeded(CapacityExceeded):
+    """The pairs of a splat and a tile of an image, or of a band, exceed a GPU binding."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """Consecutive rows of a camera's image.
+
+    Attributes:
+        whole: Camera of the whole image.
+        first: Index of the first row.
+        rows: Number of rows.
+    """
+
+    whole: Camera
+    first: int
+    rows: int
+
+    @classmethod
+    def of(cls, camera: Camera) -> "Band":
+        """Return the band of all rows."""
+        return cls(camera, 0, camera.height)
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that sees these rows."""
+        if self.rows == self.whole.height:
+            return self.whole
+        return replace(self.whole, cy=self.whole.cy - self.first, height=self.rows)
+
+
+def band_rows(device: Device, camera: Camera, images: int, layers: int) -> int:
+    """Return the most image rows that fit the device's buffers: all, or whole rows of tiles.
+
+    Args:
+        device: The device.
+        camera: Camera of the whole image.
+        images: Number of images that are read back together.
+        layers: Number of image layers in one buffer.
+    """
+    row = -(-VEC4 * camera.width // _ROW_ALIGNMENT) * _ROW_ALIGNMENT
+    most = min(
+        device.largest_binding // (row * max(1, layers)),
+        (device.largest_buffer - _COUNTS_ROOM) // (row * images),
+    )
+    return camera.height if most >= camera.height else _whole_tiles(most)
+
+
+def _whole_tiles(rows: int) -> int:
+    """Round rows down to a multiple of the largest tiles, but at least one."""
+    return max(rows // LARGE_TILE, 1) * LARGE_TILE
+
+
+def draw_bands(camera: Camera, rows: int, draw: Callable[[Band], Drawing]) -> Drawing:
+    """Draw an image in bands; return the summed counters, and the images of all rows.
+
+    A band with more pairs of a splat and a tile than a binding holds is halved. A splat counts in
+    each band that it touches.
+
+    Args:
+        camera: Camera of the whole image.
+        rows: Most rows of a band.
+        draw: Draws one band.
+
+    Raises:
+        CapacityExceeded: One row of tiles needs more than the device's buffers hold.
+    """
+    first, total = 0, np.zeros(0, np.uint32)
+    images: dict[str, np.ndarray] = {}
+    while first < camera.height:
+        band = Band(camera, first, min(rows, camera.height - first))
+        try:
+            counts, parts = draw(band)
+        except PairsExceeded:
+            if band.rows <= LARGE_TILE:
+                raise
+            rows = _whole_tiles(band.rows // 2)
+            continue
+        if band.rows == camera.height:
+            return counts, parts
+        for name, part in parts.items():
+            if name not in images:
+                images[name] = np.empty((camera.height, camera.width, 4), np.uint32)
+            images[name][first : first + band.rows] = part
+        if first > 0:
+            counts[[Counts.VISIBLE, Counts.PAIRS]] += total[[Counts.VISIBLE, Counts.PAIRS]]
+        first, total = first + band.rows, counts
+    return total, images

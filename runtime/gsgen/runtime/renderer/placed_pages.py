@@ -1,0 +1,41 @@
+"""The GPU pages of a scene with their splat sets, in the order in which they are drawn."""
+
+__all__ = ["Placed", "scene_order", "slot_rows", "sorted_pages", "weighted_pages"]
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import UInt32
+
+from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.scene.scene import SplatSet
+
+Placed = tuple[SplatSet, Page]
+"""A splat set with one of its GPU pages."""
+
+
+def scene_order(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
+    """Return each GPU row's index in the scene's order of Gaussians; None if both are the same."""
+    if all(page.rows_of is None for _, page in placed):
+        return None
+    parts, base = [], 0
+    for _, page in placed:
+        row_indices = np.arange(page.first, page.first + page.capacity)
+        parts.append((row_indices if page.rows_of is None else page.rows_of) + (base - page.first))
+        base += page.capacity
+    return np.concatenate(parts).astype(np.uint32)
+
+
+def slot_rows(page: Page) -> int:
+    """Return the Gaussians per slot of a GPU page in the splat pool; 0 for other pages."""
+    return 0 if page.slots is None else page.slots.pool.slot_rows
+
+
+def weighted_pages(placed: Sequence[Placed]) -> list[Placed]:
+    """Return the pages of sets that are blended by weighted sums."""
+    return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is not None]
+
+
+def sorted_pages(placed: Sequence[Placed]) -> list[Placed]:
+    """Return the pages of sets that are sorted by depth."""
+    return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]

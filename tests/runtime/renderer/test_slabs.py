@@ -1,0 +1,161 @@
+"""Scenes and images that exceed a binding are drawn in slabs and bands, bit by bit the same."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.errors import CapacityExceeded
+from gsgen.runtime.gpu import splat_residency
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.project.place_splats import place_reference
+from gsgen.runtime.kernels.project.tally_keys import BINS, tally_reference
+from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.renderer.slabs import slab_ranges
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import Frame
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from support.rendering.splat_scenes import SCENES, camera, cloud, turned
+from support.rendering.weighted_scenes import MIXED
+
+OUTPUTS = ("color", "depth", "normal")
+ROWS = 512  # of a page
+SMALL = 1 << 15  # bytes of a binding: 2,048 splats, or 2,048 pixels
+
+
+@pytest.fixture(scope="module", params=["as it is", "as a GPU"])
+def renderers(device: Device, request: pytest.FixtureRequest) -> tuple[Renderer, Renderer]:
+    """Two renderers of a device, the second of which binds little."""
+    pair = Device(device.raw), Device(device.raw)
+    for alike in pair:
+        if request.param == "as a GPU":
+            alike.software, alike.subgroups = False, False
+    pair[1].largest_binding = SMALL
+    whole, small = (Renderer(alike, rasteriser="tiles", page_rows=ROWS) for alike in pair)
+    return whole, small
+
+
+def assert_equal(first: Frame, second: Frame) -> None:
+    for name in ("rgba", "alpha", "depth", "median_depth", "ids", "normal"):
+        assert np.array_equal(getattr(first, name), getattr(second, name)), name
+
+
+def crowd() -> Scene:
+    """Ten thousand Gaussians in three sets, two of them at the same depths."""
+    first, second = cloud(4000, 1, size=0.02, degree=1), cloud(2000, 2, size=0.03)
+    moved = SplatSet(first, turned(0.3, (0, 0, 1)), opacity_scale=0.7)
+    return Scene([first, second, moved])
+
+
+def test_ten_thousand_splats_in_slabs_and_bands(renderers: tuple[Renderer, Renderer]) -> None:
+    scene, view = crowd(), camera(width=61, height=75)
+    whole, small = renderers
+    expected = whole.render(scene, view, outputs=OUTPUTS, background=(0.1, 0.2, 0.3, 0.5))
+    seen = small.render(scene, view, outputs=OUTPUTS, background=(0.1, 0.2, 0.3, 0.5))
+    assert_equal(seen, expected)
+    assert expected.visible > 3 * SMALL // 16
+    assert seen.visible >= expected.visible  # some are in two bands
+    assert "tally" in small._plan.stages
+
+
+def test_layers_in_bands(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, view = MIXED["among_everything"]()
+    view = view.scaled(view.width, 2 * view.height)
+    expected = renderer.render(scene, view).rgba
+    two_layers_of_32_rows = 64 * 16 * 2 * 32
+    monkeypatch.setattr(renderer.device, "largest_binding", two_layers_of_32_rows)
+    monkeypatch.setattr(renderer, "_pairs", two_layers_of_32_rows // 4)
+    assert np.array_equal(renderer.render(scene, view).rgba, expected)
+    assert renderer._plan._size == (view.width, view.height % 32)  # of the last band
+
+
+def test_a_panorama_in_bands(renderers: tuple[Renderer, Renderer]) -> None:
+    scene, _ = SCENES["panorama"]()
+    view = Camera.panorama((0.1, 0, 0), width=60, height=70)
+    whole, small = renderers
+    assert np.array_equal(small.render(scene, view).rgba, whole.render(scene, view).rgba)
+
+
+def test_arranged_rows_keep_their_ids(
+    renderers: tuple[Renderer, Renderer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of splats at one depth the earlier row is in front, in whatever order rows are."""
+    monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 64)
+    data = cloud(3000, 5)
+    data.rows[:, 2] = np.repeat(np.linspace(2, 5, 1000), 3)  # three at each depth
+    scene, view = Scene([cloud(20), data]), camera()
+    whole, small = renderers
+    for _ in range(2):  # arranged when they are drawn again
+        expected = whole.render(scene, view, outputs=OUTPUTS)
+        assert_equal(small.render(scene, view, outputs=OUTPUTS), expected)
+    assert small._residency.pages(data)[0].rows_of is not None
+
+
+def test_pairs_that_exceed_a_binding_are_drawn_in_parts(
+    renderers: tuple[Renderer, Renderer],
+) -> None:
+    """In narrower bands, then in thinner slabs; an image that stays on the GPU in slabs alone."""
+    scene, view = Scene([cloud(2500, size=0.5, depth=(2, 3))]), camera(width=60, height=60)
+    whole, small = renderers
+    expected = whole.render(scene, view)
+    assert expected.pairs > SMALL // 4
+    assert np.array_equal(small.render(scene, view).rgba, expected.rgba)
+    view = camera(width=32, height=60)
+    drawn, expected = small.draw(scene, view), whole.render(scene, view)
+    seen = small.device.read(drawn.image, np.float32, expected.rgba.size).reshape(60, 32, 4)
+    assert np.array_equal(seen, expected.rgba)
+    assert drawn.pairs == expected.pairs
+
+
+def test_more_splats_of_one_depth_than_a_slab_holds(renderers: tuple[Renderer, Renderer]) -> None:
+    data = cloud(SMALL // 16 + 1, size=0.01)
+    data.rows[:, 2] = 3
+    data.rows[:, :2] *= 0.1
+    with pytest.raises(CapacityExceeded, match=r"scene: 2,049 splats are at depth 3\.0; .* 2,048"):
+        renderers[1].render(Scene([data]), camera())
+
+
+def test_slabs_hold_at_most_their_capacity() -> None:
+    rng = np.random.default_rng(0)
+    near = rng.uniform(1, 1 + 1e-5, 3000)  # in one bin of the first tally, and of the second
+    depths = np.concatenate([near, rng.lognormal(size=4000), np.repeat(7.5, 90)])
+    keys = np.append(depths.astype(np.float32).view(np.uint32), np.uint32(ABSENT))
+
+    def tally(low: int, shift: int) -> np.ndarray:
+        return tally_reference(keys, low, low + (BINS << shift), shift)
+
+    ranges = slab_ranges(tally, 100)
+    assert ranges[0][0] == 0
+    assert ranges[-1][1] == 1 << 31
+    assert all(before[1] == after[0] for before, after in pairwise(ranges))
+    sizes = [int(((keys >= low) & (keys < high)).sum()) for low, high in ranges]
+    assert sum(sizes) == len(depths)
+    assert max(sizes) <= 100
+    assert all(a + b > 100 for a, b in zip(sizes, sizes[2:], strict=False))
+    assert slab_ranges(lambda low, shift: np.zeros(BINS, np.uint32), 100) == [(0, 1 << 31)]
+
+
+def test_the_kernels_of_slabs_equal_their_twins(renderers: tuple[Renderer, Renderer]) -> None:
+    small = renderers[1]
+    scene, view = Scene([cloud(5000, 3, size=0.01)]), camera(width=32, height=32)
+    small.render(scene, view)
+    slabs, device = small._plan.slabs, small.device
+    rows = [page.capacity for page in small._residency.pages(scene.sets[0].data)]
+    keys = [
+        device.read(slabs.buffers[f"keys of page {slot}"], np.uint32, size)
+        for slot, size in enumerate(rows)
+    ]
+    last = slab_ranges(
+        lambda low, at: tally_reference(np.concatenate(keys), low, low + (BINS << at), at),
+        slabs.capacity,
+    )[-1]
+    before = 0
+    for key in keys:
+        places = place_reference(key, *last, before)
+        before += int((places != ABSENT).sum())
+    assert np.array_equal(
+        device.read(slabs.buffers["places of a page"], np.uint32, rows[-1]), places
+    )
+    origins = np.flatnonzero((np.concatenate(keys) >= last[0]) & (np.concatenate(keys) < last[1]))
+    assert np.array_equal(device.read(slabs.origins, np.uint32, before), origins)
