@@ -27,7 +27,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import Columns
-from gsgen.runtime.kernels.tiles.blend_tiles import Layers
+from gsgen.runtime.kernels.tiles.blend_tiles import Layers, allocate_layers
 from gsgen.runtime.renderer.bands import Band, Drawing
 from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
@@ -59,8 +59,7 @@ class Plan:
         quads: Whether the hardware's rasteriser draws the colours.
         panorama: Whether the image is a panorama.
         meshes: Meshes among the Gaussians; only their buffers are kept.
-        layers: Image layers among the Gaussians that the caller writes, into the inputs
-            ``layer colors`` and ``layer depths``; only without meshes, weighted sets and normals.
+        layers: Image layers that the caller writes, into inputs; only for sorted colours.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
         deep: Whether the depth sort is deep, because very many depths share a key.
         slab_splats: Most splats that are drawn at once, if the scene may have more; its sets are
@@ -115,11 +114,12 @@ class Plan:
         self.slabs: Slabs | None = None
         if slab_splats is not None:
             self.slabs = self._slabs(placed, slab_splats, with_ids="depth" in outputs)
-        n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
-        device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
-        self._records = kernels.records(n)
-        self._projected, self._splats = self._splat_arrays(n)
+        device.write(
+            self._counts, counting.initial(self._gaussians, pair_capacity, panorama=panorama)
+        )
+        self._records = kernels.records(self._gaussians)
+        self._projected, self._splats = self._splat_arrays(self._gaussians)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
@@ -132,7 +132,8 @@ class Plan:
         alone = bool(summed) and not placed and not meshes
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
-            self._layers = self._lay(bool(summed) + bool(meshes), normal="normal" in tiled)
+            count, normal = bool(summed) + bool(meshes), "normal" in tiled
+            self._layers = allocate_layers(self._storage, count, size, normal=normal)
         self.stages: dict[str, list[Step]] = {}
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
@@ -231,19 +232,9 @@ class Plan:
             stages["normal"] = [self._blend("normal", members, normals, pick=False)]
         return stages
 
-    def _lay(self, count: int, *, normal: bool) -> Layers:
-        """Allocate GPU buffers for ``count`` image layers: colours, depths and normals."""
-        pixels = count * self._size[0] * self._size[1]
-        return Layers(
-            count,
-            self._storage("layer colors", VEC4 * pixels),
-            self._storage("layer depths", 4 * pixels),
-            self._storage("layer normals", VEC4 * pixels) if normal else None,
-        )
-
     def _lay_inputs(self, count: int) -> Layers:
         """Allocate image layers that the caller writes."""
-        layers = self._lay(count, normal=False)
+        layers = allocate_layers(self._storage, count, self._size, normal=False)
         self.inputs |= {"layer colors": layers.colors, "layer depths": layers.depths}
         return layers
 
