@@ -104,7 +104,7 @@ class Plan:
         tile = kernels.cut.tile
         self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
         self.pair_capacity = pair_capacity
-        self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
+        n = self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
         self._origins = scene_order(placed)
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
@@ -115,11 +115,9 @@ class Plan:
         if slab_splats is not None:
             self.slabs = self._slabs(placed, slab_splats, with_ids="depth" in outputs)
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
-        device.write(
-            self._counts, counting.initial(self._gaussians, pair_capacity, panorama=panorama)
-        )
-        self._records = kernels.records(self._gaussians)
-        self._projected, self._splats = self._splat_arrays(self._gaussians)
+        device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
+        self._records = kernels.records(n)
+        self._projected, self._splats = self._splat_arrays(n)
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
