@@ -2,10 +2,12 @@
 
 import hashlib
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
@@ -13,14 +15,17 @@ from gsgen.conformance.fixtures.builders.clouds import still
 from gsgen.conformance.fixtures.builders.moving import drifting
 from gsgen.contract import validate
 from gsgen.contract.spec.manifest import Bounds
+from gsgen.tiles.build.frame import globe_transform
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.json_values import JsonObject
 from gsgen.tiles.leaves import read_leaves
 from gsgen.tiles.loading import open_tileset
 from gsgen.tiles.neural import EXTENSION, neural_schema, read_neural_tile
 from gsgen.tiles.validation.fixtures import _neural
+from gsgen.tiles.volumes import Box, geodetic
 from support.commands import ROOT
 
+METRES = np.array([1 / 4.3e6, 1 / 6.4e6, 1.0])  # as longitude, latitude and height, at 47° north
 GOOD = {
     "uri": "n/a.onnx",
     "contract": "1.1",
@@ -154,6 +159,40 @@ def test_each_broken_promise_is_named(change, message: str, tmp_path: Path) -> N
     assert {finding.rule for finding in report.findings} == {"GT020"}
     told = " ".join(f"{f.where} {f.message}" for f in report.findings)
     assert message in told, told
+
+
+def on_the_globe(sketch: Any, margin: float) -> None:
+    """Stand the tileset on the globe, in regions that hold the boxes and a margin in metres."""
+    columns = globe_transform(8.5, 47.4, 400.0)
+    matrix = np.array(columns).reshape(4, 4).T
+    root = sketch.document["root"]
+    root["transform"] = list(columns)
+    for tile, grown in ((root["children"][0], margin), (root, 50.0)):
+        numbers = np.array(tile["boundingVolume"]["box"])
+        box = Box(numbers[:3], numbers[3:].reshape(3, 3)).transformed(matrix)
+        angles = geodetic(box.samples())
+        low, high = (np.array([f(axis) for axis in angles]) for f in (np.min, np.max))
+        low, high = low - grown * METRES, high + grown * METRES
+        region = [low[0], low[1], high[0], high[1], low[2], high[2]]
+        tile["boundingVolume"] = {"region": list(map(float, region))}
+
+
+def test_bounds_within_a_region_of_the_globe_are_compared_on_the_globe(tmp_path: Path) -> None:
+    good = _neural()
+    on_the_globe(good, margin=2.0)
+    good.write(tmp_path / "good" / "tileset.json")
+    report = validate(tmp_path / "good" / "tileset.json")
+    assert report.verdict == "conforms", report.findings
+    bad = _neural()
+    on_the_globe(bad, margin=2.0)
+    other_model(wide())(bad)
+    bad.write(tmp_path / "bad" / "tileset.json")
+    (finding,) = validate(tmp_path / "bad" / "tileset.json").findings
+    assert finding.rule == "GT020"
+    reach = re.search(r"reach ([\d.]+) out", finding.message)
+    assert reach is not None, finding.message
+    # 9 units down from the middle of a box of 1.6 or more, and a margin of 2.
+    assert 4 < float(reach[1]) < 8
 
 
 def test_a_tile_without_content_is_named(tmp_path: Path) -> None:

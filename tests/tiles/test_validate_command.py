@@ -109,6 +109,9 @@ def test_time_that_is_up_skips_and_does_not_pass(tmp_path: Path) -> None:
     report = validate(tmp_path, Settings(limits=Limits(seconds=1e-9)))
     assert report.outcome("GT005").status == "pass"
     assert report.outcome("GT012").status == "skipped"
-    assert "--timeout" in report.outcome("GT012").reason
+    reason = report.outcome("GT012").reason
+    assert "3 of 3 contents were not decoded" in reason
+    assert "the first is t/0/" in reason
+    assert "--timeout" in reason
     for rule in ("GT003", "GT008"):
         assert report.outcome(rule).status != "pass"

@@ -53,8 +53,8 @@ class Box:
         """
         lengths = np.linalg.norm(self.half_axes, axis=1)
         units = _unit_axes(self.half_axes, lengths)
-        along = np.abs((points - self.center) @ units.T)
-        return np.asarray(np.maximum(along - lengths, 0).max(axis=1))
+        along = np.abs(units @ (points - self.center).T)  # an axis a row: reductions are fast
+        return np.asarray(np.maximum(along - lengths[:, None], 0).max(axis=0))
 
     def child(self, offsets: tuple[int, ...], level: int) -> "Box":
         """Return a quadtree or octree cell of the box, by the cell's level and coordinates."""

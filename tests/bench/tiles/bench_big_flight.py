@@ -4,10 +4,10 @@
         -o python_files='bench_*.py' -o python_functions='bench_*' -s -q
 
 The camera flies low along the longest side of the tileset, at 640 × 360, with 2,000,000 Gaussians
-in GPU memory. It starts when all tiles of the first view are there. Files come from a server on this machine. The flight runs in a
-process of its own, whose largest memory the system counts. A frame's time is the CPU time of the
+in GPU memory. It starts when all tiles of the first view are there. Files come from a server on
+this machine. The flight runs in a process of its own, whose largest memory the system counts. A frame's time is the CPU time of the
 process (decoding and the driver's threads included), beside the wall time: other programs on the
-machine slow the latter. GSGEN_BENCH_FRAMES sets the number of frames (120).
+machine slow the latter. For the slowest frames it prints what they did. GSGEN_BENCH_FRAMES sets the number of frames (120).
 """
 
 import json
@@ -64,7 +64,7 @@ def fly(address: str, folder: Path) -> dict[str, object]:
     source = TilesSource(address, session, up=tuple(up), extent=(tree.center[0], reach), wait=0)
     player = Player([source], renderer=Renderer())
     cameras = path(tree.center[0], half, up, FRAMES)
-    wall, cpu, rows, resident, missing = [], [], [], [], []
+    wall, cpu, own, rows, resident, missing, uploaded, drawn = ([] for _ in range(8))
     root_at, holes_at_root = None, 0
     warm = 0
     for number in range(_MOST_WARM + len(cameras)):
@@ -74,10 +74,13 @@ def fly(address: str, folder: Path) -> dict[str, object]:
         if warm and number == warm + len(cameras):
             break
         camera = cameras[number - warm if warm else 0]
-        start, spent = time.perf_counter(), time.process_time()
+        start, spent, thread = time.perf_counter(), time.process_time(), time.thread_time()
         player.render(FrameRequest(camera))
         wall.append(time.perf_counter() - start)
         cpu.append(time.process_time() - spent)
+        own.append(time.thread_time() - thread)
+        uploaded.append(sum(arrival.upload_bytes for arrival in source._last.arrivals))
+        drawn.append(len(source._last.drawn))
         rows.append(source.count)
         resident.append(int(tree.splats[session.resident].sum()))
         missing.append(source._last.missing)
@@ -94,6 +97,9 @@ def fly(address: str, folder: Path) -> dict[str, object]:
         "holes_after_root": metrics.hole_frames - holes_at_root,
         "wall": wall,
         "cpu": cpu,
+        "own": own,
+        "uploaded": uploaded,
+        "drawn": drawn,
         "rows": rows,
         "resident": resident,
         "missing": missing,
@@ -125,6 +131,13 @@ def bench_flight_through_a_scene_that_does_not_fit() -> None:
     cpu = np.array(report["cpu"][report["warm"] :])
     wall = np.array(report["wall"][report["warm"] :])
     slowest = float(cpu.max() / np.median(cpu))
+    print("\nslowest frames: number, CPU ms, of Python's thread, Gaussians, tiles, uploaded MB")
+    for frame in np.argsort(-cpu)[:6].tolist():
+        row = report["warm"] + frame
+        print(
+            f"{frame:4} {1e3 * cpu[frame]:6.0f} {1e3 * report['own'][row]:6.0f} "
+            f"{report['rows'][row]:9,} {report['drawn'][row]:4} {report['uploaded'][row] / 1e6:6.1f}"
+        )
     print(
         f"\n{report['tiles']:,} tiles, {report['splats']:,} splats; {len(cpu)} frames of "
         f"{SIZE[0]} × {SIZE[1]}, {np.median(report['rows'][report['warm'] :]):,.0f} Gaussians drawn, up to "

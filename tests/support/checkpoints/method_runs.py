@@ -11,6 +11,7 @@ from gsgen.reference_plugins.deformation.deformation_checkpoint import read_defo
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
 from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs
 from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import read_gaussian_avatars
+from gsgen.reference_plugins.octree_anygs.anygs_checkpoint import read_anygs
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
@@ -21,6 +22,7 @@ from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,
     PersonOptions,
+    write_anygs,
     write_deformable,
     write_duplex,
     write_gauhuman,
@@ -44,6 +46,7 @@ METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "scaffold-gs": (lambda f: write_scaffold(f, FEW), read_anchors),
     "octree-gs": (lambda f: write_octree(f, UNITED), partial(read_anchors, octree=True)),
     "duplex-gs": (lambda f: write_duplex(f, UNITED), read_cells),
+    "octree-anygs": (lambda f: write_anygs(f, FEW), read_anygs),
     "2dgs": (lambda f: write_surfels(f, count=4), read_surfels),
     "hexplane-4dgs": (lambda f: write_hexplane(f, HexPlaneOptions(count=4)), read_hexplanes),
     "deformable-3dgs": (lambda f: write_deformable(f, count=4), read_deformation),

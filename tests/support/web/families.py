@@ -46,6 +46,7 @@ FAMILIES: Mapping[str, Family] = {
     "gaussian-avatars": Family(write=synthetic.write_gaussian_avatar),
     "hexplane-4dgs": Family(write=synthetic.write_hexplane),
     "lhm": Family(write=synthetic.write_lhm, has_motion=True, tolerance=_TRIGONOMETRY),
+    "octree-anygs": Family(write=synthetic.write_anygs),
     "octree-gs": Family(write=synthetic.write_octree),
     "r3-avatar": Family(write=synthetic.write_r3, has_motion=True, tolerance=_TRIGONOMETRY),
     "rotor-4dgs": Family(write=synthetic.write_rotor, options={"time_duration": (0.0, 1.0)}),

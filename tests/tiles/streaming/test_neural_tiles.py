@@ -19,6 +19,7 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.sources.generator_worker import GeneratorWorker
 from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.errors import TilesetInvalid
@@ -199,7 +200,7 @@ def test_a_run_that_breaks_a_promise_gives_the_splats_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """What the probes of a validation did not see is found in the run itself."""
-    monkeypatch.setattr(generator_opening, "check_neural_model", lambda *arguments: iter(()))
+    monkeypatch.setattr(generator_opening, "check_neural_model", lambda *arguments, **_: iter(()))
     model = leaving()
     index = write_neural_tileset(tmp_path / "tiles", [model])
     camera = watching(1)
@@ -213,6 +214,24 @@ def test_a_run_that_breaks_a_promise_gives_the_splats_back(
     (line,) = capfd.readouterr().err.splitlines()
     assert "children[0]" in line
     assert "lie outside the tile" in line
+
+
+def test_generators_run_on_the_execution_provider_that_was_asked_for(
+    tmp_path: Path, renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    providers = []
+
+    def open_worker(path: Path, provider: str) -> GeneratorWorker:
+        providers.append(provider)
+        return GeneratorWorker(path, "cpu")  # the only one of every machine
+
+    monkeypatch.setattr(generator_opening, "GeneratorWorker", open_worker)
+    index = write_neural_tileset(tmp_path / "tiles", [moving(0)])
+    settings = StreamSettings(max_error=0.01)
+    source = open_source(index, provider="webgpu", streaming=settings)
+    Player([source], renderer=renderer).render(FrameRequest(watching(1), [{"time": 0.0}]))
+    source.close()
+    assert providers == ["webgpu"]
 
 
 def test_no_generator_runs_where_none_is_allowed(tmp_path: Path, renderer: Renderer) -> None:

@@ -1,11 +1,12 @@
 """Sessions: flights over real and faulty servers always give a frame, within every budget."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from time import monotonic, sleep
 
 import numpy as np
 import pytest
@@ -144,6 +145,47 @@ def test_arrivals_hold_the_splats_of_their_tiles_in_morton_order(town: Path) -> 
         steps = np.linalg.norm(np.diff(arrival.rows[:, :3], axis=0), axis=1).mean()
         shuffled = np.random.default_rng(0).permutation(arrival.rows[:, :3])
         assert steps < 0.5 * np.linalg.norm(np.diff(shuffled, axis=0), axis=1).mean()
+    session.close()
+
+
+def test_connections_are_filled_again_between_two_frames(town: Path) -> None:
+    """A renderer of few frames gets more tiles a frame than there are connections."""
+    options = replace(OPTIONS, connections=1, predictor="none", fade_seconds=0)
+    session = open_session(town, options)
+    link, pool, frustum = session._link, Pool(session), cameras(2)[0]
+    arrivals, deadline, is_complete = [], monotonic() + 60, False
+    while not is_complete:
+        assert monotonic() < deadline
+        frame = session.frame(frustum)
+        pool.take(frame)
+        arrivals.append(len(frame.arrivals))
+        is_complete = frame.is_complete
+        while link.free < options.connections:  # the queue is empty
+            assert monotonic() < deadline
+            sleep(0.01)
+    assert max(arrivals) > 2 * options.connections
+    assert len(arrivals) <= sum(arrivals) / 2
+    assert session.metrics.requests == sum(arrivals)
+    session.close()
+
+
+def test_the_queue_is_not_longer_than_frames_can_upload(town: Path) -> None:
+    budget = 60_000
+    options = replace(OPTIONS, connections=1, predictor="none", upload_budget=budget)
+    session = open_session(town, options)
+    pool, queued = Pool(session), []
+    set_queue = session._link.queue
+
+    def note(tiles: Iterable[int]) -> None:
+        queued.append(list(tiles))
+        set_queue(queued[-1])
+
+    session._link.queue = note
+    for _ in range(60):
+        pool.take(session.frame(cameras(2)[0]))
+        session.wait(0.02)
+    sizes = [4 * 22 * int(session.tree.splats[tiles].sum()) for tiles in queued]
+    assert 0 < max(sizes) <= 2 * budget
     session.close()
 
 

@@ -47,7 +47,7 @@ def _mip() -> ModelSpec:
 
 
 def _stale_rows() -> ModelSpec:
-    """Return a model of twelve rows with a row count of five; the rest are stale Gaussians."""
+    """Return a model of twelve rows with a row count of five; later rows hold stale Gaussians."""
     return still(12).weighing(live=np.array([5], np.int32))
 
 

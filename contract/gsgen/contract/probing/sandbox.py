@@ -116,7 +116,7 @@ class Execution:
 
     @property
     def inside(self) -> float:
-        """The seconds spent within ONNX Runtime itself: creating sessions and running them."""
+        """The seconds spent within ONNX Runtime itself: creating sessions and running models."""
         loading = (e["seconds"] for e in self.events if e["event"] == "loaded")
         return float(sum(loading)) + sum(run.seconds for run in self.runs)
 

@@ -15,6 +15,7 @@ __all__ = [
     "serve",
     "stage_of",
     "thinned",
+    "thinning_step",
 ]
 
 import hashlib
@@ -233,8 +234,13 @@ def digest_of(outputs: dict[str, np.ndarray]) -> str:
 
 def thinned(value: np.ndarray) -> np.ndarray:
     """Return about 16,384 evenly spaced rows of a model output, or all rows of a small one."""
-    step = max(1, len(value) // _THIN_ROWS) if value.ndim else 1
+    step = thinning_step(len(value)) if value.ndim else 1
     return value[::step] if step > 1 else value
+
+
+def thinning_step(rows: int) -> int:
+    """Return n, where every n-th row of an output is stored for an extra probe."""
+    return max(1, rows // _THIN_ROWS)
 
 
 def _finite(value: np.ndarray) -> bool:

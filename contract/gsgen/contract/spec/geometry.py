@@ -24,16 +24,26 @@ def rotation_matrix(quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "
     A zero quaternion has no direction; it gives the identity, as w = 1 would. One that holds
     NaN gives NaN.
     """
-    q = np.asarray(quaternion, np.float64)
-    norm = np.linalg.norm(q, axis=1, keepdims=True)
-    q = np.where(norm == 0, np.array([1.0, 0, 0, 0]), q / np.where(norm == 0, 1, norm))
-    w, x, y, z = q.T
-    rows = [
+    matrices = np.empty((len(quaternion), 3, 3))
+    for i, row in enumerate(_rotation_elements(quaternion)):
+        for j, element in enumerate(row):
+            matrices[:, i, j] = element
+    return matrices
+
+
+def _rotation_elements(quaternion: Float[np.ndarray, "n 4"]) -> list[list[Float[np.ndarray, " n"]]]:
+    """Return the elements of rotation matrices, each as one array over all quaternions."""
+    q = np.array(np.transpose(quaternion), np.float64, order="C")  # whole columns are fast
+    norm = np.sqrt((q * q).sum(axis=0))
+    is_zero = norm == 0
+    q /= np.where(is_zero, 1, norm)
+    q[0, is_zero] = 1
+    w, x, y, z = q
+    return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
 
 def covariance_upper(
@@ -45,9 +55,15 @@ def covariance_upper(
         scale: Linear standard deviations along the local axes.
         rotation: Quaternions (w, x, y, z), normalised here.
     """
-    m = rotation_matrix(rotation) * np.asarray(scale, np.float64)[:, None, :]
-    full = m @ m.transpose(0, 2, 1)
-    return np.ascontiguousarray(full[:, COVARIANCE_INDEX[0], COVARIANCE_INDEX[1]])
+    axes = np.array(np.transpose(scale), np.float64, order="C")
+    m = [
+        [element * axis for element, axis in zip(row, axes, strict=True)]
+        for row in _rotation_elements(rotation)
+    ]
+    upper = np.empty((len(scale), 6))
+    for column, (i, j) in enumerate(zip(*COVARIANCE_INDEX, strict=True)):
+        upper[:, column] = m[i][0] * m[j][0] + m[i][1] * m[j][1] + m[i][2] * m[j][2]
+    return upper
 
 
 def symmetric(upper: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 3 3"]:

@@ -8,7 +8,7 @@ file each, or state dicts in one file: ``checkpoints.pth`` of the mode ``unite``
 
 __all__ = [
     "AnchorCheckpoint", "AnchorCloud", "AnchorNets", "Mlp", "States", "describe_anchors",
-    "numbered", "read_anchors", "read_nets", "require_appearance", "require_sizes",
+    "numbered", "read_anchors", "read_cloud", "read_nets", "require_appearance", "require_sizes",
 ]  # fmt: skip
 
 import re
@@ -122,7 +122,7 @@ def read_anchors(
     method = "octree-gs" if octree else "scaffold-gs"
     run = open_run(method, folder, iteration, needs_cfg=octree)
     ply = required_file(run.files / "point_cloud.ply", "the anchors")
-    cloud = _read_cloud(ply, octree=octree)
+    cloud = read_cloud(ply, columns=_LEVELS if octree else ())
     require_sizes(run.cfg, cloud, ply)
     return AnchorCheckpoint(run, cloud, read_nets(run, cloud, octree=octree))
 
@@ -135,28 +135,33 @@ def require_sizes(cfg: CfgArgs, cloud: AnchorCloud, ply: Path) -> None:
             raise CheckpointInvalid(message, where=str(cfg.path))
 
 
-def _read_cloud(path: Path, *, octree: bool) -> AnchorCloud:
+def read_cloud(
+    path: Path, *, columns: tuple[str, ...] = (), has_features: bool = True
+) -> AnchorCloud:
+    """Read the anchors of a PLY file, and the named columns of their levels.
+
+    Without ``has_features``, anchors have features of length 0.
+    """
     with format_faults(path):
         names = ply_properties(path)
         offsets, features = numbered(_OFFSET, names), numbered(_FEATURE, names)
         groups = {"position": XYZ, "scale": _SCALES, "rotation": _ROTATION}
-        groups |= {"offset": offsets, "feature": features}
-        groups |= {name: (name,) for name in _LEVELS} if octree else {}
-        if not offsets or len(offsets) % 3 or not features:
+        groups |= {"offset": offsets} | ({"feature": features} if features else {})
+        groups |= {name: (name,) for name in columns}
+        if not offsets or len(offsets) % 3 or has_features != bool(features):
             message = f"has {len(offsets)} properties f_offset and {len(features)} f_anchor_feat"
             hint = "Expected 3 K and F of them: is this a checkpoint of another method?"
             raise CheckpointInvalid(message, where=str(path), hint=hint)
         tables = read_ply_columns(path, groups)
     read = {name: torch.from_numpy(table) for name, table in tables.items()}
     axes = read["offset"].reshape(len(read["offset"]), 3, -1)  # stored axis by axis
-    columns = {name: read[name].reshape(-1) for name in _LEVELS if octree}
     return AnchorCloud(
         position=read["position"],
         offset=axes.transpose(1, 2).contiguous(),
-        feature=read["feature"],
+        feature=read.get("feature", torch.zeros(len(axes), 0)),
         log_scale=read["scale"],
         rotation=read["rotation"],
-        **columns,
+        **{name: read[name].reshape(-1) for name in columns},
     )
 
 
@@ -173,12 +178,16 @@ class _Sizes:
     appearance: int
     level: bool
     octree: bool
+    direction: int
 
 
-def read_nets(run: TrainingRun, cloud: AnchorCloud, *, octree: bool) -> AnchorNets:
+def read_nets(
+    run: TrainingRun, cloud: AnchorCloud, *, octree: bool, direction: int = _DIRECTION
+) -> AnchorNets:
     """Read the networks of an anchor checkpoint.
 
     ``cloud`` determines the shapes of the networks; with ``octree``, the level may be an input.
+    With ``direction`` 0, the networks do not depend on the direction of the camera.
     """
     iteration_folder, cfg = run.files, run.cfg
     states = _states(iteration_folder)
@@ -197,6 +206,7 @@ def read_nets(run: TrainingRun, cloud: AnchorCloud, *, octree: bool) -> AnchorNe
         appearance=appearance,
         level=level,
         octree=octree,
+        direction=direction,
     )
     heads = {name: _head(name, states, iteration_folder, cfg, sizes) for name in _CHANNELS}
     bank = (
@@ -243,7 +253,7 @@ def _head(name: str, states: States, iteration_folder: Path, cfg: CfgArgs, sizes
         hint = f"Networks are {', '.join(_CHANNELS)} (.pt each), or all in {_UNITED[0]}."
         raise CheckpointInvalid("is missing", where=str(iteration_folder / f"{name}.pt"), hint=hint)
     path, state = states[name]
-    known = sizes.width + _DIRECTION + sizes.level
+    known = sizes.width + sizes.direction + sizes.level
     known += sizes.appearance if name == "color_mlp" else 0
     option = f"add_{name.removesuffix('_mlp')}_dist"
     if option in cfg.values:
@@ -267,6 +277,9 @@ def _has_bank(states: States, iteration_folder: Path, cfg: CfgArgs) -> bool:
 def _bank(states: States, iteration_folder: Path, sizes: _Sizes) -> Mlp:
     """Read the feature bank network; inputs are direction and distance, in Octree-GS also level."""
     path, state = states["bank"]
+    if not sizes.direction:
+        message = "use_feat_bank is True, but the networks have no direction as input"
+        raise CheckpointInvalid(message, where=str(iteration_folder))
     if sizes.width % 4:
         message = f"feat_dim is {sizes.width}, expected a multiple of 4 for a feature bank"
         raise CheckpointInvalid(message, where=str(iteration_folder))
@@ -280,6 +293,9 @@ def _mlp(
     expected = linear_shapes("0", inputs, sizes.width) | linear_shapes("2", sizes.width, out)
     read = require_tensors(path, state, expected)
     (hidden, hidden_bias), (out_weight, out_bias) = layer_of(read, "0"), layer_of(read, "2")
+    if not sizes.direction:  # generators feed it, with weights of zero
+        ignored = hidden.new_zeros(len(hidden), _DIRECTION)
+        hidden = torch.cat([hidden[:, : sizes.width], ignored, hidden[:, sizes.width :]], dim=1)
     return Mlp(
         hidden=hidden, hidden_bias=hidden_bias, out=out_weight, out_bias=out_bias, distance=distance
     )

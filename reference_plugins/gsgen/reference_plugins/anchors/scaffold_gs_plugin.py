@@ -5,7 +5,7 @@ __all__ = ["PLUGIN"]
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsgen.reference_plugins.loading.method_detection import point_columns
+from gsgen.reference_plugins.loading.method_detection import is_octree_anygs, point_columns
 from gsgen.reference_plugins.loading.options import (
     AppearanceId,
     Checkpoint,
@@ -56,8 +56,9 @@ def build(
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    columns = point_columns(iteration)
-    return "f_offset_0" in columns and not {"level", "anchor_size_0"} & set(columns)
+    columns = set(point_columns(iteration))
+    is_other = bool({"level", "anchor_size_0"} & columns) or is_octree_anygs(iteration)
+    return "f_offset_0" in columns and not is_other
 
 
 def _write_demo(folder: Path) -> list[str]:

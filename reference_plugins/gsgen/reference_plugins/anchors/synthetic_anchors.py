@@ -4,7 +4,9 @@ Anchors lie along a torus knot. Most weights are noise, but the first numbers of
 the colour, and most opacities are high, so that pictures show a coloured knot.
 """
 
-__all__ = ["AnchorOptions", "write_duplex", "write_octree", "write_scaffold"]
+__all__ = [
+    "AnchorOptions", "anchor_columns", "write_duplex", "write_networks", "write_octree", "write_scaffold",
+]  # fmt: skip
 
 import warnings
 from collections.abc import Mapping
@@ -30,6 +32,7 @@ class AnchorOptions:
     anchors: int = 64  # number of anchors
     per_anchor: int = 5  # Gaussians of an anchor
     width: int = 16  # length of a feature vector, a multiple of 4
+    direction: int = 3  # inputs for the direction of the camera: 3, or 0 (Octree-AnyGS)
     bank: bool = False  # mix features of three resolutions by a feature bank
     # whether the distance is an input of the opacity, covariance and colour networks
     distance: tuple[bool, bool, bool] = (False, False, False)
@@ -122,6 +125,13 @@ def _level_cfg(options: AnchorOptions, mode: str, fork: int) -> dict[str, object
     return cfg | {"progressive": True, "resolution_scales": [1.0], "base_layer": 5}
 
 
+def anchor_columns(
+    options: AnchorOptions, rng: np.random.Generator
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """Return the PLY columns of anchors along a torus knot, without levels."""
+    return _positions(options) | _payload(options, rng)
+
+
 def _positions(options: AnchorOptions) -> dict[str, Float[np.ndarray, " n"]]:
     knot = torus_knot(options.anchors, degree=0, seed=options.seed)
     return dict(zip("xyz", knot.position.T, strict=True))
@@ -167,7 +177,12 @@ def _write(
     iteration_folder = folder / "point_cloud" / f"iteration_{options.iteration}"
     write_cfg_args(folder, cfg)
     write_columns(iteration_folder / "point_cloud.ply", columns)
-    networks = _networks(options, octree="level" in columns)
+    write_networks(iteration_folder, options, octree="level" in columns)
+
+
+def write_networks(iteration_folder: Path, options: AnchorOptions, *, octree: bool = True) -> None:
+    """Write random networks of an anchor method; with ``octree``, the bank has no distance."""
+    networks = _networks(options, octree=octree)
     if options.united:
         united = {
             {"embedding_appearance": "appearance"}.get(name, name): network.state_dict()
@@ -181,7 +196,7 @@ def _write(
 
 def _networks(options: AnchorOptions, *, octree: bool) -> dict[str, nn.Module]:
     generator = torch.Generator().manual_seed(options.seed)
-    known = options.width + 3 + options.level
+    known = options.width + options.direction + options.level
     networks: dict[str, nn.Module] = {}
     for index, (name, outputs) in enumerate(_HEADS.items()):
         inputs = known + options.distance[index]

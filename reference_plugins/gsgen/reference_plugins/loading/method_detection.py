@@ -1,6 +1,6 @@
 """Recognises the method of a training run by its files; several methods have similar layouts."""
 
-__all__ = ["point_columns", "refuse_other_method"]
+__all__ = ["is_octree_anygs", "point_columns", "refuse_other_method"]
 
 from pathlib import Path
 
@@ -36,3 +36,15 @@ def point_columns(iteration: Path) -> tuple[str, ...]:
         return ply_properties(path) if path.is_file() else ()
     except FormatError:
         return ()
+
+
+def is_octree_anygs(iteration: Path) -> bool:
+    """Return whether an iteration's point cloud has anchors as Octree-AnyGS writes them.
+
+    Networks compute the opacity of its neural anchors, and the PLY has no column for it; anchors of
+    explicit Gaussians have one, and colours. Scaffold-GS and Octree-GS write an unused opacity.
+    """
+    columns = set(point_columns(iteration))
+    has_opacity = "opacity" in columns
+    is_anchor = "f_offset_0" in columns and "anchor_size_0" not in columns
+    return is_anchor and has_opacity == ("f_dc_0" in columns)

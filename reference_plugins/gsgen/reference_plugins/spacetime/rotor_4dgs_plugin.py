@@ -98,7 +98,10 @@ def _duration(
     first, last = time_duration
     if not first < last:
         source = "--time-duration" if config is None else str(config)
-        raise ConfigInvalid(f"the time goes from {first:g} to {last:g}", where=source)
+        raise ConfigInvalid(
+            f"the time goes from {first:g} to {last:g}, expected an end after the beginning",
+            where=source,
+        )
     return time_duration
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.heads.synthetic_head import write_gaussian_avatar
     from gsgen.reference_plugins.images.synthetic_difix import write_difix
     from gsgen.reference_plugins.images.synthetic_images import write_denoiser, write_stylise
+    from gsgen.reference_plugins.octree_anygs.synthetic_anygs import write_anygs
     from gsgen.reference_plugins.people.synthetic_people import write_gauhuman, write_lhm, write_r3
     from gsgen.reference_plugins.spacetime.synthetic_rotor import write_rotor
     from gsgen.reference_plugins.spacetime.synthetic_spacetime import write_spacetime
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.synthetic.knot import torus_knot
 
 __all__ = [
-    "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_body",
+    "AnchorOptions", "HexPlaneOptions", "PersonOptions", "torus_knot", "write_anygs", "write_body",
     "write_deformable", "write_denoiser", "write_difix", "write_duplex", "write_gauhuman", "write_gaussian_avatar",
     "write_hexplane", "write_lhm", "write_motion", "write_octree", "write_r3", "write_rotor", "write_sc_gs", "write_scaffold",
     "write_spacetime", "write_stylise", "write_surfels",

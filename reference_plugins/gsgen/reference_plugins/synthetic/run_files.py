@@ -3,7 +3,7 @@
 __all__ = ["splat_columns", "write_cfg_args", "write_columns"]
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,14 @@ def write_cfg_args(folder: Path, options: Mapping[str, Any]) -> None:
     (folder / "cfg_args").write_text(text, "utf-8")
 
 
-def write_columns(path: Path, columns: Mapping[str, Float[np.ndarray, " n"]]) -> None:
-    """Write a binary PLY with one float property for each column."""
+def write_columns(
+    path: Path, columns: Mapping[str, Float[np.ndarray, " n"]], infos: Sequence[str] = ()
+) -> None:
+    """Write a binary PLY with one float property for each column, and lines ``obj_info``."""
     path.parent.mkdir(parents=True, exist_ok=True)
     table = np.stack(list(columns.values()), axis=1).astype("<f4")
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
+    lines = ["ply", "format binary_little_endian 1.0", *(f"obj_info {info}" for info in infos)]
+    lines += [f"element vertex {len(table)}"]
     lines += [f"property float {name}" for name in columns]
     header = "\n".join([*lines, "end_header", ""])
     path.write_bytes(header.encode() + table.tobytes())

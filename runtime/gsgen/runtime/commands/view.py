@@ -165,7 +165,7 @@ def _page_view(
 
 
 def _serve_page(scenes: Sequence[Path], shown: "ModelView", ort: Path | None, port: int) -> None:
-    """Serve a page of the scenes until Ctrl-C, and open it in the browser."""
+    """Serve a web page of the scenes until Ctrl-C, and open the page in the browser."""
     import webbrowser
 
     from gsgen.contract.process.atomic_files import MODEL_SUFFIX

@@ -66,7 +66,7 @@ class Picture:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Ellipses:
-    """The ellipses of Gaussians or cells in an image.
+    """The ellipses of Gaussians, or of cells (groups of Gaussians), in an image.
 
     Attributes:
         mean: Centres, in pixels.
@@ -88,7 +88,7 @@ class Ellipses:
 
 
 def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera) -> Ellipses:
-    """Project packed rows of Gaussians or cells of a splat set into an image, as ellipses."""
+    """Project Gaussians or cells (groups) of a splat set into an image, as ellipses."""
     linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
     turn = camera.view[:3, :3]
     with np.errstate(all="ignore"):  # rows that are not finite are not sound

@@ -1,4 +1,4 @@
-"""Parses ``--input`` into tracks: the values of one model input in each frame."""
+"""Parses ``--input`` into input tracks: the values of one model input in each frame."""
 
 __all__ = ["ARRAY_SUFFIXES", "Track", "input_track"]
 

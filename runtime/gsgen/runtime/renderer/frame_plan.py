@@ -237,7 +237,7 @@ class Plan:
         return layers
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
-        """Record the drawing of meshes, and return the steps that copy them to an image layer."""
+        """Record the drawing of meshes; return the dispatches that copy them to an image layer."""
         self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._size))
         self._meshes = self._kernels.meshes(self._panorama).step(
             self._size, meshes, self._mesh_slots, self._mesh_rays, self._layers
@@ -310,7 +310,7 @@ class Plan:
     def _sort_by_depth(
         self, columns: tuple[Columns, Columns], lows: Buffer
     ) -> tuple[list[Step], Buffer]:
-        """Return the steps of the depth sort, and the buffer of drawn Gaussians, nearest first."""
+        """Return the dispatches of the depth sort, and the buffer of Gaussians, nearest first."""
         n, origins = self._gaussians, None
         if self.slabs is not None:
             origins = self.slabs.origins
@@ -333,7 +333,7 @@ class Plan:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the steps that sort splat-tile pairs by tile, and the buffer of sorted pairs."""
+        """Return the dispatches that sort splat-tile pairs by tile, and the buffer of pairs."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self._counts,

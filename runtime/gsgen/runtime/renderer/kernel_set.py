@@ -1,4 +1,4 @@
-"""The rendering kernels of a device, each compiled when a frame plan first needs it."""
+"""The rendering kernels of a device, each compiled when a frame first needs it."""
 
 __all__ = ["RECORD", "Kernels"]
 

@@ -165,7 +165,7 @@ def _crowd(n: int, tall: float) -> SplatData:
 def _roomy(
     device: Device, kernels: Kernels, placed: list[Placed], camera: Camera, *, quads: bool
 ) -> Plan:
-    """Return a frame plan that has enough capacity for all splat-tile pairs of the frame."""
+    """Return recorded GPU work with enough capacity for all splat-tile pairs of a frame."""
     room, size = _PAIRS, (camera.width, camera.height)
     while True:
         plan = Plan(device, kernels, placed, size, frozenset({"color"}), room, quads=quads)

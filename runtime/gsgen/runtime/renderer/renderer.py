@@ -353,7 +353,7 @@ class Renderer:
         outputs: frozenset[Output],
         meshes: Sequence[PlacedMesh] = (),
     ) -> Plan:
-        """Return the frame plan of pages, camera and outputs; reuse the last plan if it fits."""
+        """Return the GPU plan of a frame of given pages, camera and outputs; reuse the last one."""
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
         pages = tuple((page, splat_set.weighted is None) for splat_set, page in placed)
         contents = (pages, tuple(mesh.buffers for mesh in meshes))
@@ -425,7 +425,7 @@ def _fits_slabs(placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
 
 
 def _bare_set(pooled: PooledSet) -> SplatSet:
-    """Return a splat set without Gaussians that has the drawing settings of a splat pool."""
+    """Return an empty splat set that has the drawing settings of a splat pool (streamed tiles)."""
     pool = pooled.pool
     rows = np.zeros((0, layout.ROW), np.float32)
     data = SplatData(rows, np.zeros((0, pool.channels), np.float32), "sh")

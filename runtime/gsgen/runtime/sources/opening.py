@@ -1,8 +1,9 @@
-"""Opens splat files, mesh files and ONNX generators as sources."""
+"""Opens splat files, mesh files and ONNX generators as sources for the renderer."""
 
 __all__ = ["open_source"]
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from gsgen.contract._entry_points import registered_entry_points
@@ -18,11 +19,11 @@ def open_source(
     sizes: Mapping[str, int] | None = None,
     streaming: StreamSettings | None = None,
 ) -> Source:
-    """Open a file of Gaussians or triangles, a tileset, or an ONNX generator as a source.
+    """Open a file of Gaussians or triangles, a tileset or an ONNX generator for the renderer.
 
     Args:
         path: The file.
-        provider: ONNX Runtime's execution provider for a generator.
+        provider: ONNX Runtime's execution provider for a generator, and for those of neural tiles.
         sizes: Symbol → size of an open dimension of a generator.
         streaming: How a tileset is streamed.
 
@@ -37,5 +38,6 @@ def open_source(
     for point in registered_entry_points("gsgen.sources"):
         opener: StreamOpener = point.load()
         if opener.recognises(path):
-            return opener.open_stream(path, streaming or StreamSettings())
+            settings = replace(streaming or StreamSettings(), provider=provider)
+            return opener.open_stream(path, settings)
     return MeshSource(path) if is_mesh(path) else StillSource(path)

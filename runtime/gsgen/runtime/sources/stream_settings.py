@@ -1,4 +1,4 @@
-"""Settings of sources that stream what a camera needs, such as tilesets."""
+"""Settings of scene sources that stream what a camera needs, such as tilesets."""
 
 __all__ = ["StreamOpener", "StreamSettings"]
 
@@ -23,6 +23,7 @@ class StreamSettings:
         log: File of events as JSON lines; None for none.
         allow_origins: Other origins that redirects of a server may lead to.
         neural_sessions: Most generators of neural tiles that are open at once; 0 for none.
+        provider: Execution provider of ONNX Runtime for these models.
         wait: Most seconds that a frame waits for all tiles that its camera needs; 0 to draw what
             is there, as a window does, with cross-fades.
     """
@@ -34,18 +35,19 @@ class StreamSettings:
     log: Path | None = None
     allow_origins: tuple[str, ...] = ()
     neural_sessions: int = 4
+    provider: str = "cpu"
     wait: float = 30.0
 
 
 class StreamOpener(Protocol):
-    """Protocol of plug-ins that open streamed sources (entry point group ``gsgen.sources``)."""
+    """Protocol of plug-ins that open streamed scenes (entry point group ``gsgen.sources``)."""
 
     def recognises(self, path: Path) -> bool:
         """Return whether ``path`` names a file or an address that this plug-in streams."""
         ...
 
     def open_stream(self, path: Path, settings: StreamSettings) -> "Source":
-        """Open a file or an address as a source that streams what the camera needs.
+        """Open a file or an address as a scene that is streamed as the camera needs.
 
         Raises:
             GsgenError: The file is invalid, or cannot be read.

@@ -1,4 +1,4 @@
-"""The document ``plans.json``: all frame plans and uniforms that the browser client uses."""
+"""The document ``plans.json``: GPU buffers, dispatches and uniforms for the browser client."""
 
 __all__ = ["PAGE_RULES", "PLANS_FILE", "SHAPES", "plans_document", "plans_text", "written_plans"]
 
@@ -73,7 +73,7 @@ SHAPES: Final = tuple(
 
 
 def plans_document() -> dict[str, Any]:
-    """Return the frame plans, uniforms and constants of the renderer as one JSON object."""
+    """Return recorded GPU plans, uniforms and constants of the renderer as a JSON object."""
     tables = PlanTables()
     for shape in SHAPES:
         tables.add(record(shape))

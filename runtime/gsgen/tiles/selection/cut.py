@@ -48,7 +48,7 @@ def cut_tree(tree: TileTree, frustum: Frustum, max_error: float) -> Cut:
 
 
 def request_order(tree: TileTree, cut: Cut) -> Int64[np.ndarray, " m"]:
-    """Return the seen tiles in order of request: by level, then by screen-space error."""
+    """Return the seen tiles in order of request: by tree depth, then by screen-space error."""
     rows = np.flatnonzero(cut.seen)
     return np.asarray(rows[np.lexsort((rows, -cut.error[rows], tree.level[rows]))])
 

@@ -2,7 +2,8 @@
 
 Where tiles are worth what they are independently of the tiles below them, a step of the root's
 frontier may cost a large part of the budget: it opens a whole subtree. The last point within the
-budget then leaves much unused, which smaller steps below the hull can use.
+budget then leaves much unused, which smaller steps below the hull can use. Exchanges of tiles close
+most of the gap that is still there.
 """
 
 __all__ = ["fill_cut"]
@@ -15,6 +16,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from gsgen.tiles.selection.choose import Choice
+from gsgen.tiles.selection.cut_exchange import exchange_tiles
 from gsgen.tiles.selection.tree_choice import TreeFrontier
 
 TOLERANCE: Final = 1e-3
@@ -29,10 +31,20 @@ def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
 
     A node takes its best option that fits, or the steps of its children by falling gain for cost,
     whichever is worth more; a child whose next step does not fit is solved the same way, with
-    what is left. The bound stays.
+    what is left. Then tiles are exchanged. The bound stays.
     """
-    if choice.certificate <= TOLERANCE or len(frontier.levels) > MAX_DEPTH:
+    if choice.certificate <= TOLERANCE:
         return choice
+    if len(frontier.levels) <= MAX_DEPTH:
+        choice = _refined(frontier, choice, budget)
+    if choice.certificate <= TOLERANCE:
+        return choice
+    price = frontier.price(budget)
+    return exchange_tiles(frontier.options, choice, budget, price, TOLERANCE)
+
+
+def _refined(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
+    """Return a choice that spends the rest of the budget in subtrees, if that is worth more."""
     solver = _SubtreeSolver(frontier, TOLERANCE * choice.bound)
     solution = solver.solve(0, 0, budget)
     if solution is None or solution.utility <= choice.utility:

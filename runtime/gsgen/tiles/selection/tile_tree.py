@@ -91,6 +91,10 @@ class TileTree:
             ),
         )
 
+    def box(self, tile: int) -> Box:
+        """Return a tile's bounding box in the root frame."""
+        return Box(self.center[tile], self.half_axes[tile])
+
     def ancestors(self, tile: int) -> list[int]:
         """Return the ancestors of a tile, the root last."""
         above = []

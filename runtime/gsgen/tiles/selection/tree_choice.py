@@ -120,6 +120,14 @@ class TreeFrontier:
         """Return an upper bound of the utility within a budget: that of the linear relaxation."""
         return float(np.interp(budget, self.costs, self.levels[0].value))
 
+    def price(self, budget: float) -> float:
+        """Return the utility of one more byte at a budget: the slope of the tree's frontier."""
+        after = int(np.searchsorted(self.costs, budget, side="right"))
+        if not 0 < after < len(self.costs):
+            return 0.0
+        value, cost = self.levels[0].value, self.costs
+        return float((value[after] - value[after - 1]) / (cost[after] - cost[after - 1]))
+
     def options_at(self, point: int) -> Int64[np.ndarray, " n"]:
         """Return each tile's chosen quality at a point of the tree's frontier; −1 for none."""
         chosen = np.full(len(self.options.parent), -1, np.int64)

@@ -3,7 +3,7 @@
 __all__ = ["EventLog", "NeuralEvents", "ReplayLink", "read_events"]
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import final
@@ -61,6 +61,7 @@ class EventLog:
         self,
         time: float,
         frustum: Frustum,
+        started: Sequence[int],
         received: Sequence[FetchResult[TileArrival]],
         frame: SessionFrame,
     ) -> None:
@@ -72,6 +73,7 @@ class EventLog:
             "rotation": frustum.rotation.tolist(),
             "focal": frustum.focal,
             "flat": frustum.flat,
+            "started": list(started),
             "received": [result.tile for result in received if result.error is None],
             "failed": [
                 [result.tile, str(result.error), isinstance(result.error, StoreUnavailable)]
@@ -103,6 +105,7 @@ class FrameEvents:
     Attributes:
         time: Of the frame, in seconds.
         frustum: Of the camera.
+        started: Tiles that the link requested by itself since the frame before.
         received: Tiles whose contents had come.
         failed: Tiles that could not be had: key, message, and whether it may pass.
         drawn: Tiles that were drawn, and their fades.
@@ -112,6 +115,7 @@ class FrameEvents:
 
     time: float
     frustum: Frustum
+    started: tuple[int, ...]
     received: tuple[int, ...]
     failed: tuple[tuple[int, str, bool], ...]
     drawn: tuple[tuple[int, float], ...]
@@ -147,6 +151,7 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
                     focal=float(values["focal"]),
                     flat=bool(values["flat"]),
                 ),
+                started=tuple(map(int, values.get("started", ()))),
                 received=tuple(map(int, values["received"])),
                 failed=tuple((int(t), str(m), bool(p)) for t, m, p in values["failed"]),
                 drawn=tuple((int(tile), float(fade)) for tile, fade in values["drawn"]),
@@ -162,7 +167,7 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
 
 @final
 class ReplayLink:
-    """Replays an event log as a network link and a clock: tiles arrive in the logged frames.
+    """Replays an event log as a network and a clock: tiles arrive in the logged frames.
 
     Args:
         read: Returns the decoded content of a tile.
@@ -189,8 +194,18 @@ class ReplayLink:
         return self._connections - len(self._requested)
 
     def request(self, tile: int) -> None:
-        """Record a tile request of the replayed session."""
+        """Record a tile request of the replayed streaming session."""
         self._requested.add(tile)
+
+    def queue(self, tiles: Iterable[int]) -> None:
+        """Do nothing: the log says which queued tiles were requested."""
+
+    def take_started(self) -> list[int]:
+        """Return the tiles that the link of the logged session requested by itself."""
+        assert self._events is not None
+        self._requested |= set(self._events.started)
+        self._requested -= {*self._events.received, *(tile for tile, *_ in self._events.failed)}
+        return list(self._events.started)
 
     def progress(self, tile: int) -> float:
         """Return 1, as if every tile were received, so that a replay cancels no request itself."""
@@ -198,7 +213,7 @@ class ReplayLink:
         return 1.0
 
     def cancel(self, tile: int) -> int:
-        """Forget a tile request of the replayed session."""
+        """Forget a tile request of the replayed streaming session."""
         self._requested.discard(tile)
         return 0
 
@@ -213,7 +228,7 @@ class ReplayLink:
         return results
 
     def wait(self, seconds: float) -> None:
-        """Return at once: a replayed session waits for no network."""
+        """Return at once: a replayed streaming session waits for no network."""
 
     def close(self) -> None:
-        """Do nothing: a replayed link has no connections to close."""
+        """Do nothing: a replayed network link has no connections to close."""

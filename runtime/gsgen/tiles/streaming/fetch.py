@@ -2,7 +2,8 @@
 
 __all__ = ["RETRY_AFTER", "FetchLink", "FetchResult"]
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from queue import SimpleQueue
 from threading import Event, Lock, Semaphore, Thread
@@ -55,7 +56,8 @@ class _Request:
 class FetchLink(Generic[Decoded]):
     """Fetches tiles, each request on a thread of its own that ends with the process.
 
-    A connection is free again as soon as its bytes are there, while they are decoded.
+    A connection is free again as soon as its bytes are there, while they are decoded; then the
+    link requests the next tile of its queue by itself.
 
     Args:
         fetch: Reads the files of a tile, and reports how many came; called on threads.
@@ -75,6 +77,8 @@ class FetchLink(Generic[Decoded]):
         self._connections = connections
         self._decoders = Semaphore(_DECODERS)
         self._active: dict[int, _Request] = {}
+        self._queue: deque[int] = deque()
+        self._started: list[int] = []
         self._lock = Lock()
         self._results: SimpleQueue[FetchResult[Decoded]] = SimpleQueue()
         self._news = Event()
@@ -87,9 +91,23 @@ class FetchLink(Generic[Decoded]):
 
     def request(self, tile: int) -> None:
         """Begin to fetch a tile on a thread of its own."""
-        request = _Request(tile)
         with self._lock:
-            self._active[tile] = request
+            self._begin(tile)
+
+    def queue(self, tiles: Iterable[int]) -> None:
+        """Set the tiles to request as connections become free, in place of those set before."""
+        with self._lock:
+            self._queue = deque(tiles)
+
+    def take_started(self) -> list[int]:
+        """Return the queued tiles whose requests began since the last call."""
+        with self._lock:
+            started, self._started = self._started, []
+        return started
+
+    def _begin(self, tile: int) -> None:
+        """Begin to fetch a tile; the caller holds the lock."""
+        request = self._active[tile] = _Request(tile)
         Thread(target=self._run, args=(request,), name="gsgen-fetch", daemon=True).start()
 
     def progress(self, tile: int) -> float:
@@ -122,6 +140,7 @@ class FetchLink(Generic[Decoded]):
     def close(self) -> None:
         """Cancel all tile requests; each thread ends after the piece that it is reading."""
         with self._lock:
+            self._queue.clear()
             for request in self._active.values():
                 request.is_cancelled = True
             self._active.clear()
@@ -140,11 +159,15 @@ class FetchLink(Generic[Decoded]):
                 self._decode_and_answer(request.tile, data)
 
     def _finish(self, request: _Request) -> bool:
-        """Free a request's connection; return whether the request was not cancelled."""
+        """Free a request's connection for the queue; return whether it was not cancelled."""
         with self._lock:
             if request.is_cancelled:
                 return False
             del self._active[request.tile]
+            while self._queue and len(self._active) < self._connections:
+                tile = self._queue.popleft()
+                self._started.append(tile)
+                self._begin(tile)
             return True
 
     def _decode_and_answer(self, tile: int, data: list[bytes]) -> None:

@@ -11,8 +11,8 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.runtime.sources.generator_worker import GeneratorWorker
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.neural import NeuralTile
-from gsgen.tiles.neural_model import check_digest, check_neural_model
-from gsgen.tiles.tileset import Tile
+from gsgen.tiles.neural_model import TileBounds, check_digest, check_neural_model
+from gsgen.tiles.selection.tile_tree import TileTree
 
 ModelReader = Callable[[NeuralTile], bytes]
 
@@ -22,12 +22,13 @@ class GeneratorOpener:
     """Opens the ONNX generators of neural tiles; conforming models are validated once only.
 
     Args:
-        tiles: Tiles of the tileset, by key.
+        tree: Tiles of the tileset, by key.
         read_model: Reads the model of a tile.
+        provider: Execution provider of ONNX Runtime.
     """
 
-    def __init__(self, tiles: Sequence[Tile], read_model: ModelReader) -> None:
-        self._tiles, self._read_model = tiles, read_model
+    def __init__(self, tree: TileTree, read_model: ModelReader, provider: str) -> None:
+        self._tree, self._read_model, self._provider = tree, read_model, provider
         self._conforming: set[int] = set()
 
     def open(self, tile: int) -> tuple[GeneratorWorker, int]:
@@ -37,7 +38,7 @@ class GeneratorOpener:
             TilesetInvalid: The model cannot be had, or breaks a promise of the tile.
             GsgenError: ONNX Runtime cannot open the model.
         """
-        entry = self._tiles[tile]
+        entry = self._tree.tiles[tile]
         assert entry.neural is not None
         data = self._read_model(entry.neural)
         _raise_first(list(check_digest(data, entry.neural, "model")))
@@ -45,15 +46,21 @@ class GeneratorOpener:
             path = Path(folder) / "model.onnx"
             path.write_bytes(data)
             if tile not in self._conforming:
-                _raise_first(list(check_neural_model(path, entry, entry.neural, "model")))
+                self._require_promises(tile, entry.neural, path)
                 self._conforming.add(tile)
-            worker = GeneratorWorker(path, "cpu")
+            worker = GeneratorWorker(path, self._provider)
         try:
             _require_drawable(worker)
         except TilesetInvalid:
             worker.close()
             raise
         return worker, len(data)
+
+    def _require_promises(self, tile: int, neural: NeuralTile, path: Path) -> None:
+        """Raise if a tile's generator breaks the contract or the tile's declaration."""
+        entry, box = self._tree.tiles[tile], self._tree.box(tile)
+        bounds = TileBounds(box, entry.transform)
+        _raise_first(list(check_neural_model(path, entry, neural, "model", bounds=bounds)))
 
 
 def _raise_first(violations: Sequence[Violation]) -> None:

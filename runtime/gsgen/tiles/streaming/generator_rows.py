@@ -8,16 +8,15 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from gsgen.contract.spec import layout
+from gsgen.contract.spec.geometry import COVARIANCE_INDEX, symmetric
 from gsgen.contract.spec.spherical_harmonics import coefficients, degree_of
 from gsgen.formats.shared.harmonics import rotate_sh
+from gsgen.formats.shared.quantities import SH_C0
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.streaming.session_frame import TileArrival
 from gsgen.tiles.volumes import Box
 
-_SH_C0 = 0.28209479177387814  # harmonic of degree 0
 _SHARE = 1e-3  # of the box's diagonal, by which positions may leave the box
-_UPPER = (0, 1, 2, 1, 3, 4, 2, 4, 5)  # xx xy xz yy yz zz → 3 × 3
-_PICK = (0, 1, 2, 4, 5, 8)
 
 
 def tile_rows(
@@ -67,8 +66,8 @@ def _transformed(
     if np.array_equal(linear, np.eye(3)):
         return moved
     moved[:, layout.POSITION] = rows[:, layout.POSITION].astype(np.float64) @ linear.T
-    covariance = rows[:, layout.COVARIANCE].astype(np.float64)[:, _UPPER].reshape(-1, 3, 3)
-    moved[:, layout.COVARIANCE] = (linear @ covariance @ linear.T).reshape(-1, 9)[:, _PICK]
+    covariance = linear @ symmetric(rows[:, layout.COVARIANCE]) @ linear.T
+    moved[:, layout.COVARIANCE] = covariance[:, *COVARIANCE_INDEX]
     return moved
 
 
@@ -77,7 +76,7 @@ def _harmonics(
 ) -> Float32[np.ndarray, "n k 3"]:
     """Return the Gaussians' appearance as SH coefficients; RGB colours become degree 0."""
     if space == "rgb":
-        return ((appearance[:, None, :3].astype(np.float32) - 0.5) / _SH_C0).astype(np.float32)
+        return ((appearance[:, None, :3].astype(np.float32) - 0.5) / SH_C0).astype(np.float32)
     degree = degree_of(appearance.shape[1] // 3)
     return appearance.astype(np.float32).reshape(len(appearance), coefficients(degree), 3)
 

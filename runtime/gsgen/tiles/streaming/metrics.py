@@ -1,4 +1,4 @@
-"""Metrics of tile streaming: hits, delays, waste and holes, of a session or a simulation."""
+"""Metrics of tile streaming: hits, delays, waste and holes, for a session or a simulation."""
 
 __all__ = ["MetricsRecorder", "StreamingMetrics"]
 

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, field
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -37,7 +37,18 @@ from gsgen.tiles.streaming.fetch import RETRY_AFTER
 from gsgen.tiles.streaming.generator_opening import GeneratorOpener, ModelReader
 from gsgen.tiles.streaming.generator_rows import tile_rows
 from gsgen.tiles.streaming.session_frame import TileArrival
-from gsgen.tiles.volumes import Box
+
+
+class _RunInputs(NamedTuple):
+    """The inputs of a generator's run that vary, comparable with those of another run.
+
+    Attributes:
+        camera: View matrix and intrinsics; None for a generator without a camera.
+        time: In seconds; None for a generator without a time.
+    """
+
+    camera: tuple[bytes, tuple[float, ...]] | None
+    time: float | None
 
 
 @final
@@ -50,11 +61,13 @@ class NeuralTilesOptions:
         runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
             for every run.
         upload_budget: Bytes of arrivals and of new rows in a frame.
+        provider: Execution provider of ONNX Runtime.
     """
 
     sessions: int
     runs_per_second: float
     upload_budget: int
+    provider: str = "cpu"
 
 
 @final
@@ -74,8 +87,8 @@ class _Generator:
 
     worker: GeneratorWorker
     pending: "Future[FrameDelta] | None" = None
-    begun: object = None
-    shown: object = None
+    begun: _RunInputs | None = None
+    shown: _RunInputs | None = None
     result: TileArrival | None = None
     last_run: float = -np.inf
     last_drawn: float = -np.inf
@@ -143,7 +156,7 @@ class NeuralTiles:
         self._unsettled: tuple[int, ...] = ()
         self._tokens, self._token_time = 1.0, clock.now()
         self._events = NeuralEvents()
-        self._opener = GeneratorOpener(tree.tiles, read_model)
+        self._opener = GeneratorOpener(tree, read_model, options.provider)
         self._loader = ThreadPoolExecutor(1, thread_name_prefix="gsgen neural tiles")
 
     @property
@@ -166,12 +179,12 @@ class NeuralTiles:
         return self._unsettled
 
     def arrive(self, arrival: TileArrival) -> None:
-        """Record a neural tile's stored splats, which were copied into the splat pool."""
+        """Record that the stored splats of a tile with an ONNX generator are in the splat pool."""
         if arrival.tile in self._neural:
             self._contents[arrival.tile] = self._in_pool[arrival.tile] = arrival
 
     def evict(self, tile: int) -> None:
-        """Forget the splats of a neural tile that was evicted from the splat pool."""
+        """Forget the splats of a tile with an ONNX generator that left the splat pool."""
         self._contents.pop(tile, None)
         self._in_pool.pop(tile, None)
 
@@ -287,7 +300,7 @@ class NeuralTiles:
             entry.appearance[: delta.count],
             space=appearance.space,
             transform=tree.tiles[tile].transform,
-            box=Box(tree.center[tile], tree.half_axes[tile]),
+            box=tree.box(tile),
             sh_degree=self._sh_degree,
         )
 
@@ -348,12 +361,12 @@ class NeuralTiles:
 
     # ---- 4. Runs
 
-    def _inputs(self, tile: int, camera: Camera, values: Mapping[str, object]) -> object:
-        """Return a comparable key of the inputs that a tile's ONNX generator gets in this frame."""
-        roles = self._neural[tile].inputs
+    def _inputs(self, tile: int, camera: Camera, values: Mapping[str, object]) -> _RunInputs:
+        """Return the inputs that a tile's ONNX generator gets in this frame."""
+        sees_camera = bool(set(self._neural[tile].inputs) & set(CAMERA_ROLES))
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-        seen = (camera.view.tobytes(), *lens) if set(roles) & set(CAMERA_ROLES) else None
-        return seen, self._time(tile, values)
+        view = (camera.view.tobytes(), lens) if sees_camera else None
+        return _RunInputs(view, self._time(tile, values))
 
     def _time(self, tile: int, values: Mapping[str, object]) -> float | None:
         """Return the time input of a tile's ONNX generator, in its range; None without time."""
@@ -363,7 +376,7 @@ class NeuralTiles:
         value = float(np.asarray(values.get("time", span[0])).reshape(-1)[0])
         return min(max(value, span[0]), span[1])
 
-    def _run(self, inputs: Mapping[int, object], camera: Camera, time: float) -> None:
+    def _run(self, inputs: Mapping[int, _RunInputs], camera: Camera, time: float) -> None:
         """Begin runs of ONNX generators whose inputs changed, up to the limit per second."""
         rate = self._options.runs_per_second
         if np.isfinite(rate):
@@ -374,19 +387,18 @@ class NeuralTiles:
         self._token_time = time
         ready = [
             tile
-            for tile, key in inputs.items()
-            if (entry := self._open.get(tile)) and entry.pending is None and entry.shown != key
+            for tile, run in inputs.items()
+            if (entry := self._open.get(tile)) and entry.pending is None and entry.shown != run
         ]
         for tile in sorted(ready, key=lambda tile: (self._open[tile].last_run, tile)):
             if self._tokens < 1:
                 break
             self._tokens -= 1
-            entry, key = self._open[tile], inputs[tile]
-            moment = key[1] if isinstance(key, tuple) else None
-            entry.begun, entry.last_run = key, time
+            entry, run = self._open[tile], inputs[tile]
+            entry.begun, entry.last_run = run, time
             entry.pending = entry.worker.start(
                 local_camera(camera, self._tree.tiles[tile].transform),
-                {} if moment is None else {"time": moment},
+                {} if run.time is None else {"time": run.time},
             )
 
     # ---- 5. Uploads
@@ -408,7 +420,7 @@ class NeuralTiles:
                 uploaded += rows.upload_bytes
         return updates
 
-    def _is_settled(self, tile: int, inputs: object) -> bool:
+    def _is_settled(self, tile: int, inputs: _RunInputs) -> bool:
         entry = self._open.get(tile)
         is_current = entry is not None and entry.shown == inputs
         return is_current and self._in_pool[tile] is self._expected(tile)

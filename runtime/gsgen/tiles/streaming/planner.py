@@ -23,7 +23,7 @@ _PRIOR: Final = 4.0  # prefetched tiles, half of them seen, that precision begin
 
 
 class Link(Protocol):
-    """Protocol of links: connections to a server of tiles, real or simulated."""
+    """Protocol of network links: connections to a server of tiles, real or simulated."""
 
     @property
     def free(self) -> int:
@@ -53,7 +53,7 @@ class _InFlight:
 
 @final
 class RequestPlanner:
-    """Requests tiles over a link's connections, in the order in which the camera needs tiles.
+    """Requests tiles over network connections, in the order in which the camera needs tiles.
 
     Seen tiles come first, by level, screen-space error and index. Only while none of them is
     missing, tiles of ``prefetch`` are asked for, as long as the expected waste stays in its bound:
@@ -99,7 +99,7 @@ class RequestPlanner:
         self._prefetch.observe(pose, wasted / max(self._recorder.bytes, 1))
         for tile, entry in self._in_flight.items():
             entry.is_prefetch = entry.is_prefetch and not seen[tile]
-        if self._missing(loaded):
+        if self.missing(loaded):
             for tile in [tile for tile, entry in self._in_flight.items() if entry.is_prefetch]:
                 if self._link.progress(tile) < CANCEL_BELOW:
                     self._recorder.cancel(self._link.cancel(tile))
@@ -129,17 +129,22 @@ class RequestPlanner:
 
     def request(self, tile: int, *, is_prefetch: bool = False) -> None:
         """Request a tile now, over a free connection."""
-        self._in_flight[tile] = _InFlight(is_prefetch)
+        self._in_flight[tile] = _InFlight(is_prefetch=is_prefetch)
         self._recorder.request()
         self._link.request(tile)
 
-    def _missing(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
-        """Return the seen tiles that are neither loaded nor requested."""
+    def begin(self, tile: int) -> None:
+        """Record a request of a needed tile that the link began by itself."""
+        self._in_flight[tile] = _InFlight(is_prefetch=False)
+        self._recorder.request()
+
+    def missing(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
+        """Return the seen tiles that are neither loaded nor requested, the most urgent first."""
         rows = self._demand[~loaded[self._demand]].tolist()
         return [tile for tile in rows if tile not in self._in_flight]
 
     def _next(self, loaded: Bool[np.ndarray, " n"]) -> tuple[int | None, bool]:
-        missing = self._missing(loaded)
+        missing = self.missing(loaded)
         if missing:
             return missing[0], False
         if self._prefetch is None or not loaded[self._demand].all():

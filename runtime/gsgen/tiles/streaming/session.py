@@ -3,7 +3,7 @@
 __all__ = ["RUNS_PER_SECOND", "SessionOptions", "TilesetSession", "open_session"]
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol, final
@@ -11,6 +11,8 @@ from typing import Final, Protocol, final
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from gsgen.contract.spec.layout import ROW
+from gsgen.contract.spec.spherical_harmonics import coefficients
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.tiles.errors import StoreUnavailable
 from gsgen.tiles.loading import load_tileset
@@ -41,6 +43,7 @@ UPLOAD_BUDGET: Final = 4 << 20
 RUNS_PER_SECOND: Final = 25.0
 _COARSER: Final = 2**0.25  # step of the error while a cut does not fit the pool
 _MOST_STEPS: Final = 80
+_QUEUED_FRAMES: Final = 2  # whose uploads are requested ahead
 _MOST_PENDING: Final = 64  # decoded tiles that wait for their upload
 
 
@@ -65,6 +68,7 @@ class SessionOptions:
             has several; the finest of them follow while nothing is missing.
         neural_sessions: Most generators of neural tiles that are open at once; 0 to draw the
             splats of these tiles.
+        provider: Execution provider of ONNX Runtime for these generators.
         runs_per_second: Most runs of all generators in a second; infinite for pictures that wait
             for every run.
     """
@@ -82,11 +86,20 @@ class SessionOptions:
     log: Path | None = None
     live_qualities: bool = False
     neural_sessions: int = 4
+    provider: str = "cpu"
     runs_per_second: float = RUNS_PER_SECOND
 
 
 class ArrivalLink(Link, Protocol):
     """Protocol of network links that deliver decoded tiles."""
+
+    def queue(self, tiles: Iterable[int]) -> None:
+        """Set the tiles to request as connections become free, in place of those set before."""
+        ...
+
+    def take_started(self) -> list[int]:
+        """Return the queued tiles whose requests began since the last call."""
+        ...
 
     def poll(self) -> Sequence[FetchResult[TileArrival]]:
         """Return the tiles that arrived or failed since the last call."""
@@ -223,6 +236,7 @@ class TilesetSession:
         self._pending: dict[int, TileArrival] = {}
         self._retry_at: dict[int, float] = {}
         self._received_bytes, self._was_busy = 0, False
+        self._started: list[int] = []
 
     def _neural_tiles(self, read_model: ModelReader | None) -> NeuralTiles | None:
         options = self._options
@@ -237,6 +251,7 @@ class TilesetSession:
                 sessions=options.neural_sessions,
                 runs_per_second=options.runs_per_second,
                 upload_budget=options.upload_budget,
+                provider=options.provider,
             ),
             sh_degree=self.sh_degree,
             most_rows=self.pool_slots * self.slot_rows,
@@ -260,7 +275,7 @@ class TilesetSession:
 
     @property
     def resident(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the tiles that are resident in the renderer's splat pool."""
+        """The mask of the tiles that are in the renderer's GPU memory (splat pool)."""
         return self._residents.resident
 
     def frame(self, frustum: Frustum) -> SessionFrame:
@@ -293,7 +308,7 @@ class TilesetSession:
             and (self._chooser is None or self._chooser.is_finest(cut.wanted & there & ~dead)),
         )
         if self._log:
-            self._log.frame(time, frustum, received, frame)
+            self._log.frame(time, frustum, self._started, received, frame)
         return frame
 
     def wait(self, seconds: float) -> None:
@@ -315,8 +330,12 @@ class TilesetSession:
         return self._frustum.moved(position, quaternion)
 
     def _receive(self, time: float) -> list[FetchResult[TileArrival]]:
-        """Take the tiles that arrived over the link; report the tiles that failed."""
+        """Take the tiles that arrived over the network; report the tiles that failed."""
+        self._link.queue(())  # the link begins no request while this frame plans
         results = list(self._link.poll())
+        self._started = self._link.take_started()  # after the poll: no result lacks its request
+        for tile in self._started:
+            self._planner.begin(tile)
         for result in results:
             if result.content is not None:
                 if self._chooser:
@@ -338,7 +357,7 @@ class TilesetSession:
         return dead
 
     def _fitting_cut(self, frustum: Frustum) -> Cut:
-        """Select tiles as fine as the splat pool can hold, together with all their ancestors."""
+        """Select tiles as fine as the GPU memory can hold, together with all their ancestors."""
         error = self._options.max_error
         for _ in range(_MOST_STEPS):
             cut = cut_tree(self.tree, frustum, error)
@@ -353,41 +372,44 @@ class TilesetSession:
         order = sorted(self._pending, key=lambda t: (not seen[t], level[t], -error[t], t))
         evicted: list[int] = []
         arrivals: list[TileArrival] = []
-        upgraded: set[int] = set()
         room = self.upload_budget
         for tile in order:
-            is_resident = bool(self._residents.resident[tile])
-            arrival = replace(
-                self._pending[tile], reserved_rows=int(self._reserved[tile]), is_upgrade=is_resident
-            )
+            arrival = self._pending[tile]
             if arrivals and arrival.upload_bytes > room:
                 break
-            # The metadata of foreign tilesets do not count splats: the estimate may be too low.
-            needed = -(-len(arrival.rows) // self.slot_rows)
-            if not is_resident:
-                self._slots[tile] = max(int(self._slots[tile]), needed)
-            victims = self._residents.admit(tile, time)
             del self._pending[tile]
+            arrival = replace(
+                arrival,
+                reserved_rows=int(self._reserved[tile]),
+                is_upgrade=bool(self._residents.resident[tile]),
+            )
+            victims = self._admit(arrival, time)
             if victims is None:
                 continue  # no room beside the drawn tiles: it is asked for again later
-            for victim in victims:
-                self._fades.drop(victim)
-            if self._chooser:
-                self._chooser.held[list(victims)] = -1
-                self._chooser.held[tile] = arrival.quality
-            # A tile that came in this very frame was never drawn: it is not uploaded at all.
-            recalled = {entry.tile for entry in arrivals if entry.tile in victims}
-            room += sum(entry.upload_bytes for entry in arrivals if entry.tile in recalled)
-            evicted += [
-                victim for victim in victims if victim not in recalled or victim in upgraded
-            ]
-            arrivals = [entry for entry in arrivals if entry.tile not in recalled]
+            evicted += victims
             arrivals.append(arrival)
-            upgraded |= {tile} if is_resident else set()
             room -= arrival.upload_bytes
         for tile in [tile for tile in reversed(order) if tile in self._pending][:-_MOST_PENDING]:
             del self._pending[tile]
         return tuple(evicted), tuple(arrivals)
+
+    def _admit(self, arrival: TileArrival, time: float) -> tuple[int, ...] | None:
+        """Make a tile resident for this frame; return the tiles that leave, None without room."""
+        tile = arrival.tile
+        if not arrival.is_upgrade:
+            # The metadata of foreign tilesets do not count splats: the estimate may be too low.
+            needed = -(-len(arrival.rows) // self.slot_rows)
+            self._slots[tile] = max(int(self._slots[tile]), needed)
+        victims = self._residents.admit(tile, time)
+        if victims is None:
+            return None
+        self._residents.protect(tile)  # no other arrival of the frame displaces it
+        for victim in victims:
+            self._fades.drop(victim)
+        if self._chooser:
+            self._chooser.held[list(victims)] = -1
+            self._chooser.held[tile] = arrival.quality
+        return victims
 
     def _request(self, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]) -> None:
         """Request the tiles that the current frame needs."""
@@ -401,6 +423,19 @@ class TilesetSession:
         if self._chooser:
             self._choose_qualities(self._chooser, time, cut, loaded)
         self._planner.fill(loaded)
+        self._link.queue(self._queueable(loaded))
+
+    def _queueable(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
+        """Return the next tiles to request, as many as the next frames can upload.
+
+        Without them, a renderer of few frames a second would request few tiles a second.
+        """
+        row_bytes = 4 * (ROW + 3 * coefficients(self.sh_degree))
+        coming = [*self._planner.in_flight, *self._pending]
+        room = _QUEUED_FRAMES * self.upload_budget - row_bytes * int(self.tree.splats[coming].sum())
+        missing = self._planner.missing(loaded)
+        uploads = np.cumsum(row_bytes * self.tree.splats[missing])
+        return missing[: min(int(np.searchsorted(uploads, room, side="right")), _MOST_PENDING)]
 
     def _choose_qualities(
         self, chooser: QualityChooser, time: float, cut: Cut, loaded: Bool[np.ndarray, " n"]

@@ -23,8 +23,9 @@ from gsgen.contract.validation.waivers import apply_waivers
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.stores.opening import INDEX, address_of, open_store
 from gsgen.tiles.stores.store import Store
+from gsgen.tiles.validation.content_inspection import inspect_content_file, inspect_tileset
 from gsgen.tiles.validation.headers import headers
-from gsgen.tiles.validation.inspected import InspectedTileset, inspect_content_file, inspect_tileset
+from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
 
 _CONTENTS: Final = (".glb", ".gltf")
@@ -160,7 +161,7 @@ def _draw(inspected: InspectedTileset, progress: Callable[[str], None]) -> None:
 
 
 def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
-    """Order rules so that each rule comes after the rules that it depends on."""
+    """Order validation rules so that each rule comes after the rules that it depends on."""
     pending, ordered = list(rules), list[Rule]()
     ids: set[str] = set()
     while pending:

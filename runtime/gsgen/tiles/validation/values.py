@@ -8,7 +8,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from gsgen.contract.spec.geometry import covariance_upper, symmetric
+from gsgen.contract.spec.geometry import COVARIANCE_INDEX, covariance_upper, symmetric
 from gsgen.formats.glb.accessors import read_accessor
 from gsgen.formats.glb.container import Container
 from gsgen.formats.glb.glb import scene_primitives
@@ -97,24 +97,23 @@ def _outside(
     linear = to_world[:3, :3]
     centers = part.positions() @ linear.T + to_world[:3, 3]
     allowed = _SHARE_OF_SIZE * volume.size + _SMALLEST
-    covariance = symmetric(
-        covariance_upper(np.exp(part.splats.log_scale.astype(np.float64)), part.splats.rotation)
-    )
-    covariance = linear @ covariance @ linear.T
-    center_out = volume.outside(centers) > allowed
+    upper = covariance_upper(np.exp(part.splats.log_scale.astype(np.float64)), part.splats.rotation)
+    center_beyond = volume.outside(centers)
     if isinstance(volume, Box):
         lengths = np.linalg.norm(volume.half_axes, axis=1)
         axes = volume.half_axes / np.where(lengths > 0, lengths, 1)[:, None]
-        variance = np.einsum("ai,nij,aj->na", axes, covariance, axes)
-        reach = SIGMAS * np.sqrt(np.maximum(variance, 0))
-        along = np.abs((centers - volume.center) @ axes.T)
-        beyond = (along + reach * (1 - _SHARE_OF_REACH) - lengths).max(axis=1)
+        # uᵀ M Σ Mᵀ u is linear in the six elements of Σ: those off the diagonal count twice.
+        rows, columns = COVARIANCE_INDEX
+        inner = axes @ linear
+        weights = inner[:, rows] * inner[:, columns] * np.where(np.equal(rows, columns), 1, 2)
+        reach = SIGMAS * np.sqrt(np.maximum(weights @ upper.T, 0))
+        along = np.abs(axes @ (centers - volume.center).T)
+        beyond = (along + reach * (1 - _SHARE_OF_REACH) - lengths[:, None]).max(axis=0)
     else:
-        least = np.linalg.eigvalsh(covariance)[:, 0]
+        least = np.linalg.eigvalsh(linear @ symmetric(upper) @ linear.T)[:, 0]
         reach = SIGMAS * np.sqrt(np.maximum(least, 0))
-        beyond = volume.outside(centers)
-        beyond = np.where(beyond > 0, beyond + reach * (1 - _SHARE_OF_REACH), 0)
-    return np.where(beyond > allowed, beyond, 0.0), center_out
+        beyond = np.where(center_beyond > 0, center_beyond + reach * (1 - _SHARE_OF_REACH), 0)
+    return np.where(beyond > allowed, beyond, 0.0), center_beyond > allowed
 
 
 def _uncovered(

@@ -8,13 +8,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from gsgen.contract.spec.geometry import rotation_matrix
 from gsgen.formats.glb.container import Container, Json, array_member, number_member, whole_number
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported
 from gsgen.formats.shared.harmonics import rotate_sh
-from gsgen.formats.shared.quantities import log, rotations
+from gsgen.formats.shared.quantities import log, rotations, unit
 from gsgen.formats.shared.splats import Splats
 
 Matrix = Float64[np.ndarray, "4 4"]
@@ -91,22 +91,41 @@ def moved(splats: Splats, matrix: Matrix) -> Splats:
     u, sizes, right = np.linalg.svd(linear)
     turn = u @ right
     position = splats.position @ linear.T + matrix[:3, 3]
-    spread = np.einsum("ij,njk->nik", linear, rotation_matrix(splats.rotation))
-    with np.errstate(over="ignore"):
-        spread *= np.exp(splats.log_scale.astype(np.float64))[:, None, :]
     if np.allclose(sizes, sizes[0], rtol=1e-6):  # without shear the axes stay orthogonal
-        rotation, scale = turn @ rotation_matrix(splats.rotation), None
+        rotation = _turned(splats.rotation, turn)
         log_scale = splats.log_scale + np.float32(np.log(sizes[0]))
     else:
-        rotation, scale = _axes(spread)
-        log_scale = log(scale)
+        spread = np.einsum("ij,njk->nik", linear, rotation_matrix(splats.rotation))
+        with np.errstate(over="ignore"):
+            spread *= np.exp(splats.log_scale.astype(np.float64))[:, None, :]
+        axes, scale = _axes(spread)
+        rotation, log_scale = rotations(axes), log(scale)
     return replace(
         splats,
         position=position.astype(np.float32),
-        rotation=rotations(rotation),
+        rotation=rotation,
         log_scale=log_scale.astype(np.float32),
         sh=rotate_sh(splats.sh, turn),
     )
+
+
+def _turned(
+    rotation: Float32[np.ndarray, "n 4"], turn: Float64[np.ndarray, "3 3"]
+) -> Float32[np.ndarray, "n 4"]:
+    """Rotate quaternions by a rotation matrix; their largest component becomes positive."""
+    w, x, y, z = rotations(turn[None])[0].astype(np.float64)
+    a, b, c, d = unit(rotation).T.astype(np.float64)
+    turned = np.stack(
+        [
+            w * a - x * b - y * c - z * d,
+            x * a + w * b - z * c + y * d,
+            y * a + z * b + w * c - x * d,
+            z * a - y * b + x * c + w * d,
+        ]
+    )
+    largest = np.abs(turned).argmax(axis=0)
+    turned *= np.where(turned[largest, np.arange(len(largest))] < 0, -1.0, 1.0)
+    return np.ascontiguousarray(turned.T, np.float32)
 
 
 def _axes(

@@ -88,7 +88,7 @@ class Element:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Header:
     """A PLY header: the elements in order, and the offset of the first element's data."""
 
@@ -96,6 +96,7 @@ class Header:
     elements: tuple[Element, ...]
     body: int
     comments: tuple[str, ...] = ()
+    infos: tuple[str, ...] = ()
 
     @property
     def antialiased(self) -> bool:
@@ -125,11 +126,14 @@ def parse_header(data: mmap.mmap) -> Header:
     encoding: Encoding | None = None
     tables: dict[str, tuple[int, dict[str, Property]]] = {}
     comments: list[str] = []
+    infos: list[str] = []
     for number, line in enumerate(lines, start=2):
         match line.split():
             case ["comment", *_]:
                 comments.append(line.strip().removeprefix("comment").strip())
-            case [] | ["obj_info", *_]:
+            case ["obj_info", *_]:
+                infos.append(line.strip().removeprefix("obj_info").strip())
+            case []:
                 continue
             case ["format", name, "1.0"] if encoding is None and name in ENCODINGS:
                 encoding = ENCODINGS[ENCODINGS.index(name)]  # for the type checker
@@ -148,7 +152,13 @@ def parse_header(data: mmap.mmap) -> Header:
         Element(name, count, tuple(properties.values()))
         for name, (count, properties) in tables.items()
     )
-    return Header(encoding, tuple(elements), body, tuple(comments))
+    return Header(
+        encoding=encoding,
+        elements=tuple(elements),
+        body=body,
+        comments=tuple(comments),
+        infos=tuple(infos),
+    )
 
 
 def _split(data: mmap.mmap) -> tuple[list[str], int]:

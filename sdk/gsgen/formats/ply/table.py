@@ -16,13 +16,19 @@ from gsgen.formats.shared.errors import PropertyMissing, listed
 from gsgen.formats.shared.files import FilePath, mapped
 from gsgen.formats.shared.values import require_finite, require_rows
 
-__all__ = ["ply_properties", "read_ply_columns"]
+__all__ = ["ply_infos", "ply_properties", "read_ply_columns"]
 
 
 def ply_properties(path: FilePath) -> tuple[str, ...]:
     """Return the property names of the PLY element ``vertex``, in the order of the file."""
     with mapped(path) as data:
         return tuple(item.name for item in find_vertex(parse_header(data)).properties)
+
+
+def ply_infos(path: FilePath) -> tuple[str, ...]:
+    """Return the texts of the lines ``obj_info`` in the header of a PLY file."""
+    with mapped(path) as data:
+        return parse_header(data).infos
 
 
 def read_ply_columns(

@@ -31,13 +31,12 @@ def log(scale: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
 
 def unit(rotation: Float[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
     """Normalise quaternions; a quaternion of length zero becomes the identity (1, 0, 0, 0)."""
-    rotation64 = rotation.astype(np.float64)
-    rotation64 /= np.maximum(
-        np.abs(rotation64).max(axis=1, keepdims=True), np.finfo(np.float64).tiny
-    )
-    length = np.linalg.norm(rotation64, axis=1, keepdims=True)
-    turned = np.where(length > 0, rotation64 / np.maximum(length, 0.5), [1.0, 0, 0, 0])
-    return np.asarray(turned, np.float32)
+    columns = np.array(rotation.T, np.float64, order="C")  # whole columns are fast
+    columns /= np.maximum(np.abs(columns).max(axis=0), np.finfo(np.float64).tiny)
+    length = np.sqrt((columns * columns).sum(axis=0))
+    columns /= np.maximum(length, 0.5)
+    columns[:, ~(length > 0)] = np.eye(4)[:, :1]
+    return np.ascontiguousarray(columns.T, np.float32)
 
 
 def rounded(values: Float[np.ndarray, "..."], low: int, high: int) -> Integer[np.ndarray, "..."]:

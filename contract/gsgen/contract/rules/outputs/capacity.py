@@ -95,7 +95,7 @@ def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
     limit="frame_bytes",
 )
 def frame_is_small(subject: InspectedModel) -> Iterator[Violation]:
-    """All outputs of a frame together are smaller than the target's limit on bytes per frame.
+    """All outputs of a frame together take fewer bytes than the target runtime allows.
 
     Why:
         Every byte is written by the model and read by the renderer, sixty times a second, beside

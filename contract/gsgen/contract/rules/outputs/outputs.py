@@ -227,7 +227,7 @@ def appearance_rows(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO001", "GO005"),
 )
 def output_dtype(subject: InspectedModel) -> Iterator[Violation]:
-    """Gaussians, appearance and cells are float32 or float16.
+    """Gaussians, appearance and cells (groups of Gaussians) are float32 or float16.
 
     Why:
         Shaders read these two. Integers would need a scale that readers do not apply, and WebGPU

@@ -45,11 +45,14 @@ def add_neural_tiles(
         encoded = write_content(splats, splats.position.mean(axis=0, dtype=np.float64), codec=codec)
         digest = hashlib.sha256(encoded.data).hexdigest()
         uri = f"{generator.name}-{digest[:8]}.glb"
-        for path, data in ((uri, encoded.data), (f"{generator.name}.onnx", generator.data)):
+        for path, data, sha256 in (
+            (uri, encoded.data, digest),
+            (f"{generator.name}.onnx", generator.data, generator.sha256),
+        ):
             (output / path).parent.mkdir(parents=True, exist_ok=True)
             with replacing(output / path) as file:
                 file.write(data)
-            files[path] = len(data), hashlib.sha256(data).hexdigest()
+            files[path] = len(data), sha256
         content = ContentRecord(uri=uri, size=len(encoded.data), low=encoded.low, high=encoded.high)
         leaves.append(
             TileRecord(

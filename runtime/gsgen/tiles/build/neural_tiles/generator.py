@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import cast, final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.spec.manifest import GeneratorManifest
-from gsgen.contract.spec.manifest_io import parse
 from gsgen.formats import Splats, read_ply
+from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.json_values import JsonDict
-from gsgen.tiles.neural_model import validate_model
+from gsgen.tiles.neural_model import require_generator
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.-]+")
 _HINT = (
@@ -53,21 +52,16 @@ def open_generator(path: Path) -> Generator:
         ConfigInvalid: The generator does not conform, or lacks what a neural tile needs.
         ModelUnreadable: The file is not an ONNX model.
     """
-    from gsgen.contract import open_model
     from gsgen.runtime.baking.bake_frames import bake
 
-    report = validate_model(path)
-    if report.verdict != "conforms":
-        rules = ", ".join(dict.fromkeys(f.rule for f in report.findings if f.counts))
+    try:
+        manifest, report = require_generator(path)
+    except TilesetInvalid as error:
         raise ConfigInvalid(
-            f"the model breaks {rules}; expected a model that conforms",
+            f"the model {error.message}",
             where=str(path),
             hint=f"`gsgen validate {path}` explains the findings.",
-        )
-    text = open_model(path).manifest_text
-    manifest = parse(text).manifest if text is not None else None
-    if not isinstance(manifest, GeneratorManifest):
-        raise ConfigInvalid(f"the kind is {report.kind}; expected a generator", where=str(path))
+        ) from error
     roles = sorted({entry.role for entry in manifest.inputs})
     spans = [entry.range for entry in manifest.inputs if entry.role == "time"]
     lacking = {

@@ -4,16 +4,19 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.neural import NeuralTile
-from gsgen.tiles.neural_model import MAX_MODEL, check_digest, check_neural_model
+from gsgen.tiles.neural_model import MAX_MODEL, TileBounds, check_digest, check_neural_model
 from gsgen.tiles.tileset import Tile
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILESET
 from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of
+from gsgen.tiles.volumes import Region
 
 
 @rule(
@@ -61,4 +64,12 @@ def _check(inspected: InspectedTileset, tile: Tile, neural: NeuralTile) -> Itera
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.onnx"
         path.write_bytes(data)
-        yield from check_neural_model(path, tile, neural, location)
+        bounds = _bounds(inspected, tile)
+        yield from check_neural_model(path, tile, neural, location, bounds=bounds)
+
+
+def _bounds(inspected: InspectedTileset, tile: Tile) -> TileBounds:
+    """Return a tile's volume: a region is in the frame of the globe, others in the tile's own."""
+    if isinstance(tile.volume, Region) and inspected.tileset is not None:
+        return TileBounds(tile.volume, inspected.tileset.transform @ tile.transform)
+    return TileBounds(tile.volume, np.eye(4))
