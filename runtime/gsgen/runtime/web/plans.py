@@ -12,9 +12,11 @@ import numpy as np
 
 from gsgen.contract.model.buffer_copies import VARIADIC, VIEWS
 from gsgen.contract.rules.catalogue import builtin_rules
+from gsgen.contract.rules.outputs.outputs import MEANINGS
 from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import ROW, appearance_channels
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
+from gsgen.contract.spec.targets import load_target
 from gsgen.contract.spec.upgrades import CURRENT
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, stride
@@ -54,6 +56,7 @@ _BOTH: Final = (False, True)
 
 PAGE_RULES: Final = (
     "GM001", "GM002", "GM003", "GM004", "GM005", "GM006", "GM009", "GM015", "GM019",
+    "GO002", "GO003", "GL003",
 )  # fmt: skip
 """Rules that the client checks by itself (findings.js)."""
 
@@ -127,10 +130,16 @@ def plans_document() -> dict[str, Any]:
 def _contract() -> dict[str, Any]:
     """Return the contract data for the browser client: version, model kinds, rules to check."""
     rules = {entry.id: entry for entry in builtin_rules()}
+    limits = load_target("webgpu").limits
     return {
         "version": CURRENT,
         "kinds": list(KINDS),
         "channels": [appearance_channels("sh", degree, 4) for degree in range(MAX_DEGREE + 1)],
+        "rows": {
+            "width": ROW,
+            "most": limits["workgroups"] * limits["workgroup_size"],
+            "meanings": MEANINGS,
+        },
         "rules": {
             name: {"severity": rules[name].severity.word, "hint": rules[name].hint}
             for name in PAGE_RULES

@@ -53,31 +53,15 @@ function quantile(sorted, share) {
   return sorted[low] + (place - low) * (sorted[high] - sorted[low]);
 }
 
-/** The Gaussians of a splat file. */
-class StillModel {
-  /**
-   * @param {import("./host.js").KernelCache} kernels
-   * @param {import("./splat_buffers.js").Splats} splats
-   */
-  constructor({ device, plans }, splats) {
-    this.buffers = new SplatBuffers(device, plans, splats);
-    const { transform } = splats;
-    this.sets = [{ buffers: this.buffers, transform }];
-    const { center, reach } = extentOf(splats);
-    this.extent = { center: times(linearPart(transform), center), reach };
-    this.up = [0, -1, 0];
-    this.time = null;
-    this.inputs = [];
-    this.followsCamera = false;
-  }
-
-  async update() {
-    return false;
-  }
-
-  destroy() {
-    this.buffers.destroy();
-  }
+/** Return the model of a splat file. @returns {Model} */
+function stillModel({ device, plans }, splats) {
+  const buffers = new SplatBuffers(device, plans, splats);
+  const sets = [{ buffers, transform: splats.transform }];
+  const { center, reach } = extentOf(splats);
+  const extent = { center: times(linearPart(splats.transform), center), reach };
+  const [update, destroy] = [async () => false, () => buffers.destroy()];
+  const still = { time: null, inputs: [], followsCamera: false, update, destroy };
+  return { buffers, sets, extent, up: [0, -1, 0], ...still };
 }
 
 /**
@@ -107,5 +91,5 @@ export async function openModel(kernels, data, name, options = { onChange() {}, 
     const { TilesetModel } = await import("./tileset.js");
     return new TilesetModel(kernels, JSON.parse(new TextDecoder().decode(data)), name, options);
   }
-  return new StillModel(kernels, await readSplats(data, name));
+  return stillModel(kernels, await readSplats(data, name));
 }
