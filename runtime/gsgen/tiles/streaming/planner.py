@@ -105,6 +105,10 @@ class RequestPlanner:
                     self._recorder.cancel(self._link.cancel(tile))
                     del self._in_flight[tile]
 
+    def prioritise(self, tiles: Bool[np.ndarray, " n"]) -> None:
+        """Request some of the needed tiles before the others, each group in its order."""
+        self._demand = self._demand[np.argsort(~tiles[self._demand], kind="stable")]
+
     def arrive(self, tile: int, time: float) -> None:
         """Record that the contents of a tile arrived at ``time``."""
         self._recorder.arrive(tile, time)

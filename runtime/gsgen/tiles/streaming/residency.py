@@ -54,10 +54,8 @@ class ResidentTiles:
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Add the root and all ancestors of some tiles to the mask of these tiles."""
-        marked = tiles.copy()
+        marked = self._tree.with_ancestors(tiles)
         marked[0] = True
-        for rows in reversed(self._tree.rows_of_level[1:]):
-            marked[self._tree.parent[rows[marked[rows]]]] = True
         return marked
 
     def admit(self, tile: int, time: float) -> tuple[int, ...] | None:

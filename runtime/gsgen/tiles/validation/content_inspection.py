@@ -11,7 +11,7 @@ import os
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
@@ -105,7 +105,7 @@ class _FileResult:
 
 def _read_contents(
     inspected: InspectedTileset,
-    pairs: list[tuple[Tile | None, Content]],
+    pairs: Sequence[tuple[Tile | None, Content]],
     *,
     decode: bool,
     deadline: float,
