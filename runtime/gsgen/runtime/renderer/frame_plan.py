@@ -27,7 +27,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import Columns
-from gsgen.runtime.kernels.tiles.blend_tiles import Layers
+from gsgen.runtime.kernels.tiles.blend_tiles import Layers, allocate_layers
 from gsgen.runtime.renderer.bands import Band, Drawing
 from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
@@ -59,6 +59,7 @@ class Plan:
         quads: Whether the hardware's rasteriser draws the colours.
         panorama: Whether the image is a panorama.
         meshes: Meshes among the Gaussians; only their buffers are kept.
+        layers: Image layers that the caller writes, into inputs; only for sorted colours.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
         deep: Whether the depth sort is deep, because very many depths share a key.
         slab_splats: Most splats that are drawn at once, if the scene may have more; its sets are
@@ -87,6 +88,7 @@ class Plan:
         pair_capacity: int,
         *,
         meshes: Sequence[PlacedMesh] = (),
+        layers: int = 0,
         quads: bool = False,
         panorama: bool = False,
         published: bool = False,
@@ -97,13 +99,12 @@ class Plan:
         self._weighted: WeightedPart | None = None
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
-        self._layers: Layers | None = None
         self._device, self._kernels = device, kernels
         self._size, self._panorama, self._deep = size, panorama, deep
         tile = kernels.cut.tile
         self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
         self.pair_capacity = pair_capacity
-        self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
+        n = self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
         self._origins = scene_order(placed)
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
@@ -113,7 +114,6 @@ class Plan:
         self.slabs: Slabs | None = None
         if slab_splats is not None:
             self.slabs = self._slabs(placed, slab_splats, with_ids="depth" in outputs)
-        n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
         self._records = kernels.records(n)
@@ -121,6 +121,7 @@ class Plan:
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
+        self._layers = self._lay_inputs(layers) if layers else None
         self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
         # Weighted sets become a layer, which the hardware's blending does not support.
@@ -129,7 +130,8 @@ class Plan:
         alone = bool(summed) and not placed and not meshes
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
-            self._layers = self._lay(bool(summed) + bool(meshes), normal="normal" in tiled)
+            count, normal = bool(summed) + bool(meshes), "normal" in tiled
+            self._layers = allocate_layers(self._storage, count, size, normal=normal)
         self.stages: dict[str, list[Step]] = {}
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
@@ -228,15 +230,11 @@ class Plan:
             stages["normal"] = [self._blend("normal", members, normals, pick=False)]
         return stages
 
-    def _lay(self, count: int, *, normal: bool) -> Layers:
-        """Allocate GPU buffers for ``count`` image layers: colours, depths and normals."""
-        pixels = count * self._size[0] * self._size[1]
-        return Layers(
-            count,
-            self._storage("layer colors", VEC4 * pixels),
-            self._storage("layer depths", 4 * pixels),
-            self._storage("layer normals", VEC4 * pixels) if normal else None,
-        )
+    def _lay_inputs(self, count: int) -> Layers:
+        """Allocate image layers that the caller writes."""
+        layers = allocate_layers(self._storage, count, self._size, normal=False)
+        self.inputs |= {"layer colors": layers.colors, "layer depths": layers.depths}
+        return layers
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
         """Record the drawing of meshes; return the dispatches that copy them to an image layer."""

@@ -27,7 +27,12 @@ from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.late_counts import LateCounts
 from gsgen.runtime.renderer.placed_pages import Placed
-from gsgen.runtime.renderer.rasteriser_choice import Rasteriser, RasteriserOption, choose
+from gsgen.runtime.renderer.rasteriser_choice import (
+    Rasteriser,
+    RasteriserOption,
+    choose,
+    chosen_cut,
+)
 from gsgen.runtime.renderer.slabs import most_splats
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
@@ -77,7 +82,7 @@ class Renderer:
         rasteriser: "tiles" blends colours in compute shaders, tile by tile; "quads" lets the
             hardware blend one quad per splat, which cannot stop at finished pixels. "auto"
             measures once which is faster (:mod:`gsgen.runtime.renderer.rasteriser_choice`), and
-            uses tiles on software drivers and for frames with other outputs than colours.
+            with which tiles; it uses tiles on software drivers and for frames with other outputs than colours.
         compact: Whether SH and colours are float16, and covariances take 16 bytes: 128 instead of
             232 bytes per Gaussian of degree 3, 40 instead of 56 for RGB; pictures differ by less
             than 1e-3, or 4e-3 where a threshold is met.
@@ -116,10 +121,14 @@ class Renderer:
                 f"{self.device.name} cannot blend 32-bit floats", hint="Use the rasteriser 'tiles'."
             )
         self._chosen = rasteriser == "auto"
+        self.rasteriser: Rasteriser = "tiles"
         with self.device.translate_errors():
-            self.rasteriser: Rasteriser = (
-                choose(self.device, self._kernels) if rasteriser == "auto" else rasteriser
-            )
+            if rasteriser != "auto":
+                self.rasteriser = rasteriser
+            else:
+                self.rasteriser = choose(self.device, self._kernels)
+                if (cut := chosen_cut(self.device)) != self._kernels.cut:
+                    self._kernels = Kernels(self.device, cut=cut)
         self._deep, self._most_in_slab = False, _MANY
         self._rows: object = None
         self._key: object = None
@@ -198,8 +207,8 @@ class Renderer:
             placed, meshes = self._uploaded(scene)
 
             def draw(band: Band) -> Drawing:
-                _, *drawing = self._fitted(scene, band, behind, requested, placed, meshes)
-                return drawing[0], drawing[1]
+                _, counts, images = self._fitted(scene, band, behind, requested, placed, meshes)
+                return counts, images
 
             layers = bool(meshes) + any(splat_set.weighted is not None for splat_set, _ in placed)
             rows = band_rows(self.device, camera, len(requested), layers)

@@ -147,10 +147,9 @@ class Slabs:
         self.tally = self._storage("tally of keys", 4 * BINS)
         self.origins = self._storage("origins", 4 * capacity)
         self.takers = self._storage("takers", VEC4 * capacity if with_ids else 0)
-        self._row_origins = [
-            self._origins_of(slot, origins)
-            for slot in range(len(pages) if origins is not None else 0)
-        ]
+        self._row_origins = list[Buffer]()
+        if origins is not None:
+            self._row_origins = [self._origins_of(slot, origins) for slot in range(len(pages))]
 
     def _storage(self, name: str, size: int) -> Buffer:
         self.buffers[name] = self._device.storage(name, size)
