@@ -28,6 +28,7 @@ drivers:
 	scripts/drivers.sh
 	scripts/swiftshader.sh
 	scripts/cesium.sh
+	scripts/browser_packages.sh
 
 demo: setup
 	@scripts/drivers.sh || echo "demo: going on, with pictures only where there is a GPU"
