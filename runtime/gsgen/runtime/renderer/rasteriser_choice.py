@@ -51,11 +51,7 @@ _MOST_BYTES: Final = 1 << 16  # of the cache file
 @final
 @dataclass(frozen=True, slots=True)
 class Timings:
-<<<<<<< HEAD
-    """Seconds that a GPU takes to draw with either rasteriser: compute tiles, hardware quads.
-=======
-    """Seconds of the drawing stages: compute tiles of two sizes, and hardware quads.
->>>>>>> 323de00e9c6c2fd11e8fd386ed1d03f2370b4e93
+    """Seconds that a GPU takes to draw: with compute tiles of two sizes, and hardware quads.
 
     Attributes:
         tiles: Seconds of listing pairs, sorting them by tile and blending, with LARGE_TILE.
@@ -69,18 +65,13 @@ class Timings:
 
     @property
     def best(self) -> Rasteriser:
-<<<<<<< HEAD
         """The rasteriser to use on a GPU: hardware quads only if they are clearly faster."""
-        return "quads" if self.quads < _WORTH * self.tiles else "tiles"
-=======
-        """The rasteriser to use: quads only if they are clearly faster."""
         return "quads" if self.quads < _WORTH * min(self.tiles, self.small_tiles) else "tiles"
 
     @property
     def tile(self) -> int:
-        """The edge of the tiles to use, in pixels."""
+        """The edge of the image tiles to use on a GPU, in pixels."""
         return TILE if self.small_tiles < self.tiles else LARGE_TILE
->>>>>>> 323de00e9c6c2fd11e8fd386ed1d03f2370b4e93
 
 
 Measure = Callable[[Device, Kernels], Timings]
