@@ -87,11 +87,12 @@ class _PlanWriter:
         recorded = self._recorded
         plan, shape = recorded.plan, recorded.shape
         stages = {name: self._steps(steps) for name, steps in plan.stages.items()}
-        return {
+        written = {
             "outputs": list(shape.outputs),
             "panorama": shape.panorama,
             "deep": shape.deep,
             "weighted": shape.weighted,
+            "layers": shape.layers,
             "guards": [self._tree(guard) for guard in recorded.guards],
             "clears": [
                 [self._buffer(buffer), offset, size] for buffer, offset, size in plan.clears
@@ -100,6 +101,8 @@ class _PlanWriter:
             "images": {name: self._buffer(image) for name, image in plan.images.items()},
             "inputs": {name: self._buffer(buffer) for name, buffer in plan.inputs.items()},
         }
+        rows = {row for row in self._buffers.values() if isinstance(row, int)}
+        return written | {"buffers": sorted(rows)}
 
     def _steps(self, steps: list[Step]) -> list[int | dict[str, int]]:
         """Return the indices of a drawing stage's dispatches in the frame plan's JSON table.

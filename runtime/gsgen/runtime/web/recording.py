@@ -56,6 +56,7 @@ class Shape:
         panorama: Whether it draws panoramas.
         deep: Whether its depth sort is deep.
         weighted: Whether it draws sets by weighted-sum rendering instead of sorting Gaussians.
+        layers: Image layers among the Gaussians that the page writes.
         size: Width and height of an image that needs the plan's passes of the tile sort.
     """
 
@@ -63,6 +64,7 @@ class Shape:
     panorama: bool = False
     deep: bool = False
     weighted: bool = False
+    layers: int = 0
     size: tuple[int, int] = (64, 64)
 
 
@@ -116,6 +118,7 @@ def record(shape: Shape) -> RecordedPlan:
         (width, height),
         frozenset(shape.outputs),
         pairs,
+        layers=shape.layers,
         panorama=shape.panorama,
         deep=shape.deep,
     )

@@ -68,7 +68,7 @@ class QualityChooser:
         return not bool((tiles & (self.held > 0)).any())
 
     def observe(self, time: float, received: int, *, busy: bool) -> None:
-        """Record the bytes that arrived since the last frame.
+        """Record the bytes of tiles that arrived since the last frame.
 
         Args:
             time: Of the frame, in seconds.

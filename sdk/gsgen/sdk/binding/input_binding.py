@@ -34,7 +34,7 @@ class InputBinding:
 
     @property
     def role(self) -> str:
-        """The role of the input in the manifest; empty for an undeclared input."""
+        """The input role (such as ``view``) in the manifest; empty for an undeclared input."""
         return self.declared.role if self.declared else ""
 
     @property
