@@ -1,25 +1,28 @@
 """Draw the pictures of rules that see a wrong picture, into docs/assets/rules.
 
 The left half of each picture is a right scene, the right half the fixture that breaks the rule;
-both are drawn by the renderer itself. Rules whose fault one still picture hardly shows have none.
+both are drawn by the renderer itself. A rule of motion has a strip of frames: the upper row is
+right, the lower one wrong.
 Run it after a change to such a fixture, with the rules to draw, or all of them without any:
 .venv/bin/python scripts/draw_rule_pictures.py [RULE…]
 """
 
 import sys
 import tempfile
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
 from convention_pictures.mistakes import draw_mistakes
-from convention_pictures.sketch import beside, drawn
+from convention_pictures.sketch import PAPER, beside, drawn
 from draw_conventions import COLORS
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.builders.moving import drifting
 from gsgen.conformance.fixtures.builders.scenes import Kind, pack, photographed, scene
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.manifest import GeneratorManifest
@@ -30,6 +33,8 @@ from gsgen.runtime.scene.splat_data import SplatData
 
 ASSETS = Path(__file__).parents[1] / "docs" / "assets" / "rules"
 SIZE = 240
+# Side of a frame of a strip, and the gap between its two rows, in pixels.
+STRIP_SIZE, GAP = 160, 8
 
 # Rule → the fixture that breaks it, the kind of the right scene, its rows and its SH degree.
 PICTURES: dict[str, tuple[str, Kind, int, int | None]] = {
@@ -42,7 +47,11 @@ PICTURES: dict[str, tuple[str, Kind, int, int | None]] = {
     "GV046": ("colors_not_loaded", "surface", 160, 3),
     "GV047": ("colors_sorted_alone", "surface", 400, 1),
     "GV048": ("sh_as_in_ply", "surface", 160, 3),
+    "GV049": ("positions_in_bfloat16", "surface", 1200, 0),
+    "GV063": ("rgb_of_two_sigmoids", "surface", 160, None),
 }
+# Rule → how much smaller the Gaussians of its right scene are, as those of its fixture.
+SHRUNK = {"GV049": 0.4}
 
 _TURN = Rotation.from_rotvec([0.4, 1.1, 0.3]).as_matrix().astype(np.float32)
 
@@ -73,6 +82,14 @@ DRIVEN = {
     "GB035": Driven(
         right="person_turned_by_a_matrix", wrong="covariances_stay_at_rest", values={"turn": _TURN}
     ),
+    "GB036": Driven(
+        right="person_turned_by_a_matrix",
+        wrong="pose_in_degrees",
+        values={
+            "turn": Rotation.from_rotvec([0, 0, 0.8]).as_matrix().astype(np.float32),
+            "pose": np.array([[0, 0, 0.8]], np.float32),
+        },
+    ),
     "GB043": Driven(
         right="nan_in_one_frame", wrong="nan_in_one_frame", values=_frame(5), wrong_values=_frame(6)
     ),
@@ -85,11 +102,52 @@ DRIVEN = {
 }
 
 
-def _camera_around(rows: np.ndarray) -> Camera:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Strip:
+    """Four frames of a correct and of a wrong model, for the picture of a rule of motion.
+
+    Attributes:
+        right: Returns the correct model; `wrong` is the fixture that breaks the rule.
+        values: The values of the input ``name`` in the four frames.
+    """
+
+    right: Callable[[], ModelSpec]
+    wrong: str
+    values: tuple[float, ...] = (0.0, 0.3, 0.6, 0.9)
+    name: str = "time"
+    dtype: str = "float32"
+
+
+def _every_frame() -> ModelSpec:
+    """Return the model whose frames differ, where the fixture's show two pictures."""
+    spec = find("frames_divided_as_integers").draw()
+    table = np.linspace(*spec.weights["table"], 24).astype(np.float32)
+    return spec.weighing(table=table, rate=np.ones(1, np.int32))
+
+
+STRIPS = {
+    "GB032": Strip(right=lambda: drifting(40), wrong="time_moves_too_little"),
+    "GB033": Strip(right=lambda: drifting(40), wrong="frames_fed_as_fractions"),
+    "GB034": Strip(
+        right=lambda: find("waves_thrice").draw(),
+        wrong="time_in_degrees",
+        values=(0.5, 0.51, 0.52, 0.53),
+    ),
+    "GB040": Strip(
+        right=_every_frame,
+        wrong="frames_divided_as_integers",
+        values=(0, 4, 8, 11),
+        name="frame",
+        dtype="int32",
+    ),
+}
+
+
+def _camera_around(rows: np.ndarray, size: int = SIZE) -> Camera:
     low, high = rows[:, :3].min(axis=0), rows[:, :3].max(axis=0)
     middle, radius = (low + high) / 2, 1.1 * float(np.linalg.norm(high - low))
     return Camera.orbit(
-        middle.tolist(), radius, azimuth=30.0, elevation=20.0, width=SIZE, height=SIZE
+        middle.tolist(), radius, azimuth=30.0, elevation=20.0, width=size, height=size
     )
 
 
@@ -120,6 +178,26 @@ def _driven(renderer: Renderer, pair: Driven) -> list[Image.Image]:
     return pictures
 
 
+def _strip(renderer: Renderer, strip: Strip) -> list[Image.Image]:
+    """Draw frames of a correct model and of a wrong one, side by side: two rows of pictures."""
+    models = (strip.right(), find(strip.wrong).draw())
+    fed = [{strip.name: np.array([value], strip.dtype)} for value in strip.values]
+    assert isinstance(models[0].manifest, GeneratorManifest)
+    outputs = models[0].manifest.outputs
+    first = [_run(models[0], values, None)[outputs.gaussians.name] for values in fed]
+    camera = _camera_around(np.concatenate(first), STRIP_SIZE)
+    rows = []
+    for spec in models:
+        frames = [_run(spec, values, camera) for values in fed]
+        scenes = [
+            Scene([SplatSet(SplatData(*(frame[part.name] for part in parts), parts[1].space))])
+            for frame in frames
+            if (parts := (outputs.gaussians, outputs.appearance))
+        ]
+        rows.append(beside([drawn(renderer, scene, camera) for scene in scenes]))
+    return rows
+
+
 def _run(
     spec: ModelSpec, values: dict[str, np.ndarray], camera: Camera | None
 ) -> dict[str, np.ndarray]:
@@ -134,19 +212,32 @@ def _run(
     return dict(zip(names, session.run(names, fed), strict=True))
 
 
+def _save(picture: Image.Image, name: str) -> None:
+    palette = picture.quantize(COLORS, dither=Image.Dither.NONE)
+    palette.save(ASSETS / f"{name}.png", optimize=True)
+
+
 def main(rules: list[str]) -> None:
     """Draw the documentation pictures of the given rules, or of all rules if none is given."""
     ASSETS.mkdir(parents=True, exist_ok=True)
     renderer = Renderer(rasteriser="tiles")
-    for rule in rules or (*PICTURES, *DRIVEN):
+    for rule in rules or (*PICTURES, *DRIVEN, *STRIPS):
+        if rule in STRIPS:
+            upper, lower = _strip(renderer, STRIPS[rule])
+            picture = Image.new("RGB", (upper.width, 2 * upper.height + GAP), PAPER)
+            picture.paste(upper, (0, 0))
+            picture.paste(lower, (0, upper.height + GAP))
+            _save(picture, f"{rule}-frames")
+            continue
         if rule in DRIVEN:
             halves = _driven(renderer, DRIVEN[rule])
         else:
             fixture, kind, count, degree = PICTURES[rule]
-            right = photographed(pack(scene(kind, count), degree))
+            parts = scene(kind, count)
+            parts = replace(parts, scale=SHRUNK.get(rule, 1.0) * parts.scale)
+            right = photographed(pack(parts, degree))
             halves = [_drawn(renderer, spec) for spec in (right, find(fixture).draw())]
-        palette = beside(halves).quantize(COLORS, dither=Image.Dither.NONE)
-        palette.save(ASSETS / f"{rule}.png", optimize=True)
+        _save(beside(halves), rule)
     if not rules:
         draw_mistakes(renderer, ASSETS.with_name("mistakes"))
 

@@ -80,8 +80,10 @@ PARTS: dict[str, Part] = {
 _PICTURE = (
     "\n## Right and wrong\n\n"
     "![a right scene, and one that breaks the rule](../assets/rules/{name})\n\n"
-    "Left: a right scene. Right: the example that breaks the rule.\n"
+    "{caption}\n"
 )
+_SIDES = "Left: a right scene. Right: the example that breaks the rule."
+_FRAMES = "Four frames of each. Above: a right scene. Below: the example that breaks the rule."
 
 _MARKED = re.compile(
     r"(<!-- generated: (?P<name>[^>]+?) -->\n).*?(<!-- end generated -->)", re.DOTALL
@@ -105,7 +107,9 @@ def generated() -> dict[Path, str]:
         DOCS / "rules" / f"{rule.id}.md": page(rule, registry) for rule in registry.rules.values()
     }
     for picture in sorted((DOCS / "assets" / "rules").glob("*.png")):
-        pages[DOCS / "rules" / f"{picture.stem}.md"] += _PICTURE.format(name=picture.name)
+        rule, _, frames = picture.stem.partition("-")
+        caption = _FRAMES if frames else _SIDES
+        pages[DOCS / "rules" / f"{rule}.md"] += _PICTURE.format(name=picture.name, caption=caption)
     pages[DOCS / "rules" / "index.md"] = index(registry)
     pages |= {
         DOCS / "passes" / f"{rewrite.name}.md": passes.page(rewrite) for rewrite in passes.REWRITES

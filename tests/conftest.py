@@ -10,6 +10,7 @@ import sys
 import threading
 from collections import Counter
 from collections.abc import Generator, Iterator
+from typing import Any
 from unittest.mock import patch
 
 import pytest
@@ -26,29 +27,38 @@ os.environ["GSGEN_NO_CACHE"] = "1"  # no test keeps what it measured of a driver
 # These take longest: they start first, so that no worker is left with one of them at the end.
 _SLOWEST = (
     "test_guides.py",
+    "web",  # the folder
     "test_encodings.py",
     "test_demo.py",
     "test_simulate.py",
     "test_family_guide.py",
-    "test_element.py",
-    "test_pictures.py",
     "test_corpus.py",
     "test_site.py",
     "test_adversarial.py",
     "test_cache_machine.py",
-    "test_families.py",
     "test_golden_exports.py",
     "test_fuzz.py",
     "test_avatar_exports.py",
     "test_viewer_kit.py",
     "test_authored_modules.py",
-    "test_generators.py",
-    "test_article.py",
     "test_wheel.py",
     "test_from_checkpoint_to_files.py",
 )
 # The folders whose tests cover the contract, which has a least share of lines.
 _MEASURED = {"cli", "conformance", "contract"}
+
+
+@pytest.hookimpl(optionalhook=True)  # pytest-xdist need not be installed
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keep a file's tests in one worker, and all that draw in a page: they share their kernels."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class FileScheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            path = str(super()._split_scope(nodeid))
+            return "tests/web" if path.startswith("tests/web/") else path
+
+    return FileScheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -65,7 +75,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     rank = {name: number for number, name in enumerate(_SLOWEST)}
-    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+    items.sort(
+        key=lambda item: rank.get(item.path.name, rank.get(item.path.parent.name, len(rank)))
+    )
 
 
 @pytest.hookimpl(wrapper=True)

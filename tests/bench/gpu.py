@@ -482,6 +482,8 @@ def _probed(device: Device) -> dict[str, Any]:
     return {
         "tiles, ms": 1e3 * timings.tiles,
         "quads, ms": 1e3 * timings.quads,
+        "small tiles, ms": 1e3 * timings.small_tiles,
+        "tile, pixels": timings.tile,
         "best": timings.best,
     }
 

@@ -138,13 +138,13 @@ def test_other_arrays_may_be_anything(tmp_path):
         (
             {"gaussians": GAUSSIANS[:0], "appearance": APPEARANCE[:0]},
             ValueInvalid,
-            "array gaussians: the data have 0 rows\nexpected at least one\n"
+            "array gaussians: the data have 0 splats or points\nexpected at least one\n"
             "the program that wrote the file may have dropped every point",
         ),
         (
             {"xyz": POINTS[:0], "colors": COLORS[:0]},
             ValueInvalid,
-            "array xyz: the data have 0 rows\nexpected at least one\n"
+            "array xyz: the data have 0 splats or points\nexpected at least one\n"
             "the program that wrote the file may have dropped every point",
         ),
         (

@@ -35,8 +35,26 @@ def page(browser: Any) -> Iterator[Any]:
     context.close()
 
 
+@pytest.fixture(scope="module")
+def shown(browser: Any, knot: Path) -> Iterator[Any]:
+    """One page with a knot, for tests that leave it usable: loading it takes most of their time."""
+    context = browser.new_context(viewport={"width": 1000, "height": 380})
+    page = context.new_page()
+    page.set_default_timeout(90_000)
+    with running(ModelServer([knot], ModelView(), ort=None)) as address:
+        page.goto(address)
+        wait(page)
+        yield page
+        context.close()
+
+
 def wait(page: Any, condition: str = f"{_ELEMENT}.report") -> None:
     page.wait_for_function(condition)
+
+
+def settled(page: Any) -> None:
+    """Wait until no frame is requested or drawn."""
+    wait(page, f"!{_ELEMENT}._frameRequest && !{_ELEMENT}._isDrawing")
 
 
 def errors_of(page: Any) -> list[dict[str, str]]:
@@ -73,38 +91,32 @@ def test_a_served_page_shows_models_and_reloads_them(page: Any, knot: Path, tmp_
         wait(page, f"{_ELEMENT}._model?.buffers.count === 900")
 
 
-def test_keys_and_pointers_move_the_camera(page: Any, knot: Path) -> None:
-    with running(ModelServer([knot], ModelView(), ort=None)) as address:
-        page.goto(address)
-        wait(page)
-        before = page.evaluate(f"{_ELEMENT}.camera.view")
-        first = pixels(page)
-        page.keyboard.press("Tab")
-        page.keyboard.press("ArrowLeft")
-        wait(page, f"{_ELEMENT}.camera.view.join() !== '{','.join(map(str, before))}'")
-        page.wait_for_timeout(300)
-        assert np.abs(pixels(page) - first).max() > 0.1
-        page.keyboard.press("Home")
-        page.wait_for_timeout(300)
-        np.testing.assert_allclose(page.evaluate(f"{_ELEMENT}.camera.view"), before, atol=1e-12)
-        page.mouse.move(200, 150)
-        page.mouse.down()
-        page.mouse.move(260, 150, steps=3)
-        page.mouse.up()
-        page.wait_for_timeout(300)
-        assert page.evaluate(f"{_ELEMENT}.camera.view") != before
+def test_keys_and_pointers_move_the_camera(shown: Any) -> None:
+    before = shown.evaluate(f"{_ELEMENT}.camera.view")
+    first = pixels(shown)
+    shown.keyboard.press("Tab")
+    shown.keyboard.press("ArrowLeft")
+    wait(shown, f"{_ELEMENT}.camera.view.join() !== '{','.join(map(str, before))}'")
+    settled(shown)
+    assert np.abs(pixels(shown) - first).max() > 0.1
+    shown.keyboard.press("Home")
+    settled(shown)
+    np.testing.assert_allclose(shown.evaluate(f"{_ELEMENT}.camera.view"), before, atol=1e-12)
+    shown.mouse.move(200, 150)
+    shown.mouse.down()
+    shown.mouse.move(260, 150, steps=3)
+    shown.mouse.up()
+    settled(shown)
+    assert shown.evaluate(f"{_ELEMENT}.camera.view") != before
 
 
-def test_the_element_is_described_for_screen_readers(page: Any, knot: Path) -> None:
-    with running(ModelServer([knot], ModelView(), ort=None)) as address:
-        page.goto(address)
-        wait(page)
-        canvas = f"{_ELEMENT}.shadowRoot.querySelector('canvas')"
-        assert page.evaluate(f"{canvas}.getAttribute('role')") == "img"
-        assert page.evaluate(f"{canvas}.getAttribute('aria-label')") == "knot.spz"
-        assert page.evaluate(f"{canvas}.tabIndex") == 0
-        status = f"{_ELEMENT}.shadowRoot.querySelector('[role=status]').textContent"
-        assert page.evaluate(status) == "Loaded: knot.spz"
+def test_the_element_is_described_for_screen_readers(shown: Any) -> None:
+    canvas = f"{_ELEMENT}.shadowRoot.querySelector('canvas')"
+    assert shown.evaluate(f"{canvas}.getAttribute('role')") == "img"
+    assert shown.evaluate(f"{canvas}.getAttribute('aria-label')") == "knot.spz"
+    assert shown.evaluate(f"{canvas}.tabIndex") == 0
+    status = f"{_ELEMENT}.shadowRoot.querySelector('[role=status]').textContent"
+    assert shown.evaluate(status) == "Loaded: knot.spz"
 
 
 def test_a_page_of_one_file_opens_from_disk(page: Any, knot: Path, tmp_path: Path) -> None:
@@ -144,45 +156,36 @@ def test_an_error_says_what_is_wrong_and_what_helps(
     assert message in page.evaluate(f"{alert}.textContent")
 
 
-def test_a_lost_device_is_opened_again(page: Any, knot: Path) -> None:
-    with running(ModelServer([knot], ModelView(), ort=None)) as address:
-        page.goto(address)
-        wait(page)
-        page.evaluate(f"{_ELEMENT}._before = {_ELEMENT}._renderer.device; null")
-        page.evaluate(f"{_ELEMENT}._before.destroy()")
-        wait(page, f"{_ELEMENT}._renderer && {_ELEMENT}._renderer.device !== {_ELEMENT}._before")
-        wait(page, f"{_ELEMENT}.camera && {_ELEMENT}._renderer?.counts.visible > 0")
-        assert errors_of(page) == []
+def test_a_lost_device_is_opened_again(shown: Any) -> None:
+    shown.evaluate(f"{_ELEMENT}._before = {_ELEMENT}._renderer.device; null")
+    shown.evaluate(f"{_ELEMENT}._before.destroy()")
+    wait(shown, f"{_ELEMENT}._renderer && {_ELEMENT}._renderer.device !== {_ELEMENT}._before")
+    wait(shown, f"{_ELEMENT}.camera && {_ELEMENT}._renderer?.counts.visible > 0")
+    assert errors_of(shown) == []
 
 
-def test_steady_frames_make_no_gpu_objects_and_wait_for_none(page: Any, knot: Path) -> None:
+def test_steady_frames_make_no_gpu_objects_and_wait_for_none(shown: Any) -> None:
     """Of 12 frames of a moving camera, only encoders, passes and command buffers are made."""
-    with running(ModelServer([knot], ModelView(), ort=None)) as address:
-        page.goto(address)
-        wait(page)
-        result = steady_frames(page, 12)
-        assert result.made == {}
-        assert result.in_flight >= 2
-        assert result.heap_growth < 1 << 20
+    result = steady_frames(shown, 12)
+    assert result.made == {}
+    assert result.in_flight >= 2
+    assert result.heap_growth < 1 << 20
 
 
-def test_a_dropped_file_is_judged(page: Any, knot: Path, tmp_path: Path) -> None:
+def test_a_dropped_file_is_judged(shown: Any, tmp_path: Path) -> None:
     [fixture] = [fixture for fixture in fixtures() if fixture.rule == "GM004"][:1]
     model = fixture.write(tmp_path)
-    with running(ModelServer([knot], ModelView(), ort=None)) as address:
-        page.goto(address)
-        wait(page)
-        words = page.evaluate_handle(
-            """([name, bytes]) => {
-              const transfer = new DataTransfer();
-              transfer.items.add(new File([new Uint8Array(bytes)], name));
-              return transfer;
-            }""",
-            ["wrong.onnx", list(model.read_bytes())],
-        )
-        page.dispatch_event("gsgen-model", "drop", {"dataTransfer": words})
-        wait(page, f"{_ELEMENT}.report.errors.length")
-        [error] = errors_of(page)
-        assert error["rule"] == "GM004"
-        assert error["where"] == "wrong.onnx"
-        assert "gsgen validate" in error["hint"]
+    words = shown.evaluate_handle(
+        """([name, bytes]) => {
+          const transfer = new DataTransfer();
+          transfer.items.add(new File([new Uint8Array(bytes)], name));
+          return transfer;
+        }""",
+        ["wrong.onnx", list(model.read_bytes())],
+    )
+    shown.dispatch_event("gsgen-model", "drop", {"dataTransfer": words})
+    wait(shown, f"{_ELEMENT}.report.errors.length")
+    [error] = errors_of(shown)
+    assert error["rule"] == "GM004"
+    assert error["where"] == "wrong.onnx"
+    assert "gsgen validate" in error["hint"]

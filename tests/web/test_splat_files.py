@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gsgen.formats import Splats, open_splats, write_ply, write_spz
+from gsgen.formats.glb.nodes import moved
 from gsgen.runtime.scene.splat_data import SplatData
 from support.web.pages import WebSite, unpacked
 
@@ -27,10 +28,13 @@ def random_splats(degree: int, count: int = 200) -> Splats:
 def same_as_python(site: WebSite, path: Path) -> None:
     content = open_splats(path)
     assert isinstance(content, Splats)
-    expected = SplatData.from_splats(content)
     site.contents[f"/{path.name}"] = path.read_bytes()
     result = site.call("splatFile", f"/{path.name}")
     assert "error" not in result, result
+    # Rows keep the axes of their file; the transform, its own inverse, leads to those of a camera.
+    transform = np.array(result["transform"]).reshape(4, 4)
+    np.testing.assert_array_equal(transform @ transform, np.eye(4))
+    expected = SplatData.from_splats(moved(content, transform))
     assert result["count"] == len(expected)
     assert result["antialias"] == expected.antialias
     rows = unpacked(result["rows"], np.float32).reshape(-1, 10)

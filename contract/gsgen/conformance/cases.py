@@ -40,12 +40,12 @@ class Case:
 
     @property
     def name(self) -> str:
-        """The id and the slug of the rule, such as ``GV003-opacity-range``."""
+        """The id and the slug of the validation rule, such as ``GV003-opacity-range``."""
         return f"{self.rule.id}-{self.rule.slug}"
 
     @property
     def broken(self) -> bool:
-        """Whether the model breaks the rule, including expected failures and warnings."""
+        """Whether the model breaks the contract rule, including expected failures and warnings."""
         return bool(self.findings)
 
 

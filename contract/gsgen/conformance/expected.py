@@ -1,4 +1,4 @@
-"""Expected failures: rules that a model is known to break, each with a reason.
+"""Expected failures: validation rules that a model is known to break, each with a reason.
 
 A rule that holds although its failure is expected fails too. A TOML file has a table for each::
 
@@ -26,7 +26,7 @@ _KEYS = ("rule", "model", "reason")
 
 @dataclass(frozen=True, slots=True)
 class ExpectedFailure:
-    """A rule that a model is expected to break, with the reason.
+    """A validation rule that a model is expected to break, with the reason.
 
     Attributes:
         rule: The rule's id.
@@ -45,14 +45,14 @@ class ExpectedFailure:
         return f"{self.source}: {self.rule}{models} ({self.reason})"
 
     def matches(self, rule: str, path: PurePath) -> bool:
-        """Return whether the expected failure names this rule of the model at ``path``."""
+        """Return whether the expected failure names this contract rule of the model at ``path``."""
         names = (path.as_posix(), path.name)
         model_matches = not self.model or any(fnmatchcase(name, self.model) for name in names)
         return model_matches and rule == self.rule
 
 
 def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]:
-    """Read a TOML file of expected failures: rules that models are known to break.
+    """Read a TOML file of expected failures: validation rules that models are known to break.
 
     Raises:
         ConfigInvalid: The file is not TOML, or an entry lacks a rule or a reason.
@@ -102,6 +102,6 @@ def _refuse_strange_keys(table: Mapping[str, Any], known: tuple[str, ...], where
 def unmatched_entries(
     entries: Iterable[ExpectedFailure], tested: Mapping[Path, Iterable[str]]
 ) -> list[ExpectedFailure]:
-    """Return the expected failures that match no rule tested on any model."""
+    """Return the expected failures that match no validation rule tested on any model."""
     pairs = [(rule, path) for path, rules in tested.items() for rule in rules]
     return [entry for entry in entries if not any(entry.matches(*pair) for pair in pairs)]

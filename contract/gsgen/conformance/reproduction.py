@@ -26,7 +26,7 @@ class NotJudged(GsgenError):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A packed row that breaks a rule: its index, test inputs, ten values and colour."""
+    """A packed row that breaks a validation rule: its index, test inputs, ten values and colour."""
 
     number: int
     probe: str
@@ -36,7 +36,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """The result of checking one rule on one model again.
+    """The result of checking one validation rule on one model again.
 
     Attributes:
         rule: The rule.

@@ -1,4 +1,4 @@
-"""Finds the rules that another rule depends on, so that they are checked first."""
+"""Finds the validation rules that another rule depends on, so that they are checked first."""
 
 __all__ = ["needed_by"]
 

@@ -33,7 +33,7 @@ Arrays = dict[str, np.ndarray]
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """The results of running some test inputs (probes) again in a sandbox session of their own.
+    """The results of running a model again with some test inputs, in a separate sandbox.
 
     Attributes:
         subject: The model.
@@ -55,14 +55,14 @@ class Replay:
         return {}
 
     def emission(self, probe: int) -> ModelOutputs:
-        """Return the model outputs for a set of test inputs, as the value rules receive them."""
+        """Return the model outputs for a set of test inputs, in the form that value rules check."""
         run_probe = self.probes[probe]
         return read_outputs(
             self.subject, run_probe.label, self.outputs(probe), zeros=run_probe.zeros
         )
 
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
-        """Return the findings of one rule for one set of test inputs alone."""
+        """Return the findings of one validation rule for one set of test inputs alone."""
         alone = Registry.of([replace(rule, needs=())])
         board = ResultCollector(registry=alone, settings=self.settings, kind=self.subject.kind)
         for subject, start in self._seen(rule, probe):

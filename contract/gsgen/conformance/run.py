@@ -74,7 +74,7 @@ def run_model(
     dumps: Dumps | None = None,
     progress: Progress = lambda words: None,
 ) -> ModelRun:
-    """Validate a model once, and return the test case of every rule of its suites.
+    """Validate a model once, and return the test case of every validation rule of its suites.
 
     Args:
         path: The ONNX file.

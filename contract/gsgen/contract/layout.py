@@ -1,4 +1,4 @@
-"""Public names of the packed layout: Gaussians, cells, covariances, SH bases, matrices."""
+"""Public names of the packed layout: Gaussians, cells (groups), covariances, SH, matrices."""
 
 __all__ = [
     "APPEARANCE_CHANNELS",

@@ -28,6 +28,8 @@ __all__ = [
     "TrajectoryTolerances",
     "UncertaintyOutput",
     "VectorFile",
+    "VectorInput",
+    "VectorRows",
     "WeightedSum",
     "dumps",
     "loads",
@@ -62,6 +64,8 @@ from gsgen.contract.spec.manifest import (
     TrajectoryTolerances,
     UncertaintyOutput,
     VectorFile,
+    VectorInput,
+    VectorRows,
     WeightedSum,
     manifest_type,
 )

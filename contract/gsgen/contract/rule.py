@@ -1,4 +1,4 @@
-"""Public names for authors of rules: declare a rule, report violations, add a level backend.
+"""Public names for authors of rules: declare a rule, report violations, add a backend.
 
 A check receives one of :class:`InspectedModel`, :class:`ProbeRuns`, :class:`ModelOutputs`,
 :class:`Rows`, :class:`DrawnSample`, :class:`Behaviour` or :class:`Review`, as its rule's scope

@@ -20,7 +20,7 @@ MAX_DOWNLOAD: Final = 8 << 30
 
 
 def names_one_file(source: str | os.PathLike[str]) -> bool:
-    """Return whether a source is a web address with the suffix of a splat file."""
+    """Return whether a text is a web address with the suffix of a splat file."""
     parts = urlsplit(_address(source))
     return parts.scheme in ("http", "https") and codec_of_suffix(parts.path) is not None
 

@@ -1,4 +1,4 @@
-"""Checks the ONNX generator of a neural tile against the contract and the tile's declaration."""
+"""Checks a neural tile's ONNX generator against validation rules and the tile's declaration."""
 
 __all__ = ["MAX_MODEL", "TileBounds", "check_digest", "check_neural_model", "require_generator"]
 
@@ -32,7 +32,7 @@ _BOUNDS_HOLD: Final = "GV021"  # a warning for a model, as no viewer culls by it
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class TileBounds:
-    """A volume that a tile's Gaussians stay in, in any frame.
+    """The volume in which a tile's Gaussians have to stay, with the transform to its frame.
 
     Attributes:
         volume: The volume.
@@ -82,7 +82,7 @@ def require_generator(path: Path) -> tuple[GeneratorManifest, Report]:
 def check_neural_model(
     path: Path, tile: Tile, neural: NeuralTile, location: str, *, bounds: TileBounds
 ) -> Iterator[Violation]:
-    """Check a neural tile's ONNX generator against the contract and the tile's declaration.
+    """Check a neural tile's ONNX generator against validation rules and the tile's declaration.
 
     Args:
         path: The model.

@@ -34,7 +34,7 @@ class ParityFailed(GsgenError):
 
 
 class ExportRejected(GsgenError):
-    """Raised if an exported model breaks a rule of the contract.
+    """Raised if an exported model breaks a validation rule of the contract.
 
     Attributes:
         report: The validator's report.

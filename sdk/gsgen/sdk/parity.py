@@ -81,7 +81,7 @@ class ModelOutput:
         return ModelOutput(np.array(self.rows), np.array(self.color), self.count, cells)
 
     def every(self, step: int) -> "ModelOutput":
-        """Return every n-th Gaussian of the outputs, or every n-th cell with all its Gaussians."""
+        """Return every n-th Gaussian of the outputs, or every n-th cell (group) of Gaussians."""
         if step == 1:
             return self
         cells = len(self.rows) if self.cells is None else len(self.cells)
@@ -284,7 +284,7 @@ def _failure(field: str, error: float, probe: str) -> FieldParity:
 def _excused(
     measured: "_Measure", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
 ) -> tuple["_Errors", int]:
-    """Return each row's smallest error at given or nearby test inputs, and the excused rows."""
+    """Return each Gaussian's smallest error at the same or nearby test inputs, and excused rows."""
     errors = measured(rows, reference)
     jumps = np.zeros(len(rows), bool)
     for neighbour in nearby:
@@ -388,7 +388,7 @@ def _cell_fields(
 
 
 def _visible_cells(reference: Reference) -> Bool[np.ndarray, " c"]:
-    """Return the mask of cells that are visible and contain a visible Gaussian."""
+    """Return the mask of visible cells (groups) that contain a visible Gaussian."""
     assert reference.cells is not None
     opacity = reference.gaussians.opacity
     live = np.where(np.arange(len(opacity)) < reference.count, opacity, 0.0)
@@ -403,7 +403,7 @@ def _ellipsoids(
     tolerances: Tolerances,
     roundings: int,
 ) -> Iterator[Measured]:
-    """Yield errors and tolerances of the positions and covariances of Gaussians or cells."""
+    """Yield errors and tolerances of the positions and covariances of Gaussians or groups."""
     position, covariance = expected
     rounding = roundings * _rounding(dtype)
     tiny = 2 * roundings * _SUBNORMAL[dtype]

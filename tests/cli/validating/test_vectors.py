@@ -126,10 +126,12 @@ def test_another_seed_is_kept_and_probed(tmp_path: Path) -> None:
 
 
 def test_vectors_that_cannot_be_run_are_named(tmp_path: Path) -> None:
-    many = tuple(Vector("no inputs", "0" * 64, seed) for seed in range(1, 7))
+    many = tuple(
+        Vector(inputs="no inputs", expected_sha256="0" * 64, seed=seed) for seed in range(1, 7)
+    )
     messages = " ".join(told_of_vectors(written(tmp_path, "still_sh0", test_vectors=many)))
     assert f"seed {MOST_SEEDS + 1}; expected {MOST_SEEDS} other seeds at most" in messages
-    stranger = (Vector("noon", "0" * 64, 3),)
+    stranger = (Vector(inputs="noon", expected_sha256="0" * 64, seed=3),)
     document = told_of_vectors(written(tmp_path, "drift", test_vectors=stranger))
     assert "no probe 'noon' with seed 3" in document[0]
 

@@ -87,7 +87,7 @@ def test_a_target_is_loaded_by_name_with_or_without_version():
 def test_another_version_is_an_error():
     with pytest.raises(ConfigInvalid) as caught:
         load_target("visionary@2", "gsgen.toml")
-    assert str(caught.value) == "gsgen.toml: target visionary has version 1.0.1, not 2"
+    assert str(caught.value) == "gsgen.toml: validation target visionary has version 1.0.1, not 2"
 
 
 def test_an_unknown_target_names_the_nearest():

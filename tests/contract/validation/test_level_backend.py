@@ -121,7 +121,7 @@ def test_a_model_that_does_not_run_is_not_run_live(tmp_path):
 
 def test_a_level_has_one_runner():
     runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(lambda trial: iter(())))
-    with pytest.raises(ValueError, match="level live has two backends"):
+    with pytest.raises(ValueError, match="validation level live has two backends"):
         Registry.of([], [runner, runner])
 
 

@@ -99,7 +99,7 @@ def test_what_a_file_ignores_comes_on_top(read):
         (
             '[validate]\ntarget = "webgpu@0.1"\n',
             ConfigInvalid,
-            ": target webgpu has version 1.0, not 0.1",
+            ": validation target webgpu has version 1.0, not 0.1",
         ),
         (
             '[validate]\nlevel = "all"\n',

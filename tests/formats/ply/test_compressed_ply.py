@@ -200,7 +200,12 @@ def edited(tmp_path, before: bytes, after: bytes, *, degree: int = 1) -> str:
             HeaderMalformed,
             "element 'chunk': the element has 1 rows\nexpected 2 or more",
         ),
-        (b"vertex 300", b"vertex 0  ", ValueInvalid, "element 'vertex': the data have 0 rows\n"),
+        (
+            b"vertex 300",
+            b"vertex 0  ",
+            ValueInvalid,
+            "element 'vertex': the data have 0 splats or points\n",
+        ),
         (
             b"sh 300",
             b"sh 299",

@@ -208,7 +208,7 @@ def test_colours_in_floats_lie_in_the_unit_range(tmp_path):
 
 def test_an_empty_cloud_is_refused(tmp_path):
     assert refusal(tmp_path, ply(CLOUD, count=0), ValueInvalid) == (
-        "element 'vertex': the data have 0 rows\nexpected at least one\n"
+        "element 'vertex': the data have 0 splats or points\nexpected at least one\n"
         "the program that wrote the file may have dropped every point"
     )
 

@@ -120,7 +120,7 @@ def test_other_colours_come_back_to_within_half_a_step(tmp_path):
     [
         (
             PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)),
-            "element 'vertex': the data have 0 rows\nexpected at least one\n"
+            "element 'vertex': the data have 0 splats or points\nexpected at least one\n"
             "the program that wrote the file may have dropped every point",
         ),
         (

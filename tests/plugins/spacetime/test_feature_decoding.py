@@ -187,5 +187,5 @@ def test_the_passes_are_exported_in_half_precision(tmp_path: Path) -> None:
 
 def test_a_decoder_needs_a_size(tmp_path: Path) -> None:
     run_folder = write_spacetime(tmp_path, count=3, full=True)
-    with pytest.raises(ConfigInvalid, match="any is not a size of --decode decoder"):
+    with pytest.raises(ConfigInvalid, match="'any' is not an image size for --decode decoder"):
         plugin.build(run_folder, decode="decoder", size="any")

@@ -126,7 +126,7 @@ def test_a_picture_that_the_model_draws_is_the_same(renderer: Renderer, tmp_path
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
-        ({"path": "gone.png"}, "the file is missing in the model's folder"),
+        ({"path": "gone.png"}, "the reference image is missing in the model's folder"),
         ({"path": "../reference.png"}, "is outside the model's folder"),
         ({"path": "/etc/hostname"}, "is outside the model's folder"),
         ({"path": "a\\b.png"}, "is outside the model's folder"),
@@ -134,7 +134,7 @@ def test_a_picture_that_the_model_draws_is_the_same(renderer: Renderer, tmp_path
         ({"inputs": "noon"}, "no probe has the label 'noon'"),
         ({"focal": (0.0, 50.0)}, "fx"),
         ({"view": ((0.0,) * 4,) * 3}, "view"),
-        ({"view": ((0.0,) * 4,) * 2}, "has 2 rows, expected 3"),
+        ({"view": ((0.0,) * 4,) * 2}, "the view matrix has 2 rows, expected 3"),
     ],
 )
 def test_a_picture_that_cannot_be_compared_says_why(

@@ -245,7 +245,9 @@ def test_a_tile_is_rewritten_in_its_slots(renderer: Renderer, seed: int) -> None
         actual = renderer.render(scene, camera())
         np.testing.assert_allclose(actual.rgba, expected.rgba, atol=2e-4)
         assert actual.visible == expected.visible
-    with pytest.raises(CapacityExceeded, match="513 rows, but the slots of the tile hold 512") as e:
+    with pytest.raises(
+        CapacityExceeded, match="the tile has 513 rows, but its slots hold 512"
+    ) as e:
         pool.rewrite(1, rows[:513], color[:513], np.zeros(3))
     assert "Reserve rows" in e.value.hint
     with pytest.raises(SceneInvalid, match="not in the splat pool"):

@@ -1,15 +1,17 @@
 """Which rasteriser is chosen, by what, and for how long that is remembered."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.sort.sort import cut_for
 from gsgen.runtime.renderer import rasteriser_choice
 from gsgen.runtime.renderer.kernel_set import Kernels
-from gsgen.runtime.renderer.rasteriser_choice import Timings, choose, probe
+from gsgen.runtime.renderer.rasteriser_choice import Timings, choose, chosen_cut, probe
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
@@ -19,8 +21,8 @@ from support.rendering.splat_scenes import SCENES
 class Stopwatch:
     """Measures nothing, and says what it is told to."""
 
-    def __init__(self, tiles: float, quads: float) -> None:
-        self.timings, self.asked = Timings(tiles, quads), 0
+    def __init__(self, tiles: float, quads: float, small_tiles: float = 5.0) -> None:
+        self.timings, self.asked = Timings(tiles, quads, small_tiles), 0
 
     def __call__(self, device: Device, kernels: Kernels) -> Timings:
         self.asked += 1
@@ -54,12 +56,29 @@ def gpu(device: Device) -> Device:
 
 
 def test_a_choice_is_explained(gpu: Device, kernels: Kernels, kept: Path) -> None:
-    choose(gpu, kernels, Stopwatch(0.0021, 0.0034))
+    choose(gpu, kernels, Stopwatch(0.0021, 0.0034, 0.0025))
     text = rasteriser_choice.explain(gpu)
     assert text.startswith("kernels for GPUs; tiles of 32 pixels, 8 bits a sort pass; ")
-    assert text.endswith("rasteriser tiles: tiles 2.10 ms, quads 3.40 ms")
+    assert text.endswith("tiles: tiles of 32 2.10 ms, of 16 2.50 ms, quads 3.40 ms")
     gpu.blends_floats = False
     assert rasteriser_choice.explain(gpu).endswith("tiles: the device cannot blend 32-bit floats")
+
+
+def test_the_faster_tiles_are_used(
+    gpu: Device, kernels: Kernels, renderer: Renderer, kept: Path
+) -> None:
+    assert chosen_cut(gpu) == cut_for(gpu)  # nothing was measured
+    assert choose(gpu, kernels, Stopwatch(2.0, 0.9, 1.0)) == "tiles"
+    assert chosen_cut(gpu) == replace(cut_for(gpu), tile=16)
+    assert "tiles of 16 pixels" in rasteriser_choice.explain(gpu)
+    scene, camera = SCENES["many"]()
+    small = Renderer(gpu)
+    assert small._kernels.cut.tile == 16
+    assert Renderer(gpu, rasteriser="tiles")._kernels.cut.tile == 32
+    seen, expected = small.render(scene, camera), renderer.render(scene, camera)
+    assert np.abs(seen.rgba - expected.rgba).max() <= 1e-6
+    gpu.software = True
+    assert chosen_cut(gpu) == cut_for(gpu)
 
 
 @pytest.mark.parametrize(
@@ -94,16 +113,17 @@ def test_a_device_is_measured_once(
     assert choose(gpu, kernels, watch) == "quads"
     assert watch.asked == 1
     held = json.loads(kept.read_text(encoding="utf-8"))
-    assert list(held.values()) == [{"tiles": 2.0, "quads": 1.0}]
+    assert list(held.values()) == [{"tiles": 2.0, "quads": 1.0, "small_tiles": 5.0}]
     assert gpu.name in next(iter(held))
     assert [path.name for path in kept.parent.iterdir()] == [kept.name]
 
 
 def test_other_adapters_are_kept_beside_it(gpu: Device, kernels: Kernels, kept: Path) -> None:
     kept.parent.mkdir()
-    kept.write_text('{"another": {"tiles": 1.0, "quads": 3.0}}', encoding="utf-8")
+    another = {"tiles": 1.0, "quads": 3.0, "small_tiles": 2.0}
+    kept.write_text(json.dumps({"another": another}), encoding="utf-8")
     assert choose(gpu, kernels, Stopwatch(2.0, 1.0)) == "quads"
-    assert json.loads(kept.read_text(encoding="utf-8"))["another"] == {"tiles": 1.0, "quads": 3.0}
+    assert json.loads(kept.read_text(encoding="utf-8"))["another"] == another
 
 
 @pytest.mark.parametrize(
@@ -114,9 +134,10 @@ def test_other_adapters_are_kept_beside_it(gpu: Device, kernels: Kernels, kept: 
         "{",
         '{"KEY": 3}',
         '{"KEY": {"tiles": 1.0}}',
-        '{"KEY": {"tiles": "a", "quads": 1.0}}',
-        '{"KEY": {"tiles": NaN, "quads": 1.0}}',
-        '{"KEY": {"tiles": -1.0, "quads": 1.0}}',
+        '{"KEY": {"tiles": 1.0, "quads": 2.0}}',
+        '{"KEY": {"tiles": "a", "quads": 1.0, "small_tiles": 1.0}}',
+        '{"KEY": {"tiles": NaN, "quads": 1.0, "small_tiles": 1.0}}',
+        '{"KEY": {"tiles": -1.0, "quads": 1.0, "small_tiles": 1.0}}',
         "x" * (1 << 17),
     ],
 )
@@ -129,7 +150,7 @@ def test_a_file_that_is_damaged_is_written_anew(
     assert choose(gpu, kernels, watch) == "quads"
     assert watch.asked == 1
     assert list(json.loads(kept.read_text(encoding="utf-8")).values()) == [
-        {"tiles": 2.0, "quads": 1.0}
+        {"tiles": 2.0, "quads": 1.0, "small_tiles": 5.0}
     ]
 
 
@@ -154,8 +175,9 @@ def test_the_probe_draws_both_ways(device: Device, kernels: Kernels, clock: bool
     other = Device(device.raw)
     other.has_clock = clock and device.has_clock
     timings = probe(other, kernels, gaussians=9000, size=(160, 96))
-    assert min(timings.tiles, timings.quads) > 0
-    assert max(timings.tiles, timings.quads) < 60
+    seconds = timings.tiles, timings.quads, timings.small_tiles
+    assert min(seconds) > 0
+    assert max(seconds) < 60
 
 
 def test_probed_scenes_are_crowded(device: Device) -> None:

@@ -15,6 +15,7 @@ from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.web import plans
 from gsgen.runtime.web.formulas import Formula, evaluate
+from gsgen.runtime.web.plans import LAYERS
 from gsgen.runtime.web.recording import APPEARANCES, Appearance, recorded_pages
 from gsgen.runtime.web.recording_device import RecordingDevice
 
@@ -147,7 +148,7 @@ def described(plan: Plan, pages: list[Page]) -> dict[str, list[Any]]:
 
 def fresh_plan(
     outputs: list[str], sizes: dict[str, int], kinds: list[Appearance], capacities: list[int],
-    cells: list[int] | None = None, *, panorama: bool, deep: bool,
+    cells: list[int] | None = None, *, panorama: bool, deep: bool, layers: int = 0,
 ) -> tuple[Plan, list[Page]]:  # fmt: skip
     device = Device(RecordingDevice())
     placed = recorded_pages(kinds, capacities, cells)
@@ -160,16 +161,19 @@ def fresh_plan(
         sizes["pairs"],
         panorama=panorama,
         deep=deep,
+        layers=layers,
     )
     return plan, [page for _, page in placed]
 
 
-@pytest.mark.parametrize("seed", range(32))
+@pytest.mark.parametrize("seed", range(36))
 def test_formulas_give_the_buffers_and_dispatches_of_python(
     seed: int, document: dict[str, Any]
 ) -> None:
     rng = random.Random(seed)
-    panorama, deep, weighted = bool(seed & 1), bool(seed & 2), seed >= 16
+    panorama, deep, weighted = bool(seed & 1), bool(seed & 2), 16 <= seed < 32
+    layers = LAYERS if seed >= 32 else 0
+    panorama &= not layers
     outputs = [["color"], ["depth"], ["normal"], ["color", "depth"]][seed // 4 % 4]
     kinds = rng.choices(APPEARANCES, k=rng.randint(1, 6))
     capacities = [rng.choice([1, 2, 63, 64, 65, rng.randint(1, 1 << 18)]) for _ in kinds]
@@ -182,7 +186,7 @@ def test_formulas_give_the_buffers_and_dispatches_of_python(
         "pages": len(kinds),
         "cells": sum(cells or []),
     }
-    shape = {"panorama": panorama, "deep": deep}
+    shape = {"panorama": panorama, "deep": deep, "layers": layers}
     chosen = choose(document, sizes, outputs=outputs, weighted=weighted, **shape)
     plan, pages = fresh_plan(outputs, sizes, kinds, capacities, cells, **shape)
     reading = Reading(document, chosen, sizes, kinds, capacities, cells)

@@ -5,7 +5,7 @@ async ([name, frames]) => {
   while (!element.report) await new Promise((resolve) => setTimeout(resolve, 50));
   const { errors } = element.report;
   if (errors.length) return { error: JSON.stringify(errors), errors };
-  const { readBuffer } = await import("gsgen/read.js");
+  const { readBuffer } = await import("gsgen/gpu_buffers.js");
   const { _model: model, _renderer: renderer } = element;
   const uncaptured = [];
   renderer.device.onuncapturederror = ({ error }) => uncaptured.push(error.message);
@@ -19,7 +19,7 @@ async ([name, frames]) => {
   };
   const result = { images: [], rows: [], isCaptured: model.isCaptured, errors: uncaptured };
   for (const { camera, values } of frames) {
-    if (await model.update(values, camera)) element._setScene();
+    if (await model.update(values, camera)) renderer.setScene(model.sets);
     await renderer.drawWhole(camera);
     const { dims, gpuBuffer } = model._outputs[model.manifest.outputs.gaussians.name];
     const numbers = dims[0] * dims[1];

@@ -1,18 +1,15 @@
 // What tests call in a page: functions of plain values; arrays are base64.
 
-import { lookAt } from "/client/camera.js";
+import { turnTowards, viewOf } from "/client/camera.js";
 import { openDevice } from "/client/device.js";
 import { findingsOf } from "/client/findings.js";
 import { KernelCache } from "/client/host.js";
-import { IDENTITY } from "/client/matrices.js";
 import { openModel } from "/client/model.js";
 import { choosePlan, evaluate, loadPlans } from "/client/plan.js";
 import { Renderer } from "/client/renderer.js";
 import { readSplats } from "/client/splat_files.js";
 import { SplatBuffers } from "/client/splat_buffers.js";
 import * as uniforms from "/client/uniforms.js";
-
-export { lookAt };
 
 let opened = null;
 
@@ -36,6 +33,11 @@ export function textOf(array) {
     text += String.fromCharCode(...bytes.subarray(i, i + 8192));
   }
   return btoa(text);
+}
+
+/** Return the matrix world → camera at `eye` that looks at `target`. */
+export function viewTowards(eye, target, up) {
+  return viewOf(turnTowards(target.map((x, i) => x - eye[i]), up), eye);
 }
 
 /** Compile every module, and return all messages of the compiler, by module. */
@@ -125,7 +127,7 @@ export async function generatorFrames(path, frames) {
   try {
     model = await openModel(kernels, await (await fetch(path)).arrayBuffer(), path);
     result.isCaptured = model.isCaptured;
-    const place = () => renderer.setScene([{ buffers: model.buffers, transform: IDENTITY }]);
+    const place = () => renderer.setScene(model.sets);
     place();
     for (const { camera, values } of frames) {
       if (await model.update(values, camera)) {
@@ -144,4 +146,42 @@ export async function generatorFrames(path, frames) {
   model?.destroy();
   result.errors = errors.splice(0);
   return result;
+}
+
+/** Draw a tileset from cameras, each once its tiles have arrived. */
+export async function tilesetFrames(address, cameras, options) {
+  const { device, errors, kernels } = await opening();
+  const failures = [];
+  const tileset = await (await fetch(address)).arrayBuffer();
+  const onError = ({ message }) => failures.push(message);
+  const model = await openModel(kernels, tileset, address, {
+    ...options, source: address, onChange() {}, onError,
+  });
+  const renderer = new Renderer(kernels);
+  renderer.setScene(model.sets);
+  const frames = [];
+  const counted = ["createBuffer", "createBindGroup", "createComputePipelineAsync"];
+  for (const camera of cameras) {
+    await model.update({}, camera);
+    for (let frame = 0; frame < 2; frame++) await renderer.draw(camera);
+    const created = [];
+    for (const name of counted) {
+      device[name] = (...rest) => created.push(name) && GPUDevice.prototype[name].apply(device, rest);
+    }
+    const levels = [];
+    for (await model.update({}, camera); model.loading; await model.update({}, camera)) {
+      await renderer.draw(camera);
+      levels.push(model.drawn.length);
+      await new Promise((resolve) => setTimeout(resolve, 100));
+    }
+    for (const name of counted) delete device[name];
+    await renderer.drawWhole(camera);
+    const live = model.sets.reduce((sum, { buffers }) => sum + buffers.count, 0);
+    const image = textOf(await renderer.readImage("color"));
+    const drawn = model.drawn.flatMap(({ uris }) => uris).sort();
+    frames.push({ drawn, live, created, levels, image });
+  }
+  renderer.destroy();
+  model.destroy();
+  return { frames, failures, extent: model.extent, up: model.up, errors: errors.splice(0) };
 }

@@ -12,6 +12,7 @@ from gsgen.tiles.selection.choose import choose_options
 from gsgen.tiles.selection.cut_filling import fill_cut
 from gsgen.tiles.selection.exact import DeadlineTile, choose_cut_exactly, choose_until_deadlines
 from gsgen.tiles.selection.hulls import OptionHulls, upper_hulls
+from gsgen.tiles.selection.joint_choice import choose_jointly
 from gsgen.tiles.selection.tree_choice import CutOptions, TreeFrontier, choose_cut
 from support.commands import gsgen_here
 
@@ -335,3 +336,98 @@ def test_a_wrong_problem_is_named(tmp_path: Path, change: dict, message: str) ->
     assert message in result.err
     assert "problem.json" in result.err
     assert "Traceback" not in result.err
+
+
+def node_cuts(options: CutOptions, node: int = 0):
+    """All cuts of a subtree as chosen pairs of a node and its quality."""
+    for quality in np.flatnonzero(np.isfinite(options.cost[node])).tolist():
+        yield [(node, quality)]
+    children = np.flatnonzero(options.parent == node)
+    if len(children):
+        for parts in itertools.product(*(list(node_cuts(options, c)) for c in children)):
+            yield [pair for part in parts for pair in part]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_joint_choice_keeps_both_limits_and_its_certificate(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    options = random_tree(rng, int(rng.integers(1, 9)), int(rng.integers(1, 4)))
+    splats = rng.integers(1, 100, len(options.parent))
+    totals = np.array(
+        [
+            np.sum([(options.cost[n, q], splats[n], options.utility[n, q]) for n, q in cut], axis=0)
+            for cut in node_cuts(options)
+        ]
+    )
+    bytes_, rows = np.quantile(totals[:, 0], rng.uniform(0.2, 1)), np.quantile(totals[:, 1], 0.5)
+    fits = (totals[:, 0] <= bytes_) & (totals[:, 1] <= rows)
+    table = np.repeat(splats[:, None], options.cost.shape[1], axis=1)
+    choice = choose_jointly(options, table, byte_budget=bytes_, splat_budget=rows)
+    if choice is None:
+        # Prices reach the choices on the hull alone: those within both limits may lie inside.
+        assert fits.mean() < 0.5
+        return
+    best = totals[fits, 2].max()
+    chosen = np.flatnonzero(choice.option >= 0)
+    assert is_cut(options, choice.option)
+    assert choice.cost == pytest.approx(options.cost[chosen, choice.option[chosen]].sum())
+    assert choice.cost <= bytes_
+    assert splats[chosen].sum() <= rows
+    gain = options.utility[chosen, choice.option[chosen]].sum()
+    assert choice.utility == pytest.approx(gain)
+    assert gain <= best + 1e-9 <= choice.bound + 2e-9
+
+
+def test_a_joint_choice_is_close_to_its_bound_where_nodes_are_many() -> None:
+    """A node covers what its children cover: coarse levels cost fewer Gaussians and bytes."""
+    rng = np.random.default_rng(5)
+    parent = np.r_[-1, np.repeat(np.arange(85), 4)]
+    level = np.repeat(np.arange(5), 4 ** np.arange(5))
+    area = np.where(level == 4, rng.exponential(1, len(parent)), 0.0)
+    for node in range(len(parent) - 1, 0, -1):
+        area[parent[node]] += area[node]
+    splats = rng.integers(5_000, 20_000, len(parent))
+    cost = splats[:, None] * np.array([6.0, 9, 14])
+    utility = ((1 - 0.5 ** (level + 1)) * area)[:, None] * np.array([0.9, 0.97, 1])
+    options = CutOptions(parent, cost, utility)
+    both, gaps = 0, []
+    for bytes_share, splat_share in itertools.product((0.1, 0.3, 0.7), repeat=2):
+        leaves = level == 4
+        byte_budget = bytes_share * cost[leaves, 2].sum()
+        splat_budget = splat_share * splats[leaves].sum()
+        table = np.repeat(splats[:, None], 3, axis=1)
+        choice = choose_jointly(options, table, byte_budget=byte_budget, splat_budget=splat_budget)
+        assert choice is not None
+        chosen = np.flatnonzero(choice.option >= 0)
+        assert choice.cost <= byte_budget
+        assert splats[chosen].sum() <= splat_budget
+        both += choice.cost > 0.9 * byte_budget and splats[chosen].sum() > 0.9 * splat_budget
+        gaps.append(choice.certificate)
+    assert both > 0
+    assert min(gaps) >= 0
+    assert np.mean(gaps) < 0.01
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_joint_choice_of_independent_tiles_is_that_of_an_integer_program(seed: int) -> None:
+    """Tiles under nodes that are never drawn: no level is left to choose."""
+    rng = np.random.default_rng(seed)
+    parent = np.r_[-1, np.zeros(3, int), rng.integers(1, 4, 30)]
+    is_leaf = ~np.isin(np.arange(len(parent)), parent)
+    cost = np.sort(rng.integers(1, 1000, (len(parent), 4)), axis=1).astype(float)
+    utility = np.cumsum(rng.uniform(0, 1, cost.shape), axis=1)
+    cost[~is_leaf] = np.inf
+    cost[:, 3] = utility[:, 3] = 0  # nothing
+    budget = float(cost[is_leaf, 2].sum() * rng.uniform(0.1, 1))
+    options = CutOptions(parent, cost, utility)
+    splats = np.ones(cost.shape, int)
+    choice = choose_jointly(options, splats, byte_budget=budget, splat_budget=1e9)
+    best = solve_by_milp(options, budget)
+    assert choice is not None
+    assert best is not None
+    assert is_cut(options, choice.option)
+    chosen = np.flatnonzero(choice.option >= 0)
+    assert choice.cost == pytest.approx(cost[chosen, choice.option[chosen]].sum())
+    assert choice.cost <= budget
+    assert choice.utility == pytest.approx(utility[chosen, choice.option[chosen]].sum())
+    assert 0.97 * best <= choice.utility <= best * (1 + 1e-9) <= choice.bound * (1 + 2e-9)

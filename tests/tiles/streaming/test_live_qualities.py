@@ -1,5 +1,6 @@
 """Qualities of files follow the rate of the network, and become the finest in the end."""
 
+import functools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.tiles.loading import load_tileset
 from gsgen.tiles.quality_ladder import load_ladder
+from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
 from gsgen.tiles.selection.quality_choice import QualityChooser
 from gsgen.tiles.selection.tile_tree import TileTree
@@ -89,25 +91,53 @@ def test_there_is_no_ladder_without_all_its_tilesets(town: Path, tmp_path: Path)
 
 def test_a_choice_fits_the_rate_and_grows_with_it(town: Path) -> None:
     rng = np.random.default_rng(0)
+    mixed = 0
     for _ in range(20):
         chooser, tree = chooser_of(town)
-        missing = rng.uniform(size=len(tree)) < 0.7
         eye = rng.normal(size=3) * 10
-        chooser.choose(eye, missing)
-        assert (chooser.quality[missing] == 2).all()  # no rate is known
+        camera = Camera.look_at(tuple(eye), (0.5, 0.2, 0), up=(0, 0, 1), width=96, height=64)
+        cut = cut_tree(tree, Frustum.from_camera(camera), 2.0)
+        there = np.where(rng.uniform(size=len(tree)) < 0.2, 1, -1)
+        missing = cut.seen & (there < 0)
+        dead = np.zeros(len(tree), bool)
+        choose = functools.partial(
+            chooser.choose, eye=eye, cut=cut, there=there, dead=dead, max_splats=1 << 30
+        )
+        assert not choose(0.0).any()  # no rate is known
+        assert (chooser.quality == 2).all()
         whole = float(chooser._ladder.size[missing, 0].sum())
-        share = float(rng.uniform(0.3, 1.2))
+        share = float(rng.uniform(0.1, 1.2))
         chooser.observe(0.0, 0, busy=True)
         chooser.observe(1.0, int(share * whole / 2), busy=True)
         assert chooser.rate == int(share * whole / 2)
-        chooser.choose(eye, missing)
-        finer = np.flatnonzero(missing & (chooser.quality < 2))
-        assert chooser.sizes(finer).sum() <= share * whole
+        first = choose(1.0)
+        requested = np.flatnonzero(first & missing)
+        assert chooser.sizes(requested).sum() <= share * whole
+        above = tree.parent[first]
+        assert first[above[above >= 0]].all()
+        assert (chooser.quality[missing & ~first] == 2).all()
         assert 0 <= chooser.certificate < 0.2
         if share > 1.01:
-            assert (chooser.quality[missing] == 0).all()
+            assert (chooser.quality[cut.wanted & missing] == 0).all()
+            assert first[cut.wanted].all()
+        mixed += bool((missing & ~first).any()) and bool((chooser.quality[first] < 2).any())
         chooser.observe(60.0, 0, busy=False)  # a pause is no slow network
         assert chooser.rate is None or chooser.rate >= int(share * whole / 2)
+    assert mixed > 0  # some choices leave tiles out, and take others at a finer quality
+
+
+def test_a_choice_keeps_the_gaussians_in_memory(town: Path) -> None:
+    chooser, tree = chooser_of(town)
+    camera = VIEW
+    cut = cut_tree(tree, Frustum.from_camera(camera), 2.0)
+    there, dead = np.full(len(tree), -1), np.zeros(len(tree), bool)
+    chooser.observe(0.0, 0, busy=True)
+    chooser.observe(1.0, 1 << 40, busy=True)
+    limit = int(tree.splats[cut.seen].sum()) // 2
+    first = chooser.choose(0.0, camera.eye, cut, there, dead=dead, max_splats=limit)
+    assert 0.5 * limit < tree.splats[first].sum() <= limit
+    again = chooser.choose(0.05, camera.eye, cut, there, dead=dead, max_splats=1)
+    assert again is first  # a choice holds for a tenth of a second
 
 
 def test_coarse_files_come_first_and_the_finest_in_the_end(town: Path) -> None:

@@ -1,4 +1,4 @@
-"""The command `gsgen repro`, which reproduces one model's violation of one rule."""
+"""The command `gsgen repro`, which reproduces one model's violation of one validation rule."""
 
 __all__ = ["repro"]
 

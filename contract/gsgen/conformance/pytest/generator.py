@@ -91,7 +91,7 @@ class GeneratorConformance:
                 prepare(conformance, case)
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """Parametrize the test of each conformance suite by the rules of the suite."""
+        """Parametrize the test of each conformance suite by the validation rules of the suite."""
         rules = getattr(metafunc.function, "rules", None)
         if rules is not None:
             ids = [f"{rule.id}-{rule.slug}" for rule in rules]
@@ -99,14 +99,14 @@ class GeneratorConformance:
 
 
 def _home(rule: Rule) -> str:
-    """Return the name of the suite that tests a rule on a full-featured ONNX generator."""
+    """Return the name of the suite that tests a contract rule on a full-featured ONNX generator."""
     is_generator = GENERATOR in rule.kinds
     suites = [suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
     return next(suite.name for suite in suites if suite.claims(rule))
 
 
 def _test_of(suite: Suite, rules: list[Rule]) -> Callable[..., None]:
-    """Return a pytest function that tests one rule of a conformance suite on a model."""
+    """Return a pytest function that tests one validation rule of a conformance suite on a model."""
 
     @pytest.mark.usefixtures("_ready")
     def test(self: GeneratorConformance, rule: Rule, conformance: ModelRun) -> None:

@@ -43,14 +43,14 @@ class SuiteNode(pytest.Collector):
         self.rules = rules
 
     def collect(self) -> "Iterator[RuleItem]":
-        """Yield a pytest item for each rule of the suite."""
+        """Yield a pytest item for each validation rule of the suite."""
         for rule in self.rules:
             name = f"{rule.id}-{rule.slug}"
             yield RuleItem.from_parent(self, name=name, rule=rule)
 
 
 class RuleItem(pytest.Item):
-    """A pytest item that tests one rule on one model."""
+    """A pytest item that tests one validation rule on one model."""
 
     def __init__(self, *, rule: Rule, **options: Any) -> None:
         super().__init__(**options)
@@ -64,14 +64,14 @@ class RuleItem(pytest.Item):
         return parent
 
     def setup(self) -> None:
-        """Validate the model before the test; a crashed rule is a test error."""
+        """Validate the model before the test; a crashed validation rule is a test error."""
         run = self.file.run_model()
         case = run.case(self.rule.id)
         self.user_properties += properties(run, case)
         prepare(run, case)
 
     def runtest(self) -> None:
-        """Pass, fail, skip, warn or xfail the test, by the status of the rule."""
+        """Pass, fail, skip, warn or xfail the test, by the status of the validation rule."""
         run = self.file.run_model()
         act(run, run.case(self.rule.id))
 
@@ -82,14 +82,14 @@ class RuleItem(pytest.Item):
 
 
 class StaleEntry(pytest.Item):
-    """A pytest item that always fails: an expected failure that matches no tested rule."""
+    """A pytest item that always fails: an expected failure that matches no tested contract rule."""
 
     def __init__(self, *, entry: ExpectedFailure, **options: Any) -> None:
         super().__init__(**options)
         self.entry = entry
 
     def setup(self) -> None:
-        """Raise UsageError with the expected failure that matches no tested rule."""
+        """Raise UsageError with the expected failure that matches no tested validation rule."""
         text = f"matches no rule of any tested model: remove or correct the entry\n  {self.entry}"
         pytest.fail(text, pytrace=False)
 

@@ -1,4 +1,4 @@
-"""The pytest plugin: `pytest --gsgen model.onnx` tests a model by the contract, rule by rule.
+"""The pytest plugin: `pytest --gsgen model.onnx` checks a model against each contract rule.
 
 pytest loads this module in every run if gsgen is installed. So it only declares options; the code
 that reads models is imported when an option names one.
@@ -97,7 +97,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(session: pytest.Session, items: "list[pytest.Item]") -> None:
-    """Add a failing test for each expected failure that matches no tested rule."""
+    """Add a failing test for each expected failure that matches no tested validation rule."""
     if session.config.getoption("--gsgen-xfails"):
         from gsgen.conformance.pytest.items import stale_entries
 
@@ -106,7 +106,7 @@ def pytest_collection_modifyitems(session: pytest.Session, items: "list[pytest.I
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Raise for a crashed rule, and skip tests of a model that cannot be validated."""
+    """Raise for a crashed validation rule, and skip tests of a model that cannot be validated."""
     if _CLASSES in sys.modules:
         from gsgen.conformance.pytest.skipped import skip_if_noted
 

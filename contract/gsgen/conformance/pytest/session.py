@@ -28,7 +28,7 @@ _MOST_UNASKED = 64 << 20
 
 
 class RuleWarning(UserWarning):
-    """Warning for a broken rule whose severity is below ``--gsgen-fail-on``."""
+    """Warning for a broken validation rule whose severity is below ``--gsgen-fail-on``."""
 
 
 class ConformanceSession:
@@ -136,7 +136,7 @@ def prepare(run: ModelRun, case: Case) -> None:
 
 
 def act(run: ModelRun, case: Case) -> None:
-    """Pass, fail, skip, warn or xfail the running test, by the status of the rule."""
+    """Pass, fail, skip, warn or xfail the running test, by the status of the validation rule."""
     __tracebackhide__ = True
     if case.status == "failed":
         pytest.fail(run.text(case).lstrip(), pytrace=False)

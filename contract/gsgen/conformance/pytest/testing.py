@@ -79,7 +79,7 @@ def parametrize_with_rules(
 
 
 class Check:
-    """A callable that checks one rule on one model, which a pytest test calls once."""
+    """A callable that checks one validation rule on one model, which a pytest test calls once."""
 
     def __init__(self, model: Path, suite: str, rule: Rule, judge: Callable[[], ModelRun]) -> None:
         self.model = model
@@ -100,22 +100,22 @@ class Check:
 
     @property
     def case(self) -> Case:
-        """The outcome of the rule on the model, as a test case."""
+        """The outcome of the validation rule on the model, as a test case."""
         return self.run.case(self.rule.id)
 
     def prepare(self) -> None:
-        """Validate the model before the test; a crashed rule is a test error."""
+        """Validate the model before the test; a crashed validation rule is a test error."""
         prepare(self.run, self.case)
 
     def __call__(self) -> None:
-        """Pass, fail, skip, warn or xfail the running test, by the outcome of the rule."""
+        """Pass, fail, skip, warn or xfail the running test, by the outcome of the contract rule."""
         __tracebackhide__ = True
         self.called = True
         act(self.run, self.case)
 
 
 def checks_for(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
-    """Return a check (callable) for each rule of each model that a test requests."""
+    """Return a check (callable) for each validation rule of each model that a test requests."""
     try:
         return _checks(request, bench, folder)
     except GsgenError as error:
@@ -157,7 +157,7 @@ def _expected(
 def refuse_strangers(
     expected: Iterable[ExpectedFailure], plans: dict[Path, dict[str, tuple[Rule, ...]]]
 ) -> None:
-    """Raise UsageError if an expected failure matches no rule of any tested model."""
+    """Raise UsageError if an expected failure matches no validation rule of any tested model."""
     tested = {
         path: [rule.id for rules in planned.values() for rule in rules]
         for path, planned in plans.items()

@@ -62,7 +62,7 @@ def read_index(kit: Path) -> dict[str, Any]:
         index = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise KitUnreadable(
-            f"{path}: cannot be read as the index of a viewer kit: {error}"
+            f"{path}: cannot be read as the index of a viewer test kit: {error}"
         ) from error
     schema = index.get("schema") if isinstance(index, dict) else None
     if schema != INDEX_SCHEMA:

@@ -83,7 +83,7 @@ class FrameEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseEntry:
-    """A viewer test case: a model, and the frames that one session draws of that model."""
+    """A viewer test case: a model, and the frames that a viewer draws of that model in order."""
 
     name: CaseName
     tests: Annotated[str, Hint(text="What the pictures depend on.")]

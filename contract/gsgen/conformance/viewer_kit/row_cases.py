@@ -47,12 +47,12 @@ def _mip() -> ModelSpec:
 
 
 def _stale_rows() -> ModelSpec:
-    """Return a model of twelve rows with a row count of five; the rest are stale Gaussians."""
+    """Return a model of twelve rows with a row count of five; later rows hold stale Gaussians."""
     return still(12).weighing(live=np.array([5], np.int32))
 
 
 def _growing() -> ModelSpec:
-    """Return a model whose row count varies, and whose rows after the count hold Gaussians."""
+    """Return a model of varying row count, whose rows after the count also hold Gaussians."""
     grown = drifting(8).reworded(
         "num_points = Identity (live)",
         "part = Mul (time, capacity) whole = Floor (part) num_points = Cast <to = 6> (whole)",

@@ -32,7 +32,7 @@ DrawFrames = Callable[[Path, Sequence[KitFrame]], Sequence[Float[np.ndarray, "h 
 
 
 def kit_cases() -> tuple[KitCase, ...]:
-    """Return all viewer tests of the kit, each with a model and the frames to draw."""
+    """Return all test cases of the viewer test kit, each with a model and the frames to draw."""
     return (*ROW_CASES, *INPUT_CASES)
 
 
@@ -53,7 +53,7 @@ def write_kit(folder: Path, draw: DrawFrames | None = None) -> Path:
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         hint = "Name a folder that does not exist yet."
-        raise ConfigInvalid("is not an empty folder", where=str(folder), hint=hint)
+        raise ConfigInvalid("the output folder is not empty", where=str(folder), hint=hint)
     draw_frames = draw or _registered_renderer()
     index_path = folder / "index.json"
     with atomic_write(index_path) as draft:

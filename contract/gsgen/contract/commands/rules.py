@@ -55,7 +55,7 @@ def rules(
 
 
 def _selected(registry: "Registry", words: list[str]) -> "list[Rule]":
-    """Return the rules that match any of the search ``words``, in catalogue order."""
+    """Return the validation rules that match any of the search ``words``, in catalogue order."""
     selected_ids: set[str] = set()
     for word in words:
         ids = [rule.id for rule in registry.rules.values() if _matches(word, rule)]

@@ -312,7 +312,7 @@ def _attribute_tensors(attribute: AttributeProto) -> Iterator[TensorProto]:
 
 
 def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
-    """Yield every name and string of an ONNX model that rules read."""
+    """Yield every name and string of an ONNX model that validation rules read."""
     for entry in proto.metadata_props:
         yield from (entry.key, entry.value)
     for opset in proto.opset_import:
@@ -335,7 +335,7 @@ def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
 def write_manifest(
     source: str | os.PathLike[str], manifest: Manifest, target: str | os.PathLike[str]
 ) -> None:
-    """Copy the model ``source`` to ``target`` with ``manifest`` as its only embedded manifest.
+    """Copy ONNX file ``source`` to ``target`` with ``manifest`` as the only embedded manifest.
 
     The weights are copied in chunks and never parsed; ``target`` may be ``source``. The copy
     has a temporary name until it is complete, so a failure changes nothing.

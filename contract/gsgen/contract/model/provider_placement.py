@@ -169,7 +169,7 @@ def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
 
 
 def _variant(graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]) -> str:
-    """Return the operator variant of a node as operator tables name it; empty for the usual one."""
+    """Return the operator form of a node as operator tables name it; empty for the usual form."""
     ranks = [_rank(graph, name) for name in node.input]
     attributes = {attribute.name: attribute for attribute in node.attribute}
     match node.op_type:

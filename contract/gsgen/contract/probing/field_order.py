@@ -60,7 +60,7 @@ Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 @dataclass(frozen=True, slots=True)
 class FieldOrder:
-    """A column layout that fits the packed rows better than the declared one.
+    """A column layout that fits the packed Gaussians better than the declared layout.
 
     Attributes:
         name: The fields in that order.
@@ -81,7 +81,7 @@ def suspect_order(
     planes: Float[np.ndarray, "n 10"] | None = None,
     smallest: float = 0.0,
 ) -> FieldOrder | None:
-    """Return the column layout that nearly all packed rows fit, if many miss the declared one.
+    """Return the column layout that nearly all Gaussians fit, if many miss the declared one.
 
     Args:
         rows: Packed rows as stored, [n, 10], float64.

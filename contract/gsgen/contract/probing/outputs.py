@@ -28,7 +28,7 @@ _WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOutputs:
-    """The model outputs for one set of test inputs: Gaussians, appearance, count and cells.
+    """The model outputs for one set of test inputs: Gaussians, colours, row count and cells.
 
     Attributes:
         probe: The probe's label.
@@ -65,7 +65,7 @@ class ModelOutputs:
 
     @property
     def cells_place(self) -> str:
-        """The name of the cells output in reports, such as ``cells``."""
+        """The name of the output with cells (groups of Gaussians) in reports, such as ``cells``."""
         declared = self.subject.declared_cells
         return f"output {declared.name if declared else '?'}"
 

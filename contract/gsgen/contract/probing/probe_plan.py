@@ -1,6 +1,6 @@
-"""Plans the order of all test inputs, so that one inference session serves every rule."""
+"""Plans the order of all test inputs, so that one inference session serves all rules."""
 
-__all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes", "probed_shapes"]
+__all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes", "probed_dtypes", "probed_shapes"]
 
 import math
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ _FETCHABLE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The ordered test inputs of one inference session, and the rules that use each run.
+    """The ordered test inputs of one inference session, and the validation rules of each run.
 
     Attributes:
         probes: One set of inputs per run.
@@ -59,9 +59,7 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
     """Plan the model runs that a validation up to ``level`` needs."""
     manifest = subject.manifest
     assert manifest is not None
-    tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
-    shapes = probed_shapes(subject)
-    dtypes = {i.name: tensors[i.name].dtype or "float32" for i in manifest.inputs}
+    shapes, dtypes = probed_shapes(subject), probed_dtypes(subject)
     count = _affordable(subject)
     first = default_probes(manifest, shapes, dtypes, seed, count)
     base = len(first) - 1 if len(first) == 1 else 1
@@ -123,6 +121,13 @@ def probed_shapes(subject: InspectedModel) -> dict[str, tuple[int, ...]]:
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
     entries = subject.manifest.inputs if subject.manifest else ()
     return {i.name: _probed_shape(i, tensors[i.name]) for i in entries if i.name in tensors}
+
+
+def probed_dtypes(subject: InspectedModel) -> dict[str, str]:
+    """Return the dtype to feed for each input by name; float32 if the graph declares none."""
+    tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
+    entries = subject.manifest.inputs if subject.manifest else ()
+    return {i.name: tensors[i.name].dtype or "float32" for i in entries if i.name in tensors}
 
 
 def probed_bytes(subject: InspectedModel) -> int:

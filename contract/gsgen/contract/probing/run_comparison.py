@@ -40,7 +40,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class ProbeRun:
-    """One model run that a behaviour rule requested.
+    """One run of a model with test inputs that a behaviour rule requested.
 
     Attributes:
         probe: Its inputs.
@@ -66,7 +66,7 @@ class ProbeRun:
 
     @property
     def extremes(self) -> Extremes | None:
-        """The row count and each column's extremes, where a model run kept no output rows."""
+        """The number of Gaussians and each column's extremes, where a run kept no output rows."""
         return self.sample.extremes if self.sample is not None else None
 
     @property
@@ -80,7 +80,7 @@ class ProbeRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Behaviour:
-    """Comparisons between model runs, the input of behaviour rules.
+    """Comparisons between model runs: the input of rules about a model's behaviour.
 
     Attributes:
         subject: The model.
@@ -99,22 +99,22 @@ class Behaviour:
     unfinished_probes: list[str] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
-        """Return the model runs with an empty list of unfinished test inputs, for the next rule."""
+        """Return the model runs for one rule, with an empty list of runs that did not finish."""
         return replace(self, unfinished_probes=[])
 
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The model outputs for the test inputs of value rules, without the all-zero inputs."""
+        """The model outputs for the test inputs of rules about values, without all-zero inputs."""
         return [runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The base test inputs, and test inputs that differ from them in one role alone."""
+        """The base test inputs, and test inputs that differ in one input role alone."""
         base, variants = self.trial.plan.variants.get(role, (0, ()))
         return self._of((base, *variants)) if variants else []
 
     @property
     def values(self) -> list[ProbeRun]:
-        """The model runs with the test inputs of value rules, in order."""
+        """The model runs with the test inputs of rules about output values, in order."""
         return [self._visit(index) for index in range(self.trial.plan.values)]
 
     @property
@@ -126,7 +126,7 @@ class Behaviour:
 
     @property
     def seconds(self) -> list[float]:
-        """The duration in seconds of each model run with the test inputs of value rules."""
+        """The seconds of each model run with the test inputs of rules about output values."""
         return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
 
     def visits(self, trial: str) -> list[ProbeRun]:
@@ -137,7 +137,7 @@ class Behaviour:
         return [self._visit(index) for index in probe_indices if self._ran(index)]
 
     def runs(self, indices: Iterable[int]) -> list[ProbeRun]:
-        """Return the finished model runs with given indices in the plan of test runs."""
+        """Return the finished model runs with the given indices in the planned list of runs."""
         return [self._visit(index) for index in indices if self._ran(index)]
 
     def _ran(self, index: int) -> bool:
@@ -158,7 +158,7 @@ class Behaviour:
 
 
 def read_behaviour(trial: ProbeRuns) -> Behaviour:
-    """Compare the model runs that were planned for behaviour rules."""
+    """Compare the model runs that were planned for rules about a model's behaviour."""
     plan = trial.plan
     assert plan.repeated is not None
     varied = {

@@ -15,6 +15,7 @@ __all__ = [
     "serve",
     "stage_of",
     "thinned",
+    "thinning_step",
 ]
 
 import hashlib
@@ -184,7 +185,7 @@ def _survey_outputs(
 
 
 def _extremes(rows: np.ndarray | None, count: np.ndarray | None) -> dict[str, Any] | None:
-    """Return the row count, and minimum and maximum of each column of the live rows."""
+    """Return the number of live Gaussians, and the minimum and maximum of their columns."""
     if rows is None or rows.ndim != 2 or rows.dtype.kind != "f":
         return None
     live = int(count.reshape(-1)[0]) if count is not None and count.size else len(rows)
@@ -233,8 +234,13 @@ def digest_of(outputs: dict[str, np.ndarray]) -> str:
 
 def thinned(value: np.ndarray) -> np.ndarray:
     """Return about 16,384 evenly spaced rows of a model output, or all rows of a small one."""
-    step = max(1, len(value) // _THIN_ROWS) if value.ndim else 1
+    step = thinning_step(len(value)) if value.ndim else 1
     return value[::step] if step > 1 else value
+
+
+def thinning_step(rows: int) -> int:
+    """Return n if every n-th row of an output is stored for additional test inputs."""
+    return max(1, rows // _THIN_ROWS)
 
 
 def _finite(value: np.ndarray) -> bool:

@@ -115,7 +115,7 @@ class Stats:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FindingEntry:
-    """A finding: one rule that a model breaks at one location."""
+    """A finding: one validation rule that a model breaks at one location."""
 
     rule: RuleId
     slug: Annotated[str, Hint(text="The rule's readable name.")]
@@ -144,7 +144,7 @@ class FindingEntry:
 
 @dataclass(frozen=True, slots=True)
 class CauseEntry:
-    """A failed rule, and the rules that could not be checked because of it."""
+    """A failed validation rule, and the rules that could not be checked because of it."""
 
     rule: RuleId
     status: str
@@ -154,7 +154,7 @@ class CauseEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RuleEntry:
-    """The outcome of checking one rule on the model."""
+    """The outcome of checking one validation rule on the model."""
 
     id: RuleId
     status: Literal["pass", "fail", "skipped", "not-applicable", "crashed"]
@@ -167,7 +167,7 @@ class RuleEntry:
 
 @dataclass(frozen=True, slots=True)
 class UncheckedEntry:
-    """A rule that is required but was not checked."""
+    """A validation rule that is required but was not checked."""
 
     rule: RuleId
     status: str

@@ -1,4 +1,4 @@
-"""JUnit XML report for test runners: one suite per model and one test per rule.
+"""JUnit XML report for test runners: one suite per model and one test per validation rule.
 
 A rule fails its test if it makes the model invalid. Other findings go to the test's output.
 """

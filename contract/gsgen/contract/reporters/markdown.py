@@ -24,7 +24,7 @@ _UNREADABLE = "⛔"
 
 
 def to_markdown(entries: Sequence[Entry]) -> str:
-    """Return all reports as one Markdown page; several models get a table of verdicts first."""
+    """Return all reports as one Markdown page; several models get a table of results first."""
     parts = [_table(entries)] if len(entries) != 1 else []
     parts += [_section(entry) for entry in entries]
     return "\n\n".join(parts)

@@ -24,7 +24,7 @@ FAMILIES = {
 
 
 def help_path(rule: Rule) -> str:
-    """Return the path of a rule's documentation page; empty for third-party rules."""
+    """Return the path of a rule's documentation page; empty for third-party validation rules."""
     return "" if "/" in rule.id else f"rules/{rule.id}.md"
 
 

@@ -112,7 +112,7 @@ def _invocation(entries: Iterable[Entry]) -> Json:
 
 
 def _failures(entry: Entry, number: int) -> list[Json]:
-    """Return SARIF notifications of an unreadable file or of crashed rules."""
+    """Return SARIF notifications of an unreadable file or of crashed validation rules."""
     if isinstance(entry, Unreadable):
         return [_failure_notification(entry.path, number, str(entry.error))]
     messages = [

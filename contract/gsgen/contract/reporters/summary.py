@@ -1,4 +1,4 @@
-"""Texts that all report formats share: the verdict of a model, a summary of several models."""
+"""Texts that all report formats share: one model's result, and a summary of several models."""
 
 __all__ = ["plural", "printable", "summary_line", "verdict_line", "verdict_word"]
 
@@ -22,7 +22,7 @@ def plural(count: int, noun: str) -> str:
 
 
 def verdict_line(report: Report) -> str:
-    """Return a model's verdict with the numbers of rules and findings, in one line."""
+    """Return whether a model conforms, with the numbers of rules and findings, in one line."""
     counted = report.statuses
     parts = [f"{counted['pass']} rules hold"]
     for severity in reversed(Severity):
@@ -40,7 +40,7 @@ def verdict_line(report: Report) -> str:
 
 
 def verdict_word(report: Report) -> str:
-    """Return a report's verdict in words, such as ``conforms``."""
+    """Return the conclusion of a validation report in words, such as ``conforms``."""
     return _CRASHED if report.verdict == "internal-error" else report.verdict
 
 
@@ -56,7 +56,7 @@ def _uncounted(report: Report) -> list[str]:
 
 
 def summary_line(entries: Sequence[Entry]) -> str:
-    """Return the number of models of each verdict, in one line."""
+    """Return the number of models that conform, break rules or could not be read, in one line."""
     words = Counter(
         "unreadable" if isinstance(entry, Unreadable) else verdict_word(entry) for entry in entries
     )

@@ -41,7 +41,7 @@ def render_all(
 
 
 def brief_line(report: Report) -> Line:
-    """Return a model's path and its validation verdict in one line."""
+    """Return a model's path and whether the model conforms, in one line."""
     return Line(printable(f"{report.path}: {verdict_line(report)}"), _verdict(report).style)
 
 
@@ -185,7 +185,7 @@ def _unchecked(report: Report) -> list[Line]:
 
 
 def _inapplicable(report: Report) -> list[Line]:
-    """Return text lines that list the requested rules that do not apply to the model."""
+    """Return text lines that list the requested validation rules that do not apply to the model."""
     lines: list[Line] = []
     for outcome in report.outcomes:
         if outcome.rule.id in report.selected and outcome.status == "not-applicable":

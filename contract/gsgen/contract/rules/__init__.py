@@ -1,1 +1,1 @@
-"""Which statements about a model does the contract check? One module of rules per subject."""
+"""Which statements about an ONNX generator does the validator check? One module per subject."""

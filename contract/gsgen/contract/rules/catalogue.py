@@ -14,6 +14,7 @@ from gsgen.contract.rules.behaviour import (
     camera,
     determinism,
     motion,
+    recorded_vectors,
     robustness,
     root,
     survey,
@@ -94,6 +95,7 @@ FAMILIES = (
     motion,
     root,
     robustness,
+    recorded_vectors,
     survey,
     trajectory,
     turning,
@@ -110,7 +112,7 @@ FAMILIES = (
 
 
 def builtin_rules() -> list[Rule]:
-    """Return the contract's own rules, sorted by family and id."""
+    """Return gsgen's own validation rules, sorted by family and id."""
     rules = [entry for module in FAMILIES for entry in rules_in(module)]
     order = list(dict.fromkeys(entry.family for entry in rules))
     return sorted(rules, key=lambda entry: (order.index(entry.family), entry.id))

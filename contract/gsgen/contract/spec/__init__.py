@@ -1,1 +1,1 @@
-"""What does the contract define: manifest, roles, packed layout, conventions, targets?"""
+"""What does the contract define: manifest, input roles, packed layout, conventions, targets?"""

@@ -33,6 +33,8 @@ __all__ = [
     "TrajectoryTolerances",
     "UncertaintyOutput",
     "VectorFile",
+    "VectorInput",
+    "VectorRows",
     "WeightedSum",
     "manifest_type",
 ]
@@ -62,6 +64,8 @@ from gsgen.contract.spec.fields.records import (
     ReferenceImage,
     TestVector,
     VectorFile,
+    VectorInput,
+    VectorRows,
 )
 from gsgen.contract.spec.fields.scene import Bounds, Space, Tolerances, WeightedSum
 from gsgen.contract.spec.fields.values import ExtensionName, Fraction

@@ -12,7 +12,7 @@ class _Named(IntEnum):
 
     @property
     def word(self) -> str:
-        """The lower-case name of a severity or level, as users type it."""
+        """The lower-case name of a severity or a validation level, as users type it."""
         return self.name.lower()
 
     @classmethod

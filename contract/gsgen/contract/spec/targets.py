@@ -43,7 +43,7 @@ class Target:
 
     @property
     def runs_natively(self) -> bool:
-        """Whether the level `live` runs a browser runtime's release natively for this target."""
+        """Whether the validation level `live` runs this target's browser runtime natively."""
         return not self.operators or any(name.startswith("ep-") for name in self.operators)
 
     @property
@@ -136,6 +136,7 @@ def load_target(name: str, where: str = "--target") -> Target:
     target = targets[base_name]
     if version and version != target.version:
         raise ConfigInvalid(
-            f"target {base_name} has version {target.version}, not {version}", where=where
+            f"validation target {base_name} has version {target.version}, not {version}",
+            where=where,
         )
     return target

@@ -89,6 +89,8 @@ def record_vectors(
 ) -> RecordedVectors:
     """Run a model with ``count`` sets of test inputs; write inputs, outputs and digests.
 
+    Test vectors with rows of the model's source stay; those with digests alone are replaced.
+
     Args:
         source: A model with a manifest; it is not changed, unless ``model`` is the same file.
         folder: The parent of the folders ``test_data_set_k``, one per vector.
@@ -126,7 +128,9 @@ def record_vectors(
                 for index, (probe, outputs) in enumerate(_outputs(source, probes, execution))
             )
         progress(f"writing {model.name}")
-        changed = current_document(subject) | {"test_vectors": to_json(vectors)}
+        declared = subject.manifest.test_vectors if subject.manifest else ()
+        source_rows = [vector for vector in declared if vector.outputs]
+        changed = current_document(subject) | {"test_vectors": to_json([*source_rows, *vectors])}
         with write_recorded_copy(subject.file, changed, model):
             pass
         for path in existing:
@@ -166,7 +170,9 @@ def _selected_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe
         message = f"{count} test vectors, but the model has only {have}"
         raise ConfigInvalid(message, where="--count", hint=f"--count {len(probes)} takes all.")
     if count < 1:
-        raise ConfigInvalid(f"{count} test vectors, expected 1 or more", where="--count")
+        raise ConfigInvalid(
+            f"the number of test vectors is {count}, expected 1 or more", where="--count"
+        )
     return evenly_spaced(probes, count)
 
 
@@ -219,7 +225,12 @@ def _write(
     for number, (name, value) in enumerate(outputs.items()):
         _write_tensor(folder / f"output_{number}.pb", name, value)
     declared = {name: outputs[name] for name in fetched_outputs(subject)}
-    return TestVector(probe.label, digest_of(declared), record.seed, tuple(files))
+    return TestVector(
+        inputs=probe.label,
+        expected_sha256=digest_of(declared),
+        seed=record.seed,
+        files=tuple(files),
+    )
 
 
 def _write_tensor(path: Path, name: str, value: np.ndarray) -> None:

@@ -31,7 +31,7 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 @dataclass(frozen=True, slots=True)
 class FieldError:
-    """A field of an ONNX generator's outputs in which two runs differ beyond the tolerance.
+    """A field of the Gaussians in which two runs of a model differ beyond the tolerance.
 
     Attributes:
         tolerance: The field and its largest allowed difference.
@@ -47,31 +47,41 @@ class FieldError:
 
 
 def field_errors(
-    first: ModelOutputs, second: ModelOutputs, tolerances: Sequence[Tolerance]
+    first: ModelOutputs,
+    second: ModelOutputs,
+    tolerances: Sequence[Tolerance],
+    *,
+    roundings: int = 1,
 ) -> Iterator[FieldError]:
     """Yield the fields of Gaussians in which two runs differ beyond tolerance and rounding.
 
     Rows and cells that neither execution draws are compared by opacity and visibility alone.
     Outputs of another size, or without packed rows, yield no error: other rules report them.
+    Rounding to the storage type of ``first`` is allowed for ``roundings`` times.
     """
     rows = first.gaussians
     has_rows, _, cells = comparable_parts(first, second)
     if not has_rows or rows is None or not len(rows):
         return
-    yield from _beyond(dict(_measured(first, second)), tolerances, of_cells=False)
+    yield from _beyond(dict(_measured(first, second)), tolerances, roundings, of_cells=False)
     if cells:
-        yield from _beyond(dict(_cells_measured(first, second)), tolerances, of_cells=True)
+        cell_errors = dict(_cells_measured(first, second))
+        yield from _beyond(cell_errors, tolerances, roundings, of_cells=True)
 
 
 def _beyond(
-    measured: "dict[str, Measured]", tolerances: Sequence[Tolerance], *, of_cells: bool
+    measured: "dict[str, Measured]",
+    tolerances: Sequence[Tolerance],
+    roundings: int,
+    *,
+    of_cells: bool,
 ) -> Iterator[FieldError]:
     for tolerance in tolerances:
         if tolerance.field not in measured:
             continue
         error, rounding = measured[tolerance.field]
         # NaN on both sides has error 0 and an undefined rounding.
-        explained = np.nan_to_num(rounding, posinf=0.0)
+        explained = roundings * np.nan_to_num(rounding, posinf=0.0)
         excess = np.where(np.isfinite(error), error - explained, np.inf)
         if excess.max() > tolerance.value:
             row = int(np.argmax(excess))
@@ -79,7 +89,7 @@ def _beyond(
 
 
 def comparable_parts(first: ModelOutputs, second: ModelOutputs) -> tuple[bool, bool, bool]:
-    """Return whether packed rows, colours and cells can each be compared field by field."""
+    """Return whether Gaussians, colours and cells (groups) can be compared field by field."""
     rows, second_rows = first.gaussians, second.gaussians
     if rows is None or second_rows is None or rows.shape != second_rows.shape:
         return False, False, False
@@ -111,7 +121,7 @@ def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, 
 
 
 def _cells_measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
-    """Yield for each field of the cells output the error and the rounding error of every cell."""
+    """Yield each field's error and rounding error for every cell (group of Gaussians)."""
     assert first.cells is not None
     assert second.cells is not None
     a, b = (values.astype(np.float64) for values in (first.cells, second.cells))

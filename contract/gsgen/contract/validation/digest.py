@@ -1,4 +1,4 @@
-"""SHA-256 digests of model files and of sets of rules."""
+"""SHA-256 digests of model files and of sets of validation rules."""
 
 __all__ = ["digest", "rules_digest"]
 
@@ -16,7 +16,7 @@ _STATIC_BYTES = 64 << 20
 
 
 def digest(path: Path, level: Level, size: int) -> str:
-    """Return the SHA-256 of a model file; empty for a large file at the level static."""
+    """Return the SHA-256 of a model file; empty for a large file in a static validation."""
     if level < Level.VALUES and size >= _STATIC_BYTES:
         return ""
     hasher = hashlib.sha256()

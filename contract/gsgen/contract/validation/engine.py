@@ -297,7 +297,7 @@ class _Validation:
                     self.results.settle([rule], items=context.items)
 
     def _settle_remaining(self) -> None:
-        """Record all rules and levels that were not reached as skipped."""
+        """Record all validation rules and levels that were not reached as skipped."""
         requested_level = self.settings.level
         settled = {outcome.level for outcome in self.levels}
         for level, reason in _MISSING_BACKEND.items():
@@ -314,7 +314,7 @@ class _Validation:
                 self.results.skip([rule], f"level {rule.level.word} did not run")
 
     def _check_report(self) -> None:
-        """Check the rules about findings of other rules, such as unused waivers."""
+        """Check the validation rules about findings of other rules, such as unused waivers."""
         statuses = {id: outcome.status for id, outcome in self.results.outcomes.items()}
         settings = self.settings
         review = Review(self._findings(), statuses, settings.waivers, settings.today)
@@ -325,7 +325,7 @@ class _Validation:
 
 
 def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
-    """Sort rules so that each rule comes after the rules that it depends on."""
+    """Sort validation rules so that each rule comes after the rules that it depends on."""
     pending = {rule.id: rule for rule in rules}
     ordered: list[Rule] = []
 

@@ -1,4 +1,4 @@
-"""Results of checking a rule: violations at one location, and findings that count them."""
+"""Results of checking a contract rule: violations at one location, and findings that count them."""
 
 __all__ = ["Certainty", "Distribution", "Example", "Finding", "Location", "Statistic", "Violation"]
 
@@ -67,7 +67,7 @@ class Distribution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Violation:
-    """One location where a rule does not hold, with the actual and the expected value.
+    """One location where a contract rule does not hold, with the actual and the expected value.
 
     Attributes:
         where: The location.
@@ -156,7 +156,7 @@ class Example:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """All violations of one rule at one location, counted.
+    """All violations of one validation rule at one location, counted.
 
     Attributes:
         rule: The rule's id.

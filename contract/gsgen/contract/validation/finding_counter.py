@@ -23,7 +23,7 @@ _BINS = 24
 
 @dataclass(slots=True, kw_only=True)
 class FindingCounter:
-    """Counts the violations of one rule at one location.
+    """Counts the violations of one validation rule at one location.
 
     Attributes:
         where: The location.
@@ -112,7 +112,7 @@ class FindingCounter:
 
     @property
     def fails(self) -> bool:
-        """Whether so many rows or values are invalid that the rule fails."""
+        """Whether so many rows or values are invalid that the validation rule fails."""
         return self.count > 0 and self.count > self.min_fraction * self.total
 
     def message(self) -> str:

@@ -47,7 +47,7 @@ class LevelContext:
 
 @dataclass(frozen=True, slots=True)
 class LevelBackend:
-    """A backend that prepares one validation level, registered with the level's rules.
+    """A backend that prepares one validation level, registered with the level's contract rules.
 
     Attributes:
         level: The level; the scope of its rules has the same name.

@@ -38,7 +38,7 @@ class ResultCollector:
     _seconds: dict[str, float] = field(default_factory=dict)
 
     def ready(self, rules: Iterable[Rule]) -> list[Rule]:
-        """Return the rules that can be checked now; record an outcome for the others."""
+        """Return the validation rules that can be checked now; record an outcome for the others."""
         return [rule for rule in rules if self.is_ready(rule)]
 
     def is_ready(self, rule: Rule) -> bool:
@@ -112,11 +112,11 @@ class ResultCollector:
         counters[key].add(violation, probe, start)
 
     def fails(self, rule: Rule) -> bool:
-        """Return whether the violations so far are enough for a rule to fail."""
+        """Return whether the violations so far are enough for a validation rule to fail."""
         return any(counter.fails for counter in self._counters.get(rule.id, {}).values())
 
     def settle(self, rules: Iterable[Rule], items: int = 0) -> None:
-        """Convert the counted violations of checked rules to pass or fail outcomes."""
+        """Convert the counted violations of checked validation rules to pass or fail outcomes."""
         for rule in rules:
             if rule.id in self.outcomes:
                 continue
@@ -127,7 +127,7 @@ class ResultCollector:
             )
 
     def crash(self, rules: Iterable[Rule]) -> None:
-        """Record rules as crashed, with the exception that is being handled."""
+        """Record validation rules as crashed, with the exception that is being handled."""
         last = traceback.format_exc(limit=-3).strip()
         for rule in rules:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="crashed", reason=last))
@@ -144,7 +144,7 @@ class ResultCollector:
             self.outcomes.setdefault(rule.id, Outcome(rule=rule, status="skipped", reason=reason))
 
     def withdraw_predictions(self) -> None:
-        """Withdraw predicted findings that the level `live` disproved by running the model."""
+        """Withdraw predicted findings that running the model in WebGPU (level `live`) disproved."""
         if not self.settings.target.runs_natively:
             return
         for rule in self.registry.rules.values():

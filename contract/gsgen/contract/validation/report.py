@@ -36,7 +36,7 @@ Verdict = Literal["conforms", "invalid", "internal-error"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """The outcome of one rule: pass, fail, skipped, not-applicable or crashed.
+    """The outcome of one validation rule: pass, fail, skipped, not-applicable or crashed.
 
     Attributes:
         rule: The rule.
@@ -76,7 +76,7 @@ class LevelOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """A failed rule, and the rules that could not be checked because of it."""
+    """A failed validation rule, and the rules that could not be checked because of it."""
 
     outcome: Outcome
     blocked: tuple[Rule, ...]
@@ -197,7 +197,7 @@ class Report:
 
     @property
     def unchecked(self) -> tuple[Outcome, ...]:
-        """The required rules whose check neither passed nor failed."""
+        """The required validation rules whose check neither passed nor failed."""
         required = (outcome for outcome in self.outcomes if outcome.rule.id in self.required)
         return tuple(outcome for outcome in required if outcome.status not in ("pass", "fail"))
 
@@ -219,7 +219,7 @@ class Report:
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """The failed rules that prevented the check of other rules, in catalogue order."""
+        """The failed contract rules that prevented the check of other rules, in catalogue order."""
         blocked: dict[str, list[Rule]] = {}
         for outcome in self.outcomes:
             if outcome.blocked_by:
@@ -229,11 +229,11 @@ class Report:
 
     @property
     def statuses(self) -> Counter[str]:
-        """The number of rules by outcome, such as passed or skipped."""
+        """The number of validation rules by outcome, such as passed or skipped."""
         return Counter(outcome.status for outcome in self.outcomes)
 
     def outcome(self, rule_id: str) -> Outcome:
-        """Return the outcome of one rule of the report.
+        """Return the outcome of one validation rule of the report.
 
         Raises:
             KeyError: The rule is not installed.
@@ -244,7 +244,7 @@ class Report:
         raise KeyError(rule_id)
 
     def _repr_html_(self) -> str:
-        """Return the report's verdict and findings as HTML, for notebooks."""
+        """Return the validation report's conclusion and findings as HTML, for notebooks."""
         checked = f"for {self.target.name}, at level {self.level.word}; {self.statuses['pass']} rules hold"
         findings = [
             (

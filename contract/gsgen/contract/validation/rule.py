@@ -59,7 +59,7 @@ _LEVELS: dict[Scope, Level] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """One rule of the contract or of a target.
+    """One validation rule, of the contract or of a target runtime.
 
     Attributes:
         id: Stable code, such as GV003; a third party's has its name in front (``acme/AC001``).
@@ -192,13 +192,13 @@ def rules_in(module: ModuleType) -> list[Rule]:
 
 
 def backends_in(module: ModuleType) -> list[LevelBackend]:
-    """Return the level backends that a Python module defines, in order of definition."""
+    """Return the validation level backends that a Python module defines, in their order."""
     return [value for value in vars(module).values() if isinstance(value, LevelBackend)]
 
 
 @dataclass(frozen=True, slots=True)
 class Registry:
-    """All installed validation rules and level backends.
+    """All installed validation rules, and the backends that run validation levels.
 
     Attributes:
         rules: By id, in order of the catalogue.
@@ -210,7 +210,7 @@ class Registry:
 
     @classmethod
     def of(cls, rules: Iterable[Rule], backends: Iterable[LevelBackend] = ()) -> "Registry":
-        """Build a registry of rules with unique ids, and with one backend per level.
+        """Build a registry of rules with unique ids, and with one backend per validation level.
 
         Raises:
             ValueError: Two rules share an id, two backends a level, or a rule needs an unknown one.
@@ -227,7 +227,9 @@ class Registry:
         by_level: dict[Level, LevelBackend] = {}
         for backend in backends:
             if backend.level in by_level:
-                raise ValueError(f"level {backend.level.word} has two backends, expected one")
+                raise ValueError(
+                    f"validation level {backend.level.word} has two backends, expected one"
+                )
             by_level[backend.level] = backend
         return cls(by_id, by_level)
 
@@ -252,7 +254,7 @@ class Registry:
         return Registry(rules, self.backends)
 
     def find(self, name: str, where: str = "") -> Rule:
-        """Return the rule with the id or slug ``name``, ignoring case.
+        """Return the validation rule with the id or slug ``name``, ignoring case.
 
         Raises:
             UnknownName: No rule has that name; the hint names the nearest.

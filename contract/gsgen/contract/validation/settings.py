@@ -171,7 +171,7 @@ def _waivers(data: dict[str, Any], registry: Registry, where: str) -> tuple[Waiv
 
 
 def config_schema(registry: Registry) -> dict[str, object]:
-    """Return the JSON Schema of ``gsgen.toml``, with every installed rule by name."""
+    """Return the JSON Schema of ``gsgen.toml``, with every installed validation rule by name."""
     severities = list(Severity.words())
     rules = registry.rules.values()
     names = [name for rule in rules for name in (rule.id, rule.slug)]

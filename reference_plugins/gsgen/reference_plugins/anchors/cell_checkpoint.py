@@ -1,4 +1,4 @@
-"""Reads checkpoints of Duplex-GS: those of Octree-GS, with ellipsoidal cells as anchors.
+"""Reads checkpoints of Duplex-GS: those of Octree-GS, whose anchors are ellipsoidal cells.
 
 The PLY (``scene/gaussian_model.py``: ``save_ply``) has a size and a rotation for each anchor in
 place of scales, and spherical harmonics of the cell's visibility from a direction. The column

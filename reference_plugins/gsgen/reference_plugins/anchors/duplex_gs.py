@@ -39,7 +39,7 @@ BLENDS: tuple[Blend, ...] = ("alpha", "wsr")
 
 
 class _Bounded(nn.Module):
-    """Computes the centres of Gaussians, and the largest scale that their cell allows."""
+    """Computes Gaussian centres within their ellipsoidal cell, and the largest scale it allows."""
 
     offset: Tensor
 
@@ -59,7 +59,7 @@ class _Bounded(nn.Module):
 
 @final
 class DuplexGS(AnchorGenerator):
-    """Duplex-GS as a generator model: N cells of K Gaussians; row a K + k is Gaussian k of cell a.
+    """Duplex-GS as a model of N cells with K Gaussians each; row a K + k is Gaussian k of cell a.
 
     The opacity is that of the network or, if ``weighted``, that of the method's renderer: times
     the cell's visibility from the camera, and times 1 − depth / σ.
@@ -98,18 +98,18 @@ class DuplexGS(AnchorGenerator):
 
     @property
     def hides_anchors(self) -> bool:
-        """Return True: a distant camera does not see cells of fine levels."""
+        """Return True: a distant camera does not see cells of fine levels of detail."""
         return True
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
-        """Hide cells that are too fine for their distance; the last level fades in."""
+        """Hide cells that are too fine for their distance; the last level of detail fades in."""
         visible: Tensor = self.gate(centre)
         return visible
 
     def scale_factors(
         self, factors: tuple[Tensor, ...], rows: Int[Tensor, " n"] | None
     ) -> list[Float[Tensor, "n k"]]:
-        """Return the scale factors of Gaussians, limited so that they stay within their cell."""
+        """Return the scale factors of Gaussians, limited so that they stay in their ellipsoid."""
         limit = self.placements()[1]
         limit = limit if rows is None else torch.index_select(limit, 0, rows)
         return [torch.minimum(proportion(factor), limit) for factor in factors]

@@ -68,7 +68,7 @@ class Levels:
 
 
 class _Limits(nn.Module):
-    """Computes the distance limits of each anchor from its level and learnt shift."""
+    """Computes distance limits of each anchor from its level of detail and learnt shift."""
 
     level: Tensor
     extra: Tensor
@@ -101,7 +101,7 @@ class _Limits(nn.Module):
 
 
 class LevelGate(nn.Module):
-    """Hides anchors whose level is finer than the rounded level of their distance.
+    """Hides anchors whose level of detail is too fine for their distance from the camera.
 
     The level of a distance d is log(standard / d) / log(fork) + extra. Solved for d, this is one
     largest squared distance for each anchor, so a frame needs one comparison.
@@ -117,7 +117,7 @@ class LevelGate(nn.Module):
         self.limits = Constants(limits, (cloud.position,))
 
     def forward(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
-        """Return 1 for visible anchors and 0 for too fine ones; the last level fades in."""
+        """Return 1 for visible anchors, 0 for too fine ones; the last level of detail fades in."""
         middle, furthest, *fading = self.limits(self.anchor)
         offset = middle - centre
         square = (offset * offset).sum(dim=1, keepdim=True)
@@ -146,16 +146,16 @@ class OctreeGS(AnchorGenerator):
         selection: Selection = Selection(),  # noqa: B008
         half_cell: bool = True,
     ) -> None:
-        """Build the generator; distances reach to the middle of a cell if ``half_cell``."""
+        """Build the generator model; ``half_cell`` measures distances to the middle of a cell."""
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
         self.gate = LevelGate(cloud, levels, half_cell=half_cell)
 
     @property
     def hides_anchors(self) -> bool:
-        """Return True: a distant camera does not see anchors of fine levels."""
+        """Return True: a distant camera does not see anchors of fine levels of detail."""
         return True
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
-        """Hide anchors that are too fine for their distance; the last level fades in."""
+        """Hide anchors that are too fine for their distance; the last level of detail fades in."""
         visible: Tensor = self.gate(centre)
         return visible

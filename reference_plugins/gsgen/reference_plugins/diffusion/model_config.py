@@ -69,7 +69,7 @@ class ModelConfig:
         return tuple(value or ())
 
     def per_level(self, name: str, levels: int, default: int) -> tuple[int, ...]:
-        """Return a network option as one integer per level; a single number counts for all."""
+        """Return a network option as an integer per resolution level; one number counts for all."""
         if not isinstance(self.values.get(name), list):
             return (self.integer(name, default),) * levels
         numbers = self.integers(name)
@@ -80,7 +80,7 @@ class ModelConfig:
         return numbers
 
     def kinds(self, name: str, known: Mapping[str, str], levels: int) -> tuple[str, ...]:
-        """Convert the block type of each network level to the name that gsgen uses."""
+        """Convert the block type of each network resolution level to the name that gsgen uses."""
         names = self.values.get(name)
         if not isinstance(names, list) or len(names) != levels:
             raise self.option_error(

@@ -78,7 +78,7 @@ def build(
     loop: Loop = False,
     novel_poses: NovelPoses = False,
 ) -> "GaussianGenerator":
-    """Read a checkpoint of R3-Avatar, report its contents, and return its generator."""
+    """Read a checkpoint of R3-Avatar, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.bodies.motions import read_motion
     from gsgen.reference_plugins.people.r3_avatar import R3Avatar
     from gsgen.reference_plugins.people.r3_avatar_checkpoint import guess_dataset, read_r3

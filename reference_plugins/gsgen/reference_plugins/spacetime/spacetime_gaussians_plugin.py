@@ -112,7 +112,9 @@ def _sides(size: str) -> tuple[int, int]:
     sides = read_size(size)
     if sides is None:
         hint = "The model has a ray for each pixel: give the size as 360x640."
-        raise ConfigInvalid("any is not a size of --decode decoder", where="--size", hint=hint)
+        raise ConfigInvalid(
+            "'any' is not an image size for --decode decoder", where="--size", hint=hint
+        )
     return sides
 
 

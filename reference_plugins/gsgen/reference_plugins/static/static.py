@@ -48,7 +48,7 @@ class StaticScene(ConstantSource):
     antialias: Literal["classic", "mip"] | None = None
 
     def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:
-        """Return the packed Gaussians of a splat file, with the SH degree that ``target`` reads."""
+        """Return the packed Gaussians of a splat file, with the SH degree that a viewer reads."""
         sh_degree, content = self.sh_degree, self.content
         if sh_degree is None and isinstance(content, Splats):
             sh_degree = REQUIRED_DEGREES.get(target)

@@ -51,7 +51,7 @@ class _View:
 
 
 def cameras_around(source: GeneratorSource, count: int, *, offset: float = 0.5) -> list[Camera]:
-    """Return cameras evenly spread on a sphere, from which all Gaussians of a source are in view.
+    """Return cameras evenly spread on a sphere, from which all Gaussians of a model are in view.
 
     They are on a Fibonacci lattice, which ``offset`` shifts to other directions.
     """
@@ -187,8 +187,8 @@ def _matched_by_position(views: Sequence[_View], model: str) -> list[Int64[np.nd
         known = keys[order]
         if len(known) > _MAX_GROWTH * max(largest, 1):
             raise ConfigInvalid(
-                f"has {len(known):,} different positions at {len(ids)} cameras and at most "
-                f"{largest:,} rows at one, so its rows cannot be matched",
+                f"the model outputs {len(known):,} different positions for {len(ids)} cameras and at most "
+                f"{largest:,} rows for one, so rows of different cameras cannot be matched",
                 where=model,
                 hint="Give --camera: the rows that this camera sees are baked.",
             )

@@ -43,7 +43,9 @@ def read_colmap(folder: Path) -> CameraFile:
         lenses = colmap_text.lenses(folder / "cameras.txt")
         images = colmap_text.images(folder / "images.txt")
     if not images:
-        raise ConfigInvalid("has no images, expected at least one", where=str(folder))
+        raise ConfigInvalid(
+            "the COLMAP model has no images, expected at least one", where=str(folder)
+        )
     ordered = sorted(images, key=lambda image: image.name)
     cameras = tuple(NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered)
     used = {number: lenses[number] for number in sorted({image.lens for image in images})}
@@ -55,7 +57,8 @@ def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> 
     lens = lenses.get(image.lens)
     if lens is None:
         raise ConfigInvalid(
-            f"refers to camera {image.lens}, expected one of {sorted(lenses)[:8]}", where=where
+            f"the image refers to camera {image.lens}, expected one of {sorted(lenses)[:8]}",
+            where=where,
         )
     fx, fy, cx, cy, _ = parameters(lens.model, lens.values, where)
     view = np.eye(4)

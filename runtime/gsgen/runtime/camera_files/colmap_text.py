@@ -22,7 +22,8 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
         words, where = line.split(), f"{path}, line {number}"
         if len(words) < 5:
             raise ConfigInvalid(
-                f"has {len(words)} words, expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS", where=where
+                f"the line has {len(words)} words, expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS",
+                where=where,
             )
         lens_number, width, height = _integers([words[0], *words[2:4]], where)
         by_number[lens_number] = ColmapLens(words[1], width, height, _numbers(words[4:], where))
@@ -41,7 +42,7 @@ def images(path: Path) -> list[ColmapImage]:
         words, where = line.split(maxsplit=9), f"{path}, line {number}"
         if len(words) < 10:
             raise ConfigInvalid(
-                f"has {len(words)} words, expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
+                f"the line has {len(words)} words, expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
                 where=where,
             )
         pose = _numbers(words[1:8], where)
@@ -69,9 +70,9 @@ def _numbers(words: list[str], where: str) -> tuple[float, ...]:
     try:
         numbers = tuple(float(word) for word in words)
     except ValueError as error:
-        raise ConfigInvalid(f"has {words}, expected numbers", where=where) from error
+        raise ConfigInvalid(f"the line has {words}, expected numbers", where=where) from error
     if not all(map(math.isfinite, numbers)):
-        raise ConfigInvalid(f"has {words}, expected finite numbers", where=where)
+        raise ConfigInvalid(f"the line has {words}, expected finite numbers", where=where)
     return numbers
 
 
@@ -79,4 +80,4 @@ def _integers(words: list[str], where: str) -> list[int]:
     try:
         return [int(word) for word in words]
     except ValueError as error:
-        raise ConfigInvalid(f"has {words}, expected integers", where=where) from error
+        raise ConfigInvalid(f"the line has {words}, expected integers", where=where) from error

@@ -51,7 +51,7 @@ _FOV_Y: Final = 50.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedProbe:
-    """The drawn frame of one probe: a run of the model with chosen inputs.
+    """The drawn frame of one run of a model with a set of test inputs (a probe).
 
     Attributes:
         probe: Label of the probe's inputs.
@@ -123,7 +123,7 @@ def _quad_renderer(device: Device) -> Renderer | None:
 
 
 def _skip_reasons(probe_runs: ProbeRuns, device: Device) -> dict[str, str]:
-    """Return the ids of rules that cannot be checked, each with the reason."""
+    """Return the ids of validation rules that cannot be checked, each with the reason."""
     manifest = probe_runs.subject.generator
     reasons = {}
     if manifest is not None and manifest.blend == "wsr":

@@ -51,7 +51,7 @@ def image_decibels(
 
 
 class ReferenceUnreadable(GsgenError):
-    """A reference image is missing, outside the folder, altered, too large, or not a PNG."""
+    """Raised if a reference image is missing, outside its folder, altered, too large, not a PNG."""
 
 
 def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
@@ -84,7 +84,9 @@ def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarra
 def reference_camera(reference: ReferenceImage, width: int, height: int) -> Camera:
     """Return the camera of a reference image."""
     if len(reference.view) != 3:
-        raise SceneInvalid(f"has {len(reference.view)} rows, expected 3", where="view")
+        raise SceneInvalid(
+            f"the view matrix has {len(reference.view)} rows, expected 3", where="view"
+        )
     view = np.eye(4)
     view[:3] = reference.view
     (fx, fy), (cx, cy) = reference.focal, reference.center
@@ -96,10 +98,10 @@ def _bytes(folder: Path, name: str) -> bytes:
     root = folder.resolve()
     path = (root / parts).resolve()
     if "\\" in name or parts.is_absolute() or not path.is_relative_to(root):
-        raise ReferenceUnreadable(f"{name!r} is outside the model's folder")
+        raise ReferenceUnreadable(f"the reference image {name!r} is outside the model's folder")
     try:
         if not path.is_file():
-            raise ReferenceUnreadable("the file is missing in the model's folder")
+            raise ReferenceUnreadable("the reference image is missing in the model's folder")
         with path.open("rb") as file:
             raw = file.read(_MAX_BYTES + 1)
     except OSError as error:

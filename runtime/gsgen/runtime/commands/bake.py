@@ -134,7 +134,7 @@ def bake(
 
 
 def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
-    """Parse ``--time`` and ``--input`` into tracks of input values."""
+    """Parse ``--time`` and ``--input`` into the values of model inputs in each frame."""
     from gsgen.runtime.baking.frame_values import number_range
     from gsgen.runtime.playback.input_tracks import Track, input_track
 

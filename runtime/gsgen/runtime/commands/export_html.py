@@ -1,4 +1,4 @@
-"""`gsgen export html`: writes a page with models that opens from disk."""
+"""`gsgen export html`: writes an HTML page with models, which opens from disk."""
 
 __all__ = ["export_html"]
 

@@ -201,7 +201,7 @@ def mode_of(name: str) -> "Mode":
 def read_tracks(
     poses: list[str] | None, inputs: list[str] | None, sources: "Sequence[Source]"
 ) -> "tuple[list[Track], float | None]":
-    """Read the tracks of input values from the options ``--pose`` and ``--input``.
+    """Read the values of model inputs in each frame from the options ``--pose`` and ``--input``.
 
     Returns:
         A track for each input, and the frames per second of the first file of poses that has them.

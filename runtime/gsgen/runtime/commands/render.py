@@ -149,7 +149,7 @@ def render(
 
 
 def _require_weighted_sums(sources: "list[Source]") -> None:
-    """Raise if a source is not blended by weighted sums, as ``--wsr published`` needs."""
+    """Raise if a scene's splats are not blended by weighted sums, as ``--wsr published`` needs."""
     unsummed = next(
         (source for source in sources if source.weighted is None or source.meshes), None
     )

@@ -13,6 +13,7 @@ from jaxtyping import Shaped, UInt8
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.errors import CapacityExceeded, DeviceLost, DeviceUnavailable, MemoryFull
 from gsgen.runtime.gpu.handles import Buffer, Encoder, RawDevice, Texture
+from gsgen.runtime.gpu.native_types import parse_native_types
 from gsgen.runtime.gpu.sizes import at_least
 
 STORAGE_BUFFERS: Final = 8
@@ -86,6 +87,7 @@ class Device:
             raise DeviceUnavailable(
                 "wgpu is not installed", hint="pip install 'gsgen[runtime]'"
             ) from error
+        parse_native_types()
         try:
             adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
         except (RuntimeError, OSError, ValueError) as error:

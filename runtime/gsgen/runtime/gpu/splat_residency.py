@@ -1,4 +1,4 @@
-"""Keeps the Gaussians of each splat set in GPU buffers, split into pages that can be bound."""
+"""Keeps Gaussians of splat sets in GPU buffers, split into pages that fit buffer bindings."""
 
 __all__ = [
     "GPU_PAGE_ROWS",
@@ -55,7 +55,7 @@ def stride(channels: int, *, half: bool) -> int:
 
 
 def bytes_of(data: SplatData, *, compact: bool) -> int:
-    """Return the bytes of GPU memory that a splat set's rows, appearance and cells take."""
+    """Return the bytes of GPU memory for a splat set's Gaussians, colours and cells."""
     half = compact or data.appearance.dtype == np.float16
     row = _bytes_of_row(packed=compact and data.cells is None)
     row += _bytes_of_appearance(stride(data.appearance.shape[1], half=half))
@@ -159,7 +159,7 @@ class _Filled:
     rows: int = 0
 
     def missing(self, version: int, live: int) -> Iterator[slice]:
-        """Yield the slice of an array's live rows that is not uploaded yet; mark it as uploaded."""
+        """Yield the slice of an array's used rows that is not uploaded yet; mark it as uploaded."""
         first = self.rows if self.version == version else 0
         if live > first:
             yield slice(first, live)
@@ -168,7 +168,7 @@ class _Filled:
 
 @final
 class _State(NamedTuple):
-    """The array versions and the number of live rows of a splat set at the start of a frame."""
+    """The array versions and the number of rows in use of a splat set at the start of a frame."""
 
     rows: int
     appearance: int
@@ -196,7 +196,7 @@ class _Resident:
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
-    """Yield each GPU page with its part of a splat set's live rows, and the part's page offset."""
+    """Yield each GPU page with its part of a splat set's Gaussians, and the part's page offset."""
     for page in pages:
         first = max(live.start, page.first)
         last = min(live.stop, page.first + page.capacity)
@@ -308,7 +308,7 @@ class Residency:
         return resident.pages
 
     def pool_pages(self, pool: SplatPool) -> list[Page]:
-        """Return the GPU pages of a splat pool, after uploading the rows of newly arrived tiles.
+        """Return the GPU pages of a splat pool, after uploading Gaussians of newly arrived tiles.
 
         Writes of the queue come before the next frame and after all earlier ones, so that no frame
         in flight reads a slot that is written.
@@ -361,7 +361,7 @@ class Residency:
         array: Float[np.ndarray, "n c"],
         target: Callable[[Page, int, np.ndarray], Target],
     ) -> None:
-        """Write live rows of an array into the GPU buffer of each page."""
+        """Write live Gaussians of an array into the GPU buffers (pages) that hold the array."""
         for page, part, first in _parts(resident.pages, live):
             to = target(page, first, array)
             if resident.order is None:

@@ -33,7 +33,6 @@ BAND: Final = 2e-3  # relative distance from a threshold within which float32 ma
 TIE: Final = 1e-12  # relative difference of depths that sums of two floats resolve
 _MARGIN: Final = 0.3
 _POLE: Final = 1e-3
-_DILATION: Final = 0.3
 
 
 @final
@@ -66,7 +65,7 @@ class Picture:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Ellipses:
-    """The ellipses of Gaussians or cells in an image.
+    """The ellipses of Gaussians, or of cells (groups of Gaussians), in an image.
 
     Attributes:
         mean: Centres, in pixels.
@@ -88,7 +87,7 @@ class Ellipses:
 
 
 def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camera) -> Ellipses:
-    """Project packed rows of Gaussians or cells of a splat set into an image, as ellipses."""
+    """Project Gaussians or cells (groups) of a splat set into an image, as ellipses."""
     linear, offset = splat_set.transform[:3, :3], splat_set.transform[:3, 3]
     turn = camera.view[:3, :3]
     with np.errstate(all="ignore"):  # rows that are not finite are not sound
@@ -96,7 +95,7 @@ def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camer
         both = turn @ linear
         sigma = np.einsum("ij,njk,lk->nil", both, symmetric(rows[:, 4:]), both)
         mean, covariance = _flattened(position, sigma, camera)
-        dilated = covariance + _DILATION * np.eye(2)
+        dilated = covariance + camera.dilation * np.eye(2)
         depth = np.linalg.norm(position, axis=1) if camera.kind == "panorama" else position[:, 2]
         sound = np.isfinite(rows).all(axis=1) & np.isfinite(dilated).all(axis=(1, 2))
         sound &= (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)

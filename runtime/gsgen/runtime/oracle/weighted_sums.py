@@ -179,7 +179,7 @@ def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = 
 
 
 class _State:
-    """The sums and the transmittance of each pixel after some cells, from the nearest on."""
+    """The sums and the transmittance of each pixel after some groups, from the nearest on."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.color, self.normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
@@ -189,7 +189,7 @@ class _State:
         self.fragile, self.fragile_median = np.zeros(shape, bool), np.zeros(shape, bool)
 
     def add(self, cell: _Cell, camera: Camera, limit: np.ndarray, tied: np.ndarray) -> np.ndarray:
-        """Add the sums of the next cell, and return the mask of pixels that the cell touches."""
+        """Add the weighted sums of the next cell (group of Gaussians); return touched pixels."""
         (divisor, behind), splats = cell.factors, cell.splats
         entered = self.through.copy()
         entered_pixels = cell.box & (entered >= _FINISHED)
@@ -237,7 +237,7 @@ class _State:
 
 
 def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
-    """Return the cells of a splat set that touch image tiles."""
+    """Return the cells (groups of Gaussians) of a splat set that touch image tiles."""
     data, weighted = splat_set.data, splat_set.weighted
     assert data.cells is not None
     assert weighted is not None
@@ -269,7 +269,7 @@ def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
 
 
 def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the circle radii of a cell's Gaussians in pixels, and the possible float32 error."""
+    """Return circle radii of a cell's Gaussians in pixels, and the possible float32 error."""
     middle = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2
     longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
     radius = deviations * np.sqrt(longest)
@@ -278,7 +278,7 @@ def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.nd
 
 
 def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return the masks of the pixels in a cell's tiles, and of pixels that depend on rounding."""
+    """Return the masks of the pixels in a cell's image tiles, and of pixels at rounding limits."""
     (radius,), (ring,) = _reach(covariance[None], 2)
     boxes = [
         _tiles(mean + shift * np.array(way), radius, camera)

@@ -234,5 +234,5 @@ class _PlannedFrame:
 
     @property
     def plan_bytes(self) -> int:
-        """Bytes of the GPU buffers that the frame plan owns."""
+        """Bytes of the GPU buffers that the recorded GPU work of a frame owns."""
         return sum(buffer.size for buffer in self.plan.buffers.values())

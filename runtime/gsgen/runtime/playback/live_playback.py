@@ -82,7 +82,7 @@ class LivePlayback(Playback):
             self._position = (self._position + seconds * self.fps) % self.frames
 
     def moment(self) -> float | None:
-        """Return the current time value of the first source that has a time input."""
+        """Return the current time of the first source of Gaussians that has a time input."""
         for source, values in zip(self.sources, self.values(self.number), strict=False):
             if source.time is not None and source.time.name in values:
                 return float(np.asarray(values[source.time.name]).reshape(-1)[0])
@@ -129,7 +129,7 @@ class LivePlayback(Playback):
         self.take(wait=True)
 
     def player(self, renderer: Renderer, background: Sequence[float], output: Output) -> Player:
-        """Return a player that draws the sources; post-process models run if colours are drawn."""
+        """Return a player that draws sources of Gaussians, post-processed if colours are drawn."""
         post = self.post if output == "color" else ()
         return self.make_player(renderer, background, output, post)
 
@@ -143,7 +143,7 @@ class LivePlayback(Playback):
         return frame
 
     def depths(self, camera: Camera) -> tuple[float, float]:
-        """Return the nearest and the farthest depth of all sources, as seen by a camera."""
+        """Return the nearest and the farthest depth of all Gaussians and meshes for a camera."""
         extents = [source.extent() for source in self.sources]
         ahead = [
             float(np.linalg.norm(center - camera.eye))
@@ -163,7 +163,7 @@ class LivePlayback(Playback):
             source.abandon()
 
     def close(self) -> None:
-        """Release the sources and models; a run that never ends is interrupted."""
+        """Release the splat files and models; a model run that never ends is interrupted."""
         for source in self.sources:
             source.interrupt()
         self.abandon()
@@ -173,7 +173,7 @@ class LivePlayback(Playback):
             model.close()
 
     def _moment_key(self, camera: Camera) -> object:
-        """Return a key that changes when the sources must compute a new frame."""
+        """Return a key that changes when the models must compute a new frame."""
         if not any(source.follows_camera for source in self.sources):
             return 0
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)

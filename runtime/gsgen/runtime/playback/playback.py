@@ -1,4 +1,4 @@
-"""The base of playbacks: sources, post-process models and a timeline of their inputs."""
+"""The base of playbacks: sources of Gaussians, post-process models, and input values by frame."""
 
 __all__ = ["DEFAULT_FPS", "Playback"]
 
@@ -59,7 +59,7 @@ class Playback:
             source.survey((number, self.values(number)[index]) for number in survey_frames)
 
     def values(self, number: int) -> list[Values]:
-        """Return the input values of each source and each post-process model in a frame."""
+        """Return the input values of each source of Gaussians and post-process model in a frame."""
         return self._timeline.values(number, self.frames)
 
     def request(self, camera: Camera, number: int) -> FrameRequest:
@@ -67,7 +67,7 @@ class Playback:
         return FrameRequest(camera, self.values(number), number)
 
     def scene(self) -> Scene:
-        """Return the sources as one scene, with the current harmonics and antialiasing."""
+        """Return all files and models as one scene, with current harmonics and antialiasing."""
         return compose_scene(self.sources, self.sh_degree, self.antialias)
 
     def make_player(
@@ -77,7 +77,7 @@ class Playback:
         output: Output,
         post: Sequence[PostProcessor],
     ) -> Player:
-        """Return a player of the sources, whose colours the post-process models ``post`` change."""
+        """Return a player of sources of Gaussians, whose colours post-process models change."""
         return Player(
             self.sources,
             post=post,

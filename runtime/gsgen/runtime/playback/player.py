@@ -1,4 +1,4 @@
-"""Plays sources: computes the next frame while the renderer draws the last one."""
+"""Plays sources of Gaussians: computes the next frame while the renderer draws the last one."""
 
 __all__ = ["FrameRequest", "GeneratorPlayer", "Player", "compose_scene"]
 

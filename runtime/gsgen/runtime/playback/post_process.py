@@ -75,7 +75,7 @@ class PostProcessor:
         return tuple(spec for spec in self.manifest.inputs if spec.name != self._image)
 
     def named(self, word: str) -> list[Input]:
-        """Return the model inputs with this tensor name, or else with this role."""
+        """Return the model inputs with this tensor name, or else with this input role."""
         return named(self.inputs, word)
 
     def shape(self, name: str) -> tuple[int, ...]:
@@ -153,7 +153,7 @@ class PostProcessor:
         return np.concatenate([image[..., :3] * alpha, alpha], axis=-1, dtype=np.float32)
 
     def _session(self, size: tuple[int, int]) -> FrameSession:
-        """Return the model's session for an image of this height and width."""
+        """Return the ONNX Runtime session for an image of this height and width."""
         image_size = size if self._axes else (0, 0)
         if self._opened is not None and self._opened[0] == image_size:
             return self._opened[1]

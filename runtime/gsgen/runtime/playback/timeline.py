@@ -16,14 +16,14 @@ from gsgen.runtime.sources.source import Values
 
 
 class AnimatedInputs(Protocol):
-    """A model whose inputs a timeline sets: a source, or a post-process model."""
+    """A model whose inputs a timeline sets: a source of Gaussians, or a post-process model."""
 
     @property
     def inputs(self) -> Sequence[Input]:
         """The model inputs that a caller may set."""
 
     def named(self, word: str) -> list[Input]:
-        """Return the model inputs with this tensor name, or else with this role."""
+        """Return the model inputs with this tensor name, or else with this input role."""
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of an input tensor."""
@@ -50,7 +50,7 @@ class Timeline:
         self._lengths = [self._length(track) for track in tracks]
 
     def _length(self, track: Track) -> int:
-        """Return the number of values of an input track, by the shapes of the inputs it sets."""
+        """Return the number of frames of an input track, by the shapes of the inputs it sets."""
         shapes = [
             model.shape(spec.name) for model in self._models for spec in model.named(track.word)
         ]
@@ -66,7 +66,7 @@ class Timeline:
 
     @property
     def frames(self) -> int:
-        """The number of frames of the longest input track; 1 without tracks."""
+        """The number of frames of the longest input track (values per frame); 1 without tracks."""
         return max(self._lengths, default=1)
 
     @property
@@ -95,7 +95,7 @@ class Timeline:
         return values
 
     def _advancing(self, model: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
-        """Return a model's time inputs, or else frame numbers, that advance without a track."""
+        """Return a model's time or frame number inputs, which advance without given values."""
         fixed_names = {spec.name for track in self._tracks for spec in model.named(track.word)}
         if self._time is not None:
             fixed_names |= {spec.name for spec in _of_role(model, "time")}

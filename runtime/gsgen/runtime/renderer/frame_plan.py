@@ -27,7 +27,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.sort import Columns
-from gsgen.runtime.kernels.tiles.blend_tiles import Layers
+from gsgen.runtime.kernels.tiles.blend_tiles import Layers, allocate_layers
 from gsgen.runtime.renderer.bands import Band, Drawing
 from gsgen.runtime.renderer.frame_counts import frame_counts
 from gsgen.runtime.renderer.kernel_set import RECORD, Kernels
@@ -59,6 +59,7 @@ class Plan:
         quads: Whether the hardware's rasteriser draws the colours.
         panorama: Whether the image is a panorama.
         meshes: Meshes among the Gaussians; only their buffers are kept.
+        layers: Image layers that the caller writes, into inputs; only for sorted colours.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
         deep: Whether the depth sort is deep, because very many depths share a key.
         slab_splats: Most splats that are drawn at once, if the scene may have more; its sets are
@@ -87,6 +88,7 @@ class Plan:
         pair_capacity: int,
         *,
         meshes: Sequence[PlacedMesh] = (),
+        layers: int = 0,
         quads: bool = False,
         panorama: bool = False,
         published: bool = False,
@@ -97,13 +99,12 @@ class Plan:
         self._weighted: WeightedPart | None = None
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
-        self._layers: Layers | None = None
         self._device, self._kernels = device, kernels
         self._size, self._panorama, self._deep = size, panorama, deep
         tile = kernels.cut.tile
         self._tiles = (-(-size[0] // tile), -(-size[1] // tile))
         self.pair_capacity = pair_capacity
-        self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
+        n = self._gaussians = slab_splats or sum(page.capacity for _, page in placed)
         self._origins = scene_order(placed)
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
@@ -113,7 +114,6 @@ class Plan:
         self.slabs: Slabs | None = None
         if slab_splats is not None:
             self.slabs = self._slabs(placed, slab_splats, with_ids="depth" in outputs)
-        n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
         device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
         self._records = kernels.records(n)
@@ -121,6 +121,7 @@ class Plan:
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.inputs = {"frame": self._frame, "bare frame": self._bare_frame}
         self.inputs |= {"pages": self._slots, "counts": self._counts}
+        self._layers = self._lay_inputs(layers) if layers else None
         self.clears = self._cleared(placed)
         self.images: dict[str, Buffer] = {}
         # Weighted sets become a layer, which the hardware's blending does not support.
@@ -129,7 +130,8 @@ class Plan:
         alone = bool(summed) and not placed and not meshes
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
-            self._layers = self._lay(bool(summed) + bool(meshes), normal="normal" in tiled)
+            count, normal = bool(summed) + bool(meshes), "normal" in tiled
+            self._layers = allocate_layers(self._storage, count, size, normal=normal)
         self.stages: dict[str, list[Step]] = {}
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
@@ -158,14 +160,14 @@ class Plan:
         self._staging = Staging(device, self._held | self.images)
 
     def _add(self, part: WeightedPart) -> None:
-        """Add the buffers, images and stages of weighted sums."""
+        """Add the GPU buffers, images and stages of weighted-sum rendering to a frame."""
         self.buffers |= part.buffers
         self.images |= part.images
         self.stages |= part.stages
         self.clears += part.clears
 
     def _slabs(self, placed: Sequence[Placed], splats: int, *, with_ids: bool) -> Slabs:
-        """Return the slabs of a scene; their splats have ids in the order of the sets."""
+        """Return the depth slabs in which a scene is drawn; splat ids follow the set order."""
         pages = [page for _, page in placed]
         slabs = Slabs(self._device, self._kernels, pages, splats, self._origins, with_ids=with_ids)
         self.buffers |= slabs.buffers
@@ -177,7 +179,7 @@ class Plan:
         return self.buffers[name]
 
     def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
-        """Allocate projected-splat buffers; return those of the projection and of other kernels."""
+        """Allocate GPU buffers of projected splats: those that projection writes, and the rest."""
         if not self._records:
             arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
             return arrays, arrays
@@ -185,7 +187,7 @@ class Plan:
         return [records, self._storage("weights", 0)], [records, records]
 
     def _cleared(self, placed: Sequence[Placed]) -> list[tuple[Buffer, int, int | None]]:
-        """Return the buffers that are cleared before a frame, with offset and size in bytes."""
+        """Return the GPU buffers to clear before a frame, with offset and size in bytes."""
         dispatches = [page.slots.dispatch for _, page in placed if page.slots is not None]
         return [
             (self._ranges, 0, None),
@@ -197,7 +199,7 @@ class Plan:
     def _record(
         self, placed: Sequence[Placed], outputs: frozenset[Output], *, quads: bool
     ) -> dict[str, list[Step]]:
-        """Record the stages that draw the depth-sorted splat sets, in execution order."""
+        """Record the GPU stages that draw the depth-sorted splat sets, in execution order."""
         n = self._gaussians
         # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
         columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
@@ -228,18 +230,14 @@ class Plan:
             stages["normal"] = [self._blend("normal", members, normals, pick=False)]
         return stages
 
-    def _lay(self, count: int, *, normal: bool) -> Layers:
-        """Allocate GPU buffers for ``count`` image layers: colours, depths and normals."""
-        pixels = count * self._size[0] * self._size[1]
-        return Layers(
-            count,
-            self._storage("layer colors", VEC4 * pixels),
-            self._storage("layer depths", 4 * pixels),
-            self._storage("layer normals", VEC4 * pixels) if normal else None,
-        )
+    def _lay_inputs(self, count: int) -> Layers:
+        """Allocate GPU buffers of image layers that the caller writes."""
+        layers = allocate_layers(self._storage, count, self._size, normal=False)
+        self.inputs |= {"layer colors": layers.colors, "layer depths": layers.depths}
+        return layers
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
-        """Record the drawing of meshes, and return the steps that copy them to an image layer."""
+        """Record the drawing of meshes; return the dispatches that copy them to an image layer."""
         self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._size))
         self._meshes = self._kernels.meshes(self._panorama).step(
             self._size, meshes, self._mesh_slots, self._mesh_rays, self._layers
@@ -268,7 +266,7 @@ class Plan:
         lows: Buffer,
         normals: Buffer | None,
     ) -> dict[str, list[Step]]:
-        """Return the stages that project all Gaussians, or those of a slab.
+        """Return the GPU stages that project all Gaussians, or those of a depth slab.
 
         Normals are computed here, because the sort overwrites the keys that mark absent Gaussians.
         """
@@ -312,7 +310,7 @@ class Plan:
     def _sort_by_depth(
         self, columns: tuple[Columns, Columns], lows: Buffer
     ) -> tuple[list[Step], Buffer]:
-        """Return the steps of the depth sort, and the buffer of drawn Gaussians, nearest first."""
+        """Return the dispatches of the depth sort, and the buffer of Gaussians, nearest first."""
         n, origins = self._gaussians, None
         if self.slabs is not None:
             origins = self.slabs.origins
@@ -335,7 +333,7 @@ class Plan:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the steps that sort splat-tile pairs by tile, and the buffer of sorted pairs."""
+        """Return the dispatches that sort splat-tile pairs by tile, and the buffer of pairs."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self._counts,
@@ -372,7 +370,7 @@ class Plan:
         meshes: Sequence[PlacedMesh] = (),
         fetch: bool = True,
     ) -> Drawing:
-        """Draw a frame, in slabs if the plan has them, and wait for its counters and images.
+        """Draw a frame, if needed in depth slabs, and wait for its GPU counters and images.
 
         Arguments, results and errors are those of :meth:`submit` and :meth:`collect`.
         """
@@ -409,7 +407,7 @@ class Plan:
         band: Band | None = None,
         state: tuple[bool, bool] = (False, False),
     ) -> None:
-        """Write the uniforms of a frame, and submit its GPU commands.
+        """Write the uniform buffers of a frame, and submit its GPU commands.
 
         Args:
             placed: The pages of the plan with their present sets.
@@ -473,7 +471,7 @@ class Plan:
         return Staging(self._device, self._held)
 
     def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Wait for the frame; return its counters and each image as [height, width, 4] words.
+        """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
 
         Args:
             fetch: Whether images are read; must be the same as in :meth:`submit`.

@@ -1,4 +1,4 @@
-"""The rendering kernels of a device, each compiled when a frame plan first needs it."""
+"""The rendering kernels of a device, each compiled when a frame first needs it."""
 
 __all__ = ["RECORD", "Kernels"]
 
@@ -16,7 +16,7 @@ from gsgen.runtime.kernels.raster.draw_quads import DrawQuads
 from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import RadixSort, cut_for
+from gsgen.runtime.kernels.sort.sort import RadixSort, SortConfig, cut_for
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS, BinTiles
 from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK, TileRanges
@@ -35,10 +35,13 @@ class Kernels:
         device: Device of the kernels.
         one_shape: Whether a plan's steps are the same for all sizes of scenes and images, except
             that larger images need more passes of the tile sort.
+        cut: How work is divided among invocations; :func:`cut_for` by default.
     """
 
-    def __init__(self, device: Device, *, one_shape: bool = False) -> None:
-        self.cut, self._one_shape = cut_for(device), one_shape
+    def __init__(
+        self, device: Device, *, one_shape: bool = False, cut: SortConfig | None = None
+    ) -> None:
+        self.cut, self._one_shape = cut or cut_for(device), one_shape
         self._largest_binding = device.largest_binding
         self.scan = Scan(
             device,
@@ -102,7 +105,7 @@ class Kernels:
         self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
 
     def records(self, gaussians: int) -> bool:
-        """Return whether projected splats are structs in one buffer, which must fit a binding."""
+        """Return whether projected splats are structs in one GPU buffer, if it can be bound."""
         is_possible = self.cut.tile != TILE and not self._one_shape
         return is_possible and RECORD * gaussians <= self._largest_binding
 

@@ -33,7 +33,7 @@ class LateCounts:
         return bool(self._in_flight)
 
     def staging(self, plan: Plan) -> Staging:
-        """Return a staging buffer for a frame plan's counters that no unfinished frame uses."""
+        """Return a staging buffer for a frame's GPU counters that no unfinished frame uses."""
         if self._layout is not plan.inputs:  # another plan has other buffers to copy from
             self._free, self._layout = [], plan.inputs
         return self._free.pop() if self._free else plan.counts_staging()

@@ -1,19 +1,20 @@
-"""Chooses the faster rasteriser of a GPU by drawing one test frame with both, once.
+"""Chooses a GPU's faster rasteriser and tiles by drawing one test frame with each, once.
 
 Compute tiles stop at finished pixels, but first list the splats of each tile. The hardware's quads
 need no list, but blend every fragment. Which is faster depends on how fast a GPU's fixed-function
-units blend 32-bit floats. That varies more than tenfold between GPUs of equal arithmetic (those of
+units blend 32-bit floats. Large tiles have fewer pairs to sort, small ones fewer pixels that a pair
+does not touch. That varies more than tenfold between GPUs of equal arithmetic (those of
 data centres have few such units), and no limit or feature of the device reports it.
 """
 
-__all__ = ["Rasteriser", "RasteriserOption", "Timings", "choose", "explain", "probe"]
+__all__ = ["Rasteriser", "RasteriserOption", "Timings", "choose", "chosen_cut", "explain", "probe"]
 
 import json
 import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Final, Literal, cast, final
 
@@ -23,7 +24,8 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.sort.sort import cut_for
+from gsgen.runtime.kernels.shared.shader import LARGE_TILE, TILE
+from gsgen.runtime.kernels.sort.sort import SortConfig, cut_for
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.placed_pages import Placed
@@ -40,32 +42,36 @@ _PAIRS: Final = 1 << 16  # first capacity
 _WARM: Final = 2  # frames before the measurement: drivers compile, clocks rise
 _FRAMES: Final = 7
 _WORTH: Final = 0.8  # quads must be this much faster: tiles are more exact, and stop early
-_ONLY: Final[dict[Rasteriser, tuple[str, ...]]] = {
-    "tiles": ("bin", "group", "blend"),
-    "quads": ("quads",),
-}
+_TILED: Final = ("bin", "group", "blend")  # the stages that quads replace
 _NOTHING: Final = np.zeros(3)
-_VERSION: Final = 2  # of the measurement; a new version invalidates cached timings
+_VERSION: Final = 3  # of the measurement; a new version invalidates cached timings
 _MOST_BYTES: Final = 1 << 16  # of the cache file
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Seconds of the drawing stages of both rasterisers: compute tiles and hardware quads.
+    """Seconds that a GPU takes to draw: with compute tiles of two sizes, and hardware quads.
 
     Attributes:
-        tiles: Seconds of listing pairs, sorting them by tile and blending.
+        tiles: Seconds of listing pairs, sorting them by tile and blending, with LARGE_TILE.
         quads: Seconds of drawing quads.
+        small_tiles: Those of ``tiles``, with TILE.
     """
 
     tiles: float
     quads: float
+    small_tiles: float
 
     @property
     def best(self) -> Rasteriser:
-        """The rasteriser to use: quads only if they are clearly faster."""
-        return "quads" if self.quads < _WORTH * self.tiles else "tiles"
+        """The rasteriser to use on a GPU: hardware quads only if they are clearly faster."""
+        return "quads" if self.quads < _WORTH * min(self.tiles, self.small_tiles) else "tiles"
+
+    @property
+    def tile(self) -> int:
+        """The edge of the image tiles to use on a GPU, in pixels."""
+        return TILE if self.small_tiles < self.tiles else LARGE_TILE
 
 
 Measure = Callable[[Device, Kernels], Timings]
@@ -96,26 +102,37 @@ def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> 
     return _measured[key].best
 
 
+def chosen_cut(device: Device) -> SortConfig:
+    """Return a device's sort settings, with the tile size that :func:`choose` measured, if any."""
+    cut, timings = cut_for(device), _measured.get(_key(device))
+    if device.software or timings is None:
+        return cut
+    return replace(cut, tile=timings.tile)
+
+
 def explain(device: Device) -> str:
     """Return a line that explains a device's kernels and rasteriser, after measuring if needed."""
-    cut = cut_for(device)
+    if not device.software and device.blends_floats:
+        choose(device, Kernels(device))
+    cut = chosen_cut(device)
     kind = "CPUs, which is where the driver runs" if device.software else "GPUs"
     text = f"kernels for {kind}; tiles of {cut.tile} pixels, {cut.digit_bits} bits a sort pass; "
     if device.software:
         return f"{text}rasteriser tiles: software drivers always use them"
     if not device.blends_floats:
         return f"{text}rasteriser tiles: the device cannot blend 32-bit floats"
-    if _key(device) not in _measured:
-        choose(device, Kernels(device))
     timings = _measured[_key(device)]
-    by_tiles, by_quads = 1e3 * timings.tiles, 1e3 * timings.quads
-    return f"{text}rasteriser {timings.best}: tiles {by_tiles:.2f} ms, quads {by_quads:.2f} ms"
+    large, small, quads = (
+        f"{1e3 * seconds:.2f} ms" for seconds in (timings.tiles, timings.small_tiles, timings.quads)
+    )
+    measured = f"tiles of {LARGE_TILE} {large}, of {TILE} {small}, quads {quads}"
+    return f"{text}rasteriser {timings.best}: {measured}"
 
 
 def probe(
     device: Device, kernels: Kernels, *, gaussians: int = _GAUSSIANS, size: tuple[int, int] = _SIZE
 ) -> Timings:
-    """Draw a test frame with both rasterisers several times, and return the median seconds.
+    """Draw a test frame with each rasteriser several times, and return the median seconds.
 
     The times are GPU timestamps of the stages that differ. If timestamps stand still, they are
     wall-clock times of whole frames, which include the stages that both share.
@@ -139,14 +156,16 @@ def probe(
     residency = Residency(device)
     residency.begin(data)
     placed = [(SplatSet(data), page) for page in residency.pages(data)]
+    small = Kernels(device, cut=replace(kernels.cut, tile=TILE))
+    ways = {"tiles": (kernels, _TILED), "quads": (kernels, ("quads",)), "small": (small, _TILED)}
     seconds = {
-        candidate: _seconds(device, plan, placed, camera, stages)
-        for candidate, stages in _ONLY.items()
-        for plan in [_roomy(device, kernels, placed, camera, quads=candidate == "quads")]
+        way: _seconds(device, plan, placed, camera, stages)
+        for way, (way_kernels, stages) in ways.items()
+        for plan in [_roomy(device, way_kernels, placed, camera, quads=way == "quads")]
     }
     # GPU timestamps of one and wall clock of the other would not compare.
     by = 0 if min(on_device for on_device, _ in seconds.values()) > 0 else 1
-    return Timings(seconds["tiles"][by], seconds["quads"][by])
+    return Timings(*(seconds[way][by] for way in ("tiles", "quads", "small")))
 
 
 def _crowd(n: int, tall: float) -> SplatData:
@@ -165,7 +184,7 @@ def _crowd(n: int, tall: float) -> SplatData:
 def _roomy(
     device: Device, kernels: Kernels, placed: list[Placed], camera: Camera, *, quads: bool
 ) -> Plan:
-    """Return a frame plan that has enough capacity for all splat-tile pairs of the frame."""
+    """Return recorded GPU work with enough capacity for all splat-tile pairs of a frame."""
     room, size = _PAIRS, (camera.width, camera.height)
     while True:
         plan = Plan(device, kernels, placed, size, frozenset({"color"}), room, quads=quads)
@@ -179,7 +198,7 @@ def _roomy(
 def _seconds(
     device: Device, plan: Plan, placed: list[Placed], camera: Camera, stages: tuple[str, ...]
 ) -> tuple[float, float]:
-    """Return the median GPU seconds of some stages (0 without timestamps) and of whole frames."""
+    """Return the median GPU seconds of given stages (0 without timestamps) and of whole frames."""
     clock = StageClock(device) if device.has_clock else None
     ticks, walls = [], []
     for number in range(_WARM + _FRAMES):
@@ -229,9 +248,10 @@ def _read() -> dict[str, Timings]:
 
 
 def _timings(entry: object) -> Timings | None:
-    if not isinstance(entry, dict) or set(entry) != {"tiles", "quads"}:
+    names = [field.name for field in fields(Timings)]
+    if not isinstance(entry, dict) or set(entry) != set(names):
         return None
-    numbers = [entry["tiles"], entry["quads"]]
+    numbers = [entry[name] for name in names]
     if not all(isinstance(number, float) and 0 < number < np.inf for number in numbers):
         return None
     return Timings(*cast("list[float]", numbers))

@@ -1,4 +1,4 @@
-"""The part of a frame plan that draws splat sets by weighted-sum rendering, cell by cell.
+"""The part of a frame's recorded GPU work that draws splat sets by weighted sums.
 
 Only cells are sorted and listed per tile, and their Gaussians are looked up through them. A Gaussian
 needs neither sort keys nor pairs of its own.
@@ -80,7 +80,7 @@ class WeightedKernels:
 
 @final
 class WeightedPart:
-    """GPU buffers and steps of a frame plan that draw splat sets by weighted-sum rendering.
+    """GPU buffers and dispatches of a frame that draw splat sets by weighted-sum rendering.
 
     Args:
         device: Device of the buffers.
@@ -212,7 +212,7 @@ class WeightedPart:
         ]
 
     def _sort(self, columns: tuple[Columns, Columns], lows: Buffer) -> tuple[list[Step], Buffer]:
-        """Return the steps that sort cells by depth, and the buffer of cells, nearest first."""
+        """Return the GPU dispatches that sort cells by depth, and the buffer of sorted cells."""
         n = self._cells
         spare = self._storage("keys of cells c", 4 * n) if self._deep else None
         return self._kernels.order.steps(n, self.counts, columns, lows, None, spare)
@@ -229,7 +229,7 @@ class WeightedPart:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the steps that sort cell-tile pairs by tile, and the buffer of sorted cells."""
+        """Return the GPU dispatches that sort cell-tile pairs by tile, and the buffer of pairs."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self.counts,
@@ -255,7 +255,7 @@ class WeightedPart:
         return kernel.step(self._tiles, (frame, *resources, self.images[name]))
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
-        """Write the uniforms of a frame for the GPU pages of weighted splat sets and for cells."""
+        """Write the uniform buffers of a frame for weighted-sum rendering of splat sets."""
         slots, base = np.zeros(len(placed), PAGE), 0
         cell_slots, cell_base, number = np.zeros(len(placed), PAGE), 0, 0
         for slot, (splat_set, page) in enumerate(placed):
@@ -275,17 +275,17 @@ class WeightedPart:
 
 
 def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, Page]]:
-    """Yield each splat set of weighted-sum rendering with its first GPU page."""
+    """Yield each splat set drawn by weighted sums, with its first GPU page (buffer range)."""
     return ((splat_set, page) for splat_set, page in placed if page.first == 0)
 
 
 def _cells(page: Page) -> int:
-    """Return the number of cells of a GPU page's splat set, from the size of the cell buffer."""
+    """Return the number of cells (groups of Gaussians) in a GPU page's splat set."""
     return 0 if page.cells is None else page.cells.size // (4 * layout.ROW)
 
 
 def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
-    """Fill a GPU page's uniform with a splat set's weighting parameters, and return it."""
+    """Fill a GPU page's uniform data with a splat set's weighting parameters, and return it."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None
     uniform["per_cell"] = splat_set.data.per_cell

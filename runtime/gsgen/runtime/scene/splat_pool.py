@@ -39,7 +39,7 @@ class SlotWrite:
 
 @final
 class SplatPool:
-    """Slots for tiles of Gaussians in GPU memory, and which of the tiles the next frame draws.
+    """GPU memory in slots for streamed tiles of Gaussians, and the tiles that frames draw.
 
     Args:
         rows: Number of rows, rounded up to whole slots.
@@ -60,13 +60,14 @@ class SplatPool:
     def __init__(self, rows: int, channels: int, *, slot_rows: int = SLOT_ROWS) -> None:
         if rows < 1 or slot_rows < 64 or slot_rows % 64:
             raise SceneInvalid(
-                f"has {rows} rows and {slot_rows} rows a slot, expected a multiple of 64 a slot",
+                f"the splat pool has {rows} rows and {slot_rows} rows a slot, expected a multiple of 64 a slot",
                 where="pool",
             )
         if channels not in layout.APPEARANCE_CHANNELS["sh"]:
             allowed = ", ".join(map(str, layout.APPEARANCE_CHANNELS["sh"]))
             raise SceneInvalid(
-                f"has {channels} appearance channels, expected one of {allowed}", where="pool"
+                f"the splat pool has {channels} colour channels, expected one of {allowed}",
+                where="pool",
             )
         self.slot_rows, self.channels = slot_rows, channels
         self.slots = -(-rows // slot_rows)
@@ -81,7 +82,7 @@ class SplatPool:
 
     @property
     def degree(self) -> int:
-        """The SH degree of the appearance in a splat pool."""
+        """The SH degree of the colours of all tiles in a splat pool."""
         return degree_of(self.channels // 3)
 
     @property
@@ -91,7 +92,7 @@ class SplatPool:
 
     @property
     def tiles(self) -> tuple[int, ...]:
-        """The keys of all tiles in the splat pool, in ascending order."""
+        """The keys of all streamed tiles in the splat pool, in ascending order."""
         return tuple(sorted(self._slots_of))
 
     def __len__(self) -> int:
@@ -106,7 +107,7 @@ class SplatPool:
         *,
         reserved_rows: int = 0,
     ) -> None:
-        """Assign pool slots to a tile, whose rows are copied into GPU memory before the next frame.
+        """Assign splat pool slots to a tile, whose Gaussians are uploaded before the next frame.
 
         Args:
             tile: Key of the tile, which is not in the pool.
@@ -141,7 +142,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Replace a tile's Gaussians in its slots of the splat pool, as for :meth:`insert`.
+        """Replace a tile's Gaussians in the splat pool on the GPU, as for :meth:`insert`.
 
         Raises:
             CapacityExceeded: The slots of the tile do not suffice.
@@ -151,7 +152,7 @@ class SplatPool:
         self._require_shapes(tile, rows, appearance)
         if len(rows) > len(slots) * self.slot_rows:
             raise CapacityExceeded(
-                f"{len(rows):,} rows, but the slots of the tile hold {len(slots) * self.slot_rows:,}",
+                f"the tile has {len(rows):,} rows, but its slots hold {len(slots) * self.slot_rows:,}",
                 where=f"tile {tile}",
                 hint="Reserve rows when the tile is inserted.",
             )
@@ -173,7 +174,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Update the pool's table of a tile's slots, and queue GPU writes of the tile's rows."""
+        """Update the splat pool's table of a tile's slots, and queue GPU writes of the tile."""
         reach = _REACH * np.sqrt(np.maximum(rows[:, [4, 7, 9]], 0))
         lows, highs = rows[:, :3] - reach, rows[:, :3] + reach
         for index, slot in enumerate(slots):
@@ -209,7 +210,7 @@ class SplatPool:
             heapq.heappush(self._free, slot)
 
     def draw(self, fades: Mapping[int, float]) -> None:
-        """Set the tiles of the splat pool that the next frames draw, and an opacity factor of each.
+        """Set the tiles of the splat pool that the next frames draw, each with an opacity factor.
 
         Raises:
             SceneInvalid: A tile is not in the pool.
@@ -219,12 +220,12 @@ class SplatPool:
             self.fade[self._held_slots(tile)] = fade
 
     def take_writes(self) -> list[SlotWrite]:
-        """Return and clear the list of the pool's rows that one renderer still has to upload."""
+        """Return and clear the splat pool's queue of rows that one renderer has to upload."""
         writes, self._writes = self._writes, []
         return writes
 
     def locate(self, row: int) -> tuple[int, int]:
-        """Return the key of the tile, and the row in the tile, that a row of the splat pool holds.
+        """Return the key of the tile, and the row in the tile, of a row of the splat pool.
 
         Raises:
             IndexError: No tile holds the row.
@@ -239,7 +240,7 @@ class SplatPool:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PooledSet:
-    """A splat pool with a transform and the drawing settings of a ``SplatSet``.
+    """A splat pool (GPU memory of streamed tiles) with a transform and drawing settings.
 
     Raises:
         SceneInvalid: The transform or a number cannot be used.

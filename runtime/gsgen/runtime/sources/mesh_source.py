@@ -1,4 +1,4 @@
-"""A source of meshes, which are drawn together with Gaussians."""
+"""A scene source with meshes, which are drawn together with Gaussians."""
 
 __all__ = ["MeshSource"]
 
@@ -17,7 +17,7 @@ from gsgen.runtime.sources.source import StaticSource
 
 @final
 class MeshSource(StaticSource):
-    """The triangles of a mesh file, or of given meshes; a source without Gaussians."""
+    """The triangles of a mesh file, or of given meshes, as a scene source without Gaussians."""
 
     def __init__(self, path: Path, meshes: Sequence[Mesh] | None = None) -> None:
         self.name = str(path)

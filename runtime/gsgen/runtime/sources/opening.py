@@ -1,4 +1,4 @@
-"""Opens splat files, mesh files and ONNX generators as sources."""
+"""Opens splat files, mesh files and ONNX generators as sources for the renderer."""
 
 __all__ = ["open_source"]
 
@@ -19,7 +19,7 @@ def open_source(
     sizes: Mapping[str, int] | None = None,
     streaming: StreamSettings | None = None,
 ) -> Source:
-    """Open a file of Gaussians or triangles, a tileset, or an ONNX generator as a source.
+    """Open a file of Gaussians or triangles, a tileset or an ONNX generator for the renderer.
 
     Args:
         path: The file.

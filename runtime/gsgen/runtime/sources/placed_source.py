@@ -20,7 +20,7 @@ from gsgen.runtime.sources.source import Source, Values
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrawSettings:
-    """Drawing settings of a source's Gaussians; see :class:`gsgen.runtime.scene.scene.SplatSet`.
+    """Drawing settings of a file's or model's Gaussians: opacity, SH degree, antialiasing, clip.
 
     Attributes:
         opacity_scale: Factor of all opacities.
@@ -39,7 +39,7 @@ class DrawSettings:
 
 @final
 class PlacedSource(Source):
-    """A source with a transform to the world and its own drawing settings.
+    """A source of Gaussians or meshes with a transform to the world and drawing settings.
 
     A generator computes Gaussians in its own space, for a camera in that space.
 
@@ -75,7 +75,7 @@ class PlacedSource(Source):
             self.update(None, {})
 
     def _placed(self, pooled: PooledSet) -> PooledSet:
-        """Return a splat pool with this source's transform and drawing settings.
+        """Return a splat pool (streamed tiles) with this source's transform and drawing settings.
 
         Raises:
             SceneInvalid: The settings have a clip box, which pools do not support.
@@ -92,33 +92,33 @@ class PlacedSource(Source):
 
     @property
     def count(self) -> int:
-        """The number of Gaussians that the current frame of the source may draw."""
+        """The number of Gaussians that the current frame of the file or model may draw."""
         return self._inner.count
 
     @property
     def state(self) -> tuple[int, ...]:
-        """Version numbers of a source's data: one changes whenever the Gaussians change."""
+        """Version numbers of the data of a file or model: one changes if the Gaussians change."""
         return self._inner.state
 
     @property
     def follows_camera(self) -> bool:
-        """Whether the source computes a new frame when the camera moves."""
+        """Whether the source of Gaussians computes a new frame when the camera moves."""
         return self._inner.follows_camera
 
     @property
     def is_streaming(self) -> bool:
-        """Whether Gaussians of the source may change although the camera stays."""
+        """Whether Gaussians of a source may change although the camera stays, as in streaming."""
         return self._inner.is_streaming
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:
-        """Statistics of a source for display in a viewer, as names and values."""
+        """Statistics of a source of Gaussians for display in a viewer, as names and values."""
         return self._inner.statistics
 
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the source's Gaussians with the transform and the drawing settings."""
+        """Return the Gaussians of a file or model with the transform and the drawing settings."""
         degree = self._settings.sh_degree if sh_degree is None else sh_degree
         return SplatSet(
             self.data,
@@ -131,31 +131,31 @@ class PlacedSource(Source):
         )
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Begin to compute a frame; the camera is converted to the source's local space."""
+        """Begin to compute a frame; the camera is converted to the local space of the Gaussians."""
         local = None if camera is None else local_camera(camera, self._transform)
         self._inner.start(local, {**values, **self._fixed}, frame)
 
     @property
     def ready(self) -> bool:
-        """Whether the source has finished the pending frame."""
+        """Whether the file or model has finished the pending frame."""
         return self._inner.ready
 
     def finish(self) -> None:
-        """Wait for the pending frame of the source, and take its Gaussians."""
+        """Wait for the pending frame of the file or model, and take its Gaussians."""
         self._inner.finish()
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def abandon(self) -> None:
-        """Wait for the pending frame of the source, and discard its result or error."""
+        """Wait for the pending frame of the file or model, and discard its result or error."""
         self._inner.abandon()
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Compute some frames, and set the source's extent to a box around all their Gaussians."""
+        """Compute some frames, and set the scene extent to a box around all their Gaussians."""
         self._inner.survey((frame, {**values, **self._fixed}) for frame, values in frames)
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input tensor of the source."""
+        """Return the shape of an input tensor of the placed model."""
         return self._inner.shape(name)
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
@@ -165,12 +165,12 @@ class PlacedSource(Source):
         return linear @ center + offset, reach * _scale(linear)
 
     def close(self) -> None:
-        """Release the model of the placed source."""
+        """Release the model that computes the placed Gaussians."""
         self._inner.close()
 
 
 def _by_name(source: Source, values: Values, where: str) -> Mapping[str, object]:
-    """Convert names and roles of model inputs to tensor names, the keys of input values."""
+    """Convert names and input roles of model inputs to tensor names, the keys of input values."""
     known = {word for spec in source.inputs for word in (spec.name, spec.role)}
     by_name: dict[str, object] = {}
     for word, value in values.items():
@@ -193,7 +193,7 @@ def _rotation(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
 
 
 def local_camera(camera: Camera, transform: Float[np.ndarray, "4 4"]) -> Camera:
-    """Convert a camera from world space to the local space of a source.
+    """Convert a camera from world space to the local space of a placed file or model.
 
     A camera can neither shear nor mirror: the nearest rotation is used.
     """

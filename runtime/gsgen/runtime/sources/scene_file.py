@@ -139,7 +139,7 @@ def open_scene(
     sizes: Mapping[Path, Mapping[str, int]] | None = None,
     streaming: StreamSettings | None = None,
 ) -> list[Source]:
-    """Open the files of a scene: a source for each model, then one for each mesh.
+    """Open the files of a scene file: first each model, then each mesh.
 
     The sources are for a ``Player`` or a ``FrameSequence``; the caller closes them.
 

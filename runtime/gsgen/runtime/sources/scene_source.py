@@ -1,4 +1,4 @@
-"""Converts scenes in memory to the sources that players and windows take."""
+"""Converts scenes in memory to the sources of Gaussians that players and windows take."""
 
 __all__ = ["SceneSource", "sources_of"]
 
@@ -20,7 +20,7 @@ from gsgen.runtime.sources.source import Source, StaticSource
 
 @final
 class SceneSource(StaticSource):
-    """A splat set in memory as a source; the owner of the splat set may change it."""
+    """A splat set in memory as a source of Gaussians, which its owner may change."""
 
     def __init__(
         self, splat_set: SplatSet, color_space: Literal["srgb", "linear"] = "srgb"
@@ -33,7 +33,7 @@ class SceneSource(StaticSource):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the source's splat set with other drawing settings."""
+        """Return the splat set in memory with other drawing settings."""
         degree = self._set.degree if sh_degree is None else sh_degree
         return replace(self._set, degree=degree, antialias=antialias or self.antialias)
 
@@ -46,7 +46,7 @@ class SceneSource(StaticSource):
 
 
 def sources_of(scene: Scene | SplatData | str | Path | Sequence[str | Path]) -> list[Source]:
-    """Return the sources of a scene in memory, or of files."""
+    """Return the sources of Gaussians of a scene in memory, or of files."""
     if isinstance(scene, SplatData):
         scene = Scene([scene])
     if isinstance(scene, Scene):

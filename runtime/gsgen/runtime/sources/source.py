@@ -79,7 +79,7 @@ class Source(ABC):
 
     @abstractmethod
     def finish(self) -> None:
-        """Wait for the pending frame, and update the Gaussians of the source.
+        """Wait for the pending frame, and update the Gaussians of the source for the renderer.
 
         Raises:
             GsgenError: A value does not fit, or the model fails; the error names model, input, frame.
@@ -105,7 +105,7 @@ class Source(ABC):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the source's Gaussians as a splat set with drawing settings."""
+        """Return the current Gaussians of a file or model as a splat set with drawing settings."""
         return SplatSet(
             self.data,
             degree=sh_degree,
@@ -115,46 +115,46 @@ class Source(ABC):
 
     @property
     def count(self) -> int:
-        """The number of Gaussians of a source that the current frame may draw."""
+        """The number of Gaussians of a file or model that the current frame may draw."""
         return self.data.count
 
     @property
     def state(self) -> tuple[int, ...]:
-        """Version numbers of a source's data: one changes whenever the Gaussians change."""
+        """Version numbers of a file's or model's data: one changes if the Gaussians change."""
         data = self.data
         versions = (data.rows_version, data.appearance_version, data.cells_version)
         return (id(data), *versions, data.count)
 
     @property
     def follows_camera(self) -> bool:
-        """Whether the source must compute a new frame when the camera moves."""
+        """Whether the source of Gaussians must compute a new frame when the camera moves."""
         return bool(self.inputs)
 
     @property
     def is_streaming(self) -> bool:
-        """Whether Gaussians of the source may change although the camera and the inputs stay."""
+        """Whether Gaussians of a source may change although the camera and the inputs stay."""
         return False
 
     @property
     def statistics(self) -> tuple[tuple[str, str], ...]:
-        """Statistics of a source for display in a viewer, as names and values."""
+        """Statistics of a source of Gaussians for display in a viewer, as names and values."""
         return ()
 
     @property
     def time(self) -> Input | None:
-        """The time input of the source's ONNX generator; None if the source has no time input."""
+        """The time input of the ONNX generator; None if the source has no time input."""
         return next((spec for spec in self.inputs if spec.role == "time"), None)
 
     def named(self, word: str) -> list[Input]:
-        """Return the model inputs with this tensor name, or else with this role."""
+        """Return the model inputs with this tensor name, or else with this input role."""
         return named(self.inputs, word)
 
     @abstractmethod
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input tensor of the source's ONNX generator."""
+        """Return the shape of an input tensor of the ONNX generator."""
 
     def extent(self) -> tuple[Center, float]:
-        """Return the centre of a box around most Gaussians of a source, and half the diagonal.
+        """Return the centre of a box around most Gaussians of a source, and half its diagonal.
 
         The box spans the frames of :meth:`survey`, or else the Gaussians at the first call: cameras
         that are placed by it stand still while Gaussians move.
@@ -164,7 +164,7 @@ class Source(ABC):
         return self._extent
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Compute some frames, and set the source's extent to a box around all their Gaussians."""
+        """Compute some frames, and set the scene extent to a box around all their Gaussians."""
         centers: dict[tuple[int, int], Float64[np.ndarray, "n 3"]] = {}
         for frame, values in frames:
             self.update(None, values, frame)
@@ -175,11 +175,11 @@ class Source(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Release the model of the source."""
+        """Release the ONNX model that computes the Gaussians."""
 
 
 def named(inputs: Sequence[Input], word: str) -> list[Input]:
-    """Return the model inputs with this tensor name, or else with this role."""
+    """Return the model inputs with this tensor name, or else with this input role."""
     exact = [spec for spec in inputs if spec.name == word]
     return exact or [spec for spec in inputs if spec.role == word]
 
@@ -207,7 +207,7 @@ def _around(frames: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float
 
 
 class StaticSource(Source):
-    """Base of sources that compute nothing: splat files, meshes and scenes in memory."""
+    """Base of scene sources that compute nothing: splat files, meshes and scenes in memory."""
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Do nothing: the Gaussians are the same in every frame."""
@@ -219,7 +219,7 @@ class StaticSource(Source):
         """Do nothing: no frame is pending."""
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Raise KeyError: the source has no inputs."""
+        """Raise KeyError: a splat file or mesh has no inputs."""
         raise KeyError(name)
 
     def close(self) -> None:
@@ -228,7 +228,7 @@ class StaticSource(Source):
 
 @final
 class StillSource(StaticSource):
-    """The Gaussians of a splat file, the same in every frame, as a source."""
+    """The Gaussians of a splat file, the same in every frame, as a source for the renderer."""
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)
@@ -244,7 +244,7 @@ class StillSource(StaticSource):
 
 @final
 class GeneratorSource(Source):
-    """A source whose Gaussians an ONNX model computes each frame; see :class:`GeneratorWorker`."""
+    """A source of Gaussians that an ONNX model computes; see :class:`GeneratorWorker`."""
 
     def __init__(
         self, path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None

@@ -1,4 +1,4 @@
-"""Settings of sources that stream what a camera needs, such as tilesets."""
+"""Settings of scene sources that stream what a camera needs, such as tilesets."""
 
 __all__ = ["StreamOpener", "StreamSettings"]
 
@@ -40,14 +40,14 @@ class StreamSettings:
 
 
 class StreamOpener(Protocol):
-    """Protocol of plug-ins that open streamed sources (entry point group ``gsgen.sources``)."""
+    """Protocol of plug-ins that open streamed scenes (entry point group ``gsgen.sources``)."""
 
     def recognises(self, path: Path) -> bool:
         """Return whether ``path`` names a file or an address that this plug-in streams."""
         ...
 
     def open_stream(self, path: Path, settings: StreamSettings) -> "Source":
-        """Open a file or an address as a source that streams what the camera needs.
+        """Open a file or an address as a scene that is streamed as the camera needs.
 
         Raises:
             GsgenError: The file is invalid, or cannot be read.

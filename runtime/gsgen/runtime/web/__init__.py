@@ -1,1 +1,1 @@
-"""How does a browser draw what Python draws: the frame plan as data, and the page's modules?"""
+"""How does a browser draw what Python draws: recorded GPU plans, and the web page's modules?"""

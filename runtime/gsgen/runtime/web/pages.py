@@ -1,4 +1,4 @@
-"""Pages that show models: one that a server delivers, and one that is a single file."""
+"""Web pages that show models: one that a server delivers, and one in a single HTML file."""
 
 __all__ = [
     "ModelView",
@@ -74,7 +74,7 @@ class ModelView:
 
 @cache
 def client_names() -> tuple[str, ...]:
-    """Return the names of the browser client's files: ES modules and frame plans."""
+    """Return the names of the browser client's files: ES modules and recorded GPU plans."""
     names = (file.name for file in _CLIENT.iterdir())
     return tuple(sorted(name for name in names if name.endswith((".js", ".json"))))
 

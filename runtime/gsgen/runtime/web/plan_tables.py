@@ -1,4 +1,4 @@
-"""Writes recorded frame plans as JSON tables, which store equal parts of plans once."""
+"""Writes the recorded GPU work of frames as JSON tables, which store equal parts once."""
 
 __all__ = ["PlanTables"]
 
@@ -25,7 +25,7 @@ _FOLLOWED: Final = ("gaussians", "pairs", "cells")
 
 @final
 class PlanTables:
-    """JSON tables of the shaders, buffers, bind groups and steps of recorded frame plans.
+    """JSON tables of shaders, buffers, bind groups and dispatches of recorded frame plans.
 
     A plan is a list of stages, a stage a list of steps. A step is the number of its row in the
     table, or a mapping from the kind of a page to such a number, for the steps that every page has.
@@ -52,7 +52,7 @@ class PlanTables:
         return self.row("pipelines", row)
 
     def add(self, recorded: RecordedPlan) -> None:
-        """Add a recorded frame plan to the JSON tables."""
+        """Add a recorded frame plan (GPU work of a frame) to the JSON tables."""
         self.plans.append(_PlanWriter(self, recorded).plan())
 
     def row(self, table: str, value: Any) -> int:
@@ -66,7 +66,7 @@ class PlanTables:
 
 @final
 class _PlanWriter:
-    """Writes one recorded frame plan into JSON tables."""
+    """Writes one recorded frame plan (GPU work of a frame) into JSON tables."""
 
     def __init__(self, tables: PlanTables, recorded: RecordedPlan) -> None:
         self._tables, self._recorded = tables, recorded
@@ -83,15 +83,16 @@ class _PlanWriter:
                 self._sets[page.cells] = slot
 
     def plan(self) -> dict[str, Any]:
-        """Return the recorded frame plan as a JSON object."""
+        """Return the recorded GPU work of a frame as a JSON object."""
         recorded = self._recorded
         plan, shape = recorded.plan, recorded.shape
         stages = {name: self._steps(steps) for name, steps in plan.stages.items()}
-        return {
+        written = {
             "outputs": list(shape.outputs),
             "panorama": shape.panorama,
             "deep": shape.deep,
             "weighted": shape.weighted,
+            "layers": shape.layers,
             "guards": [self._tree(guard) for guard in recorded.guards],
             "clears": [
                 [self._buffer(buffer), offset, size] for buffer, offset, size in plan.clears
@@ -100,9 +101,11 @@ class _PlanWriter:
             "images": {name: self._buffer(image) for name, image in plan.images.items()},
             "inputs": {name: self._buffer(buffer) for name, buffer in plan.inputs.items()},
         }
+        rows = {row for row in self._buffers.values() if isinstance(row, int)}
+        return written | {"buffers": sorted(rows)}
 
     def _steps(self, steps: list[Step]) -> list[int | dict[str, int]]:
-        """Return the indices of a drawing stage's GPU steps in the frame plan's table of steps.
+        """Return the indices of a drawing stage's dispatches in the frame plan's JSON table.
 
         Steps repeated per GPU page are a mapping by the page's kind; those per set, by ``set``.
         """
@@ -133,7 +136,7 @@ class _PlanWriter:
         return f"{'float16' if page.half else 'float32'} {page.stride}"
 
     def _slot(self, step: Step) -> int | None:
-        """Return the index of the GPU page that a step reads; None if it reads no page."""
+        """Return the index of the GPU page that a recorded dispatch reads, or None."""
         slots = self._binds(step, self._kinds) or self._binds(step, self._sets)
         assert len(slots) < 2, "a step reads several pages"
         return slots.pop() if slots else None

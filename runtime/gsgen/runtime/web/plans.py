@@ -1,4 +1,4 @@
-"""The document ``plans.json``: all frame plans and uniforms that the browser client uses."""
+"""The document ``plans.json``: GPU buffers, dispatches and uniforms for the browser client."""
 
 __all__ = ["PAGE_RULES", "PLANS_FILE", "SHAPES", "plans_document", "plans_text", "written_plans"]
 
@@ -12,21 +12,26 @@ import numpy as np
 
 from gsgen.contract.model.buffer_copies import VARIADIC, VIEWS
 from gsgen.contract.rules.catalogue import builtin_rules
+from gsgen.contract.rules.outputs.outputs import MEANINGS
 from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import ROW, appearance_channels
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
+from gsgen.contract.spec.targets import load_target
 from gsgen.contract.spec.upgrades import CURRENT
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, stride
 from gsgen.runtime.kernels.project.live_counts import LiveCounts
 from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
 from gsgen.runtime.kernels.project.repack_rows import RepackRows
+from gsgen.runtime.kernels.raster.import_layer import PICTURE, ImportLayer
 from gsgen.runtime.kernels.shared.counts import BYTES, Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS
-from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, source
+from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, TILE, source
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.renderer import FIRST_PAIRS, PAIRS_ROOM
 from gsgen.runtime.scene.frame import Output
+from gsgen.runtime.scene.splat_pool import SLOT_ROWS
+from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.runtime.viewer.present import SHOWING, SHOWING_CONSTANTS
 from gsgen.runtime.web.plan_tables import PlanTables, module_row
 from gsgen.runtime.web.recording import APPEARANCES, Shape, record
@@ -51,29 +56,48 @@ _BOTH: Final = (False, True)
 
 PAGE_RULES: Final = (
     "GM001", "GM002", "GM003", "GM004", "GM005", "GM006", "GM009", "GM015", "GM019",
+    "GO002", "GO003", "GL003",
 )  # fmt: skip
 """Rules that the client checks by itself (findings.js)."""
+
+LAYERS: Final = 2
+"""Image layers of a page's other renderer: translucent surfaces, and those behind them."""
 
 SHAPES: Final = tuple(
     Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
     for outputs, weighted, panorama, deep in product(_OUTPUTS, _BOTH, _BOTH, _BOTH)
     for side in _SIZES[weighted]
+) + tuple(
+    Shape(outputs=("color",), layers=LAYERS, deep=deep, size=(side, side))
+    for deep in _BOTH
+    for side in _SIZES[False]
 )
 """The shapes of all plans; of equal plans the one for smaller images comes first."""
 
 
 def plans_document() -> dict[str, Any]:
-    """Return the frame plans, uniforms and constants of the renderer as one JSON object."""
+    """Return recorded GPU plans, uniforms and constants of the renderer as a JSON object."""
     tables = PlanTables()
     for shape in SHAPES:
         tables.add(record(shape))
     present = RecordedModule("present", source("present", **SHOWING_CONSTANTS))
     module = tables.row("modules", module_row(tables, present))
     generators = _generator_kernels(tables)
+    importing = ImportLayer(Device(RecordingDevice())).kernel
+    layers = {
+        "count": LAYERS,
+        "pipeline": tables.pipeline(importing.pipeline),
+        "groups": [["ceil_div", "width", TILE], ["ceil_div", "height", TILE], 1],
+    }
     return {
         "plans": tables.plans,
         **tables.tables,
-        "uniforms": {"frame": _fields(FRAME), "page": _fields(PAGE), "showing": _fields(SHOWING)},
+        "uniforms": {
+            "frame": _fields(FRAME),
+            "page": _fields(PAGE),
+            "showing": _fields(SHOWING),
+            "picture": _fields(PICTURE),
+        },
         "counts": {member.name: int(member) for member in Counts} | {"BYTES": BYTES},
         "appearances": [
             {
@@ -85,8 +109,10 @@ def plans_document() -> dict[str, Any]:
             for each in APPEARANCES
         ],
         "generators": generators,
+        "layers": layers,
         "contract": _contract(),
         "pairs": {"first": FIRST_PAIRS, "room": PAIRS_ROOM, "most": MOST_GROUPS * RANGE_BLOCK},
+        "streaming": {"slotRows": SLOT_ROWS, "maxError": StreamSettings().max_error},
         "present": {
             "module": module,
             "vertex": "corner_of",
@@ -104,10 +130,16 @@ def plans_document() -> dict[str, Any]:
 def _contract() -> dict[str, Any]:
     """Return the contract data for the browser client: version, model kinds, rules to check."""
     rules = {entry.id: entry for entry in builtin_rules()}
+    limits = load_target("webgpu").limits
     return {
         "version": CURRENT,
         "kinds": list(KINDS),
         "channels": [appearance_channels("sh", degree, 4) for degree in range(MAX_DEGREE + 1)],
+        "rows": {
+            "width": ROW,
+            "most": limits["workgroups"] * limits["workgroup_size"],
+            "meanings": MEANINGS,
+        },
         "rules": {
             name: {"severity": rules[name].severity.word, "hint": rules[name].hint}
             for name in PAGE_RULES

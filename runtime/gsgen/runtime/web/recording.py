@@ -1,4 +1,4 @@
-"""Records a frame plan of the renderer, unchanged, on a device that computes nothing."""
+"""Records the renderer's GPU work for a frame, on a device that computes nothing."""
 
 __all__ = ["APPEARANCES", "Appearance", "RecordedPlan", "Shape", "record", "recorded_pages"]
 
@@ -49,13 +49,14 @@ APPEARANCES: Final = tuple(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shape:
-    """The options that decide the steps of a frame plan: outputs, projection, sort and image size.
+    """The options that decide the GPU work of a frame: outputs, projection, sort and image size.
 
     Attributes:
         outputs: The images that it draws.
         panorama: Whether it draws panoramas.
         deep: Whether its depth sort is deep.
         weighted: Whether it draws sets by weighted-sum rendering instead of sorting Gaussians.
+        layers: Image layers among the Gaussians that the page writes.
         size: Width and height of an image that needs the plan's passes of the tile sort.
     """
 
@@ -63,13 +64,14 @@ class Shape:
     panorama: bool = False
     deep: bool = False
     weighted: bool = False
+    layers: int = 0
     size: tuple[int, int] = (64, 64)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedPlan:
-    """A recorded frame plan, with the pages and sizes that its formulas refer to.
+    """A recorded frame plan (GPU buffers and dispatches), and the sizes in its formulas.
 
     Attributes:
         shape: The shape.
@@ -95,7 +97,7 @@ _CELLS: Final = 500_009
 
 
 def record(shape: Shape) -> RecordedPlan:
-    """Record the frame plan of given outputs, projection, depth sort and image size."""
+    """Record the GPU work of a frame with given outputs, projection, sort and image size."""
     guards: list[Tree] = []
     names = {"width": shape.size[0], "height": shape.size[1], "pairs": _PAIRS}
     width, height, pairs = (Formula(value, name, guards) for name, value in names.items())
@@ -116,6 +118,7 @@ def record(shape: Shape) -> RecordedPlan:
         (width, height),
         frozenset(shape.outputs),
         pairs,
+        layers=shape.layers,
         panorama=shape.panorama,
         deep=shape.deep,
     )

@@ -62,7 +62,7 @@ class RecordedBind:
 
 @final
 class RecordingDevice:
-    """Stands in for a ``wgpu.GPUDevice``, and records the objects that a frame plan creates.
+    """Stands in for a ``wgpu.GPUDevice``, and records the objects that the renderer creates.
 
     It has no limits, no optional features, and is no software driver: browsers get the kernels of
     GPUs, which every driver runs.

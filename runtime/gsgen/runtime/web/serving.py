@@ -1,4 +1,4 @@
-"""A local web server of a page with models; it delivers that page's files and nothing else."""
+"""A local web server of an HTML page with models, which delivers that page's files only."""
 
 __all__ = ["ModelServer"]
 
@@ -27,7 +27,7 @@ Content = tuple[str, bytes]
 
 @final
 class ModelServer(ThreadingHTTPServer):
-    """Serves a page of models on this machine.
+    """Serves an HTML page of models on this machine.
 
     Args:
         models: Files of the models.
@@ -92,7 +92,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: ModelServer
 
     def do_GET(self) -> None:
-        """Answer an HTTP GET request with a file of the page, or with the status 404."""
+        """Answer an HTTP GET request with a file of the web page, or with the status 404."""
         try:
             content = self.server.content(unquote(urlsplit(self.path).path))
         except GsgenError as error:

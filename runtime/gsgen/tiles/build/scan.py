@@ -1,4 +1,4 @@
-"""Scans scene files in chunks: bounding box, number and digest of splats, counts per cell.
+"""Scans scene files in chunks: bounding box, splat count and digest, splats per octree cell.
 
 A splat is *anchored* at the deepest level whose tiles are at least twice as long as its radius
 of 3σ; there it stays, in an extra leaf, so that it is not in a tile far smaller than itself.

@@ -165,7 +165,7 @@ class OnnxPredictor:
             self._poses.popleft()
 
     def predict(self, ahead: Sequence[float]) -> Prediction | None:
-        """Return predicted poses at times after the last frame, interpolated between steps."""
+        """Return predicted poses at times after the last frame, interpolated between time steps."""
         if not self._poses:
             return None
         model, last = self._model, self._poses[-1]

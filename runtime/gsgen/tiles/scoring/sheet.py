@@ -1,4 +1,4 @@
-"""Draws the rendered pictures of all levels on one sheet: columns are levels, rows distances."""
+"""Draws pictures of all levels of detail on one sheet: columns are levels, rows distances."""
 
 __all__ = ["draw_sheet"]
 
@@ -15,7 +15,7 @@ _GAP: Final = 4
 
 
 def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a sheet of pictures labelled with SSIM: the scene, then the levels, finest first."""
+    """Return a sheet of pictures with SSIM: the scene, then levels of detail, finest first."""
     from PIL import Image, ImageDraw
 
     levels = {f"level {entry.level}": entry for entry in score.levels}

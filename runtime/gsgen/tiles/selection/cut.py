@@ -16,7 +16,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Cut:
-    """The tiles that a camera sees, and the tiles that it needs drawn at its pixel error.
+    """The tiles that a camera sees, and the tiles to draw at the allowed pixel error.
 
     Attributes:
         seen: Tiles that meet the frustum and whose parents are all refined; from the root down.
@@ -48,7 +48,7 @@ def cut_tree(tree: TileTree, frustum: Frustum, max_error: float) -> Cut:
 
 
 def request_order(tree: TileTree, cut: Cut) -> Int64[np.ndarray, " m"]:
-    """Return the seen tiles in order of request: by level, then by screen-space error."""
+    """Return the seen tiles in order of request: by tree depth, then by screen-space error."""
     rows = np.flatnonzero(cut.seen)
     return np.asarray(rows[np.lexsort((rows, -cut.error[rows], tree.level[rows]))])
 

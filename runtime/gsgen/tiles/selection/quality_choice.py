@@ -1,4 +1,4 @@
-"""Chooses the quality of each tile file to fetch, by the measured network rate."""
+"""Chooses which tile files to fetch first and at which quality, by the measured network rate."""
 
 __all__ = ["QualityChooser"]
 
@@ -9,20 +9,22 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from gsgen.tiles.quality_ladder import QualityLadder
-from gsgen.tiles.selection.choose import choose_options
-from gsgen.tiles.selection.hulls import OptionHulls
+from gsgen.tiles.selection.cut import Cut
+from gsgen.tiles.selection.joint_choice import choose_jointly
+from gsgen.tiles.selection.seen_tiles import SeenTiles
 from gsgen.tiles.selection.tile_tree import TileTree
 
 _WINDOW: Final = 4.0  # seconds over which the rate is measured
+_CHOICE_SECONDS: Final = 0.1  # for which a choice holds
 
 
 @final
 class QualityChooser:
-    """Chooses file qualities of missing tiles that are worth the most within a byte budget.
+    """Chooses levels of detail and file qualities of missing tiles together, by worth per byte.
 
-    The budget is the measured rate times the horizon. A tile that it leaves out is fetched at
-    the coarsest quality, and so are all tiles until a rate is known. Finer files of the tiles in
-    view follow while nothing is missing.
+    The budget is the measured rate times the horizon, and the Gaussians in GPU memory. A tile that
+    the choice leaves out is fetched last and at the coarsest quality, and so are all tiles until a
+    rate is known. Finer files of the tiles in view follow while nothing is missing.
 
     Attributes:
         quality: Of the file that each tile is asked for next: an index of the ladder.
@@ -43,6 +45,8 @@ class QualityChooser:
         self.certificate = 0.0
         self._received: deque[tuple[float, float, int]] = deque()  # time, busy seconds, bytes
         self._time: float | None = None
+        self._chosen_at: float | None = None
+        self._first: Bool[np.ndarray, " n"] = np.zeros(len(tree), bool)
 
     @property
     def rate(self) -> float | None:
@@ -64,7 +68,7 @@ class QualityChooser:
         return not bool((tiles & (self.held > 0)).any())
 
     def observe(self, time: float, received: int, *, busy: bool) -> None:
-        """Record the bytes that arrived since the last frame.
+        """Record the bytes of tiles that arrived since the last frame.
 
         Args:
             time: Of the frame, in seconds.
@@ -77,20 +81,52 @@ class QualityChooser:
         while self._received[0][0] < time - _WINDOW and len(self._received) > 1:
             self._received.popleft()
 
-    def choose(self, eye: Float64[np.ndarray, " 3"], missing: Bool[np.ndarray, " n"]) -> None:
-        """Choose the file qualities of missing tiles whose requests have not begun."""
-        rows = np.flatnonzero(missing & np.isfinite(self._ladder.size[:, 0]))
-        coarsest = len(self._ladder.worth) - 1
-        self.quality[rows] = coarsest
+    def choose(
+        self,
+        time: float,
+        eye: Float64[np.ndarray, " 3"],
+        cut: Cut,
+        there: Int64[np.ndarray, " n"],
+        *,
+        dead: Bool[np.ndarray, " n"],
+        max_splats: int,
+    ) -> Bool[np.ndarray, " n"]:
+        """Choose levels of detail and file qualities of the missing tiles that a camera sees.
+
+        A choice holds for a tenth of a second.
+
+        Args:
+            time: Of the frame, in seconds.
+            eye: Of the camera.
+            cut: Of the camera.
+            there: Quality of each tile's file that is there or on its way; −1 for none.
+            dead: Tiles whose files cannot be had.
+            max_splats: The most Gaussians in GPU memory.
+
+        Returns:
+            The tiles to request before others: the chosen ones, and those above them.
+        """
+        if self._chosen_at is not None and time - self._chosen_at < _CHOICE_SECONDS:
+            return self._first
+        self._chosen_at, self._first = time, np.zeros(len(self._tree), bool)
+        missing = cut.seen & (there < 0) & ~dead
+        quality = np.where(missing, len(self._ladder.worth) - 1, self.quality)
         rate = self.rate
-        if rate is None or not len(rows):
-            return
-        size = self._ladder.size[rows]
-        worth = np.broadcast_to(self._ladder.worth, size.shape)
-        hulls = OptionHulls.of_options(size, worth)
-        choice = choose_options(hulls, self._weight(eye, rows), rate * self._horizon)
-        self.certificate = choice.certificate
-        self.quality[rows] = np.where(choice.option < 0, coarsest, choice.option)
+        if rate is not None and missing.any():
+            weight = self._weight(eye, np.flatnonzero(cut.seen))
+            seen = SeenTiles.of_cut(self._tree, self._ladder, cut, weight, there, dead)
+            choice = choose_jointly(
+                seen.options, seen.splats, byte_budget=rate * self._horizon, splat_budget=max_splats
+            )
+            if choice is not None:
+                self.certificate = choice.certificate
+                is_drawn = (choice.option >= 0) & (choice.option < len(self._ladder.worth))
+                tiles, option = seen.tile[is_drawn], choice.option[is_drawn]
+                quality[tiles] = np.where(missing[tiles], option, quality[tiles])
+                self._first[tiles] = True
+                self._first = self._tree.with_ancestors(self._first)
+        self.quality[:] = quality  # in place, as the threads that fetch files read it
+        return self._first
 
     def upgrade(self, eye: Float64[np.ndarray, " 3"], drawn: Bool[np.ndarray, " n"]) -> int | None:
         """Return the drawn tile that gains most from its finest file, which is requested next.

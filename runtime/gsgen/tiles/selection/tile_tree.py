@@ -95,6 +95,13 @@ class TileTree:
         """Return a tile's bounding box in the root frame."""
         return Box(self.center[tile], self.half_axes[tile])
 
+    def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Return the mask of some tiles with all ancestors of these tiles added."""
+        marked = tiles.copy()
+        for rows in reversed(self.rows_of_level[1:]):
+            marked[self.parent[rows[marked[rows]]]] = True
+        return marked
+
     def ancestors(self, tile: int) -> list[int]:
         """Return the ancestors of a tile, the root last."""
         above = []

@@ -53,7 +53,7 @@ class RateTrace:
 @final
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """A tile that the simulated link has delivered completely."""
+    """A tile that a simulated network link has delivered completely."""
 
     tile: int
     time: float
@@ -69,7 +69,7 @@ class _Transfer:
 
 @final
 class SimulatedLink:
-    """A simulated link: requests wait for the round trip, then share the rate equally.
+    """A simulated network link: requests wait for the round trip, then share the rate equally.
 
     Args:
         clock: The time of requests.
@@ -94,11 +94,11 @@ class SimulatedLink:
 
     @property
     def free(self) -> int:
-        """Return how many more requests the simulated link accepts now."""
+        """Return how many more tile requests the simulated network link accepts now."""
         return self._connections - len(self._transfers)
 
     def request(self, tile: int) -> None:
-        """Begin to fetch a tile over the simulated link."""
+        """Begin to fetch a tile over the simulated network link."""
         start = self._clock.now() + self._rtt
         self._transfers.append(_Transfer(tile, start, float(self._size[tile])))
 

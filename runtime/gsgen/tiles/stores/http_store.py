@@ -220,7 +220,7 @@ class _AnswerBroken(StoreUnavailable):
 
 @final
 class _Answer:
-    """An HTTP response; its connection returns to the pool, or is closed if bytes remain."""
+    """An HTTP response; its connection is reused, or closed if bytes of the response remain."""
 
     def __init__(self, response: "BaseHTTPResponse") -> None:
         self._response = response

@@ -41,7 +41,7 @@ def open_store(source: str | Path, *, allow_origins: Sequence[str] = ()) -> tupl
 
 
 def address_of(source: str | Path) -> str:
-    """Return the http(s) address of a source, with the slash that ``Path`` removed; else empty.
+    """Return the http(s) address in a text, with the slash that ``Path`` removed; else empty.
 
     A file or a folder has none: the result is empty.
     """

@@ -1,4 +1,4 @@
-"""Decodes tile contents into packed Gaussians, ready for the renderer's splat pool."""
+"""Decodes tile contents into packed Gaussians, ready for the renderer's GPU memory."""
 
 __all__ = ["ContentReader"]
 

@@ -167,7 +167,7 @@ def read_events(path: Path) -> Iterator[FrameEvents]:
 
 @final
 class ReplayLink:
-    """Replays an event log as a network link and a clock: tiles arrive in the logged frames.
+    """Replays an event log as a network and a clock: tiles arrive in the logged frames.
 
     Args:
         read: Returns the decoded content of a tile.
@@ -194,14 +194,14 @@ class ReplayLink:
         return self._connections - len(self._requested)
 
     def request(self, tile: int) -> None:
-        """Record a tile request of the replayed session."""
+        """Record a tile request of the replayed streaming session."""
         self._requested.add(tile)
 
     def queue(self, tiles: Iterable[int]) -> None:
-        """Do nothing: the log says which queued tiles were requested."""
+        """Do nothing: the replayed event log says which queued tiles were requested."""
 
     def take_started(self) -> list[int]:
-        """Return the tiles that the link of the logged session requested by itself."""
+        """Return the tiles that the logged streaming session requested from its queue."""
         assert self._events is not None
         self._requested |= set(self._events.started)
         self._requested -= {*self._events.received, *(tile for tile, *_ in self._events.failed)}
@@ -213,7 +213,7 @@ class ReplayLink:
         return 1.0
 
     def cancel(self, tile: int) -> int:
-        """Forget a tile request of the replayed session."""
+        """Forget a tile request of the replayed streaming session."""
         self._requested.discard(tile)
         return 0
 
@@ -228,7 +228,7 @@ class ReplayLink:
         return results
 
     def wait(self, seconds: float) -> None:
-        """Return at once: a replayed session waits for no network."""
+        """Return at once: a replayed streaming session waits for no network."""
 
     def close(self) -> None:
-        """Do nothing: a replayed link has no connections to close."""
+        """Do nothing: a replayed network link has no connections to close."""

@@ -23,7 +23,7 @@ _PRIOR: Final = 4.0  # prefetched tiles, half of them seen, that precision begin
 
 
 class Link(Protocol):
-    """Protocol of links: connections to a server of tiles, real or simulated."""
+    """Protocol of network links: connections to a server of tiles, real or simulated."""
 
     @property
     def free(self) -> int:
@@ -53,7 +53,7 @@ class _InFlight:
 
 @final
 class RequestPlanner:
-    """Requests tiles over a link's connections, in the order in which the camera needs tiles.
+    """Requests tiles over network connections, in the order in which the camera needs tiles.
 
     Seen tiles come first, by level, screen-space error and index. Only while none of them is
     missing, tiles of ``prefetch`` are asked for, as long as the expected waste stays in its bound:
@@ -105,6 +105,10 @@ class RequestPlanner:
                     self._recorder.cancel(self._link.cancel(tile))
                     del self._in_flight[tile]
 
+    def prioritise(self, tiles: Bool[np.ndarray, " n"]) -> None:
+        """Request some of the needed tiles before all others, each group in the given order."""
+        self._demand = self._demand[np.argsort(~tiles[self._demand], kind="stable")]
+
     def arrive(self, tile: int, time: float) -> None:
         """Record that the contents of a tile arrived at ``time``."""
         self._recorder.arrive(tile, time)
@@ -117,7 +121,7 @@ class RequestPlanner:
         self._in_flight.pop(tile, None)
 
     def fill(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
-        """Request tiles while connections are free; return the requested tiles."""
+        """Request tiles while network connections are free; return the requested tiles."""
         requests: list[int] = []
         while self._link.free > 0:
             tile, is_prefetch = self._next(loaded)
@@ -128,13 +132,13 @@ class RequestPlanner:
         return requests
 
     def request(self, tile: int, *, is_prefetch: bool = False) -> None:
-        """Request a tile now, over a free connection."""
+        """Request a tile now, over a free network connection."""
         self._in_flight[tile] = _InFlight(is_prefetch=is_prefetch)
         self._recorder.request()
         self._link.request(tile)
 
     def begin(self, tile: int) -> None:
-        """Record a request of a needed tile that the link began by itself."""
+        """Record a request of a needed tile that the network link began from the queue."""
         self._in_flight[tile] = _InFlight(is_prefetch=False)
         self._recorder.request()
 

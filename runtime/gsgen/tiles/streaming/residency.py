@@ -1,4 +1,4 @@
-"""Chooses which tiles stay in the renderer's splat pool, and which are evicted for others."""
+"""Chooses which streamed tiles stay in GPU memory (the splat pool), and which are evicted."""
 
 __all__ = ["ResidentTiles"]
 
@@ -12,7 +12,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 
 @final
 class ResidentTiles:
-    """The tiles in the renderer's splat pool, whose Gaussians never exceed the capacity.
+    """The streamed tiles in GPU memory (splat pool), whose Gaussians never exceed its capacity.
 
     A tile leaves that is not needed: of those the ones without an expected use, the least
     recently used, the finest first. The root, tiles that are needed and all tiles above them stay.
@@ -41,7 +41,7 @@ class ResidentTiles:
         needed: Bool[np.ndarray, " n"],
         expected: Bool[np.ndarray, " n"] | None = None,
     ) -> None:
-        """Record the tiles that a frame needs, which are evicted last.
+        """Record the tiles that a frame needs, which are evicted from GPU memory last.
 
         Args:
             time: In seconds.
@@ -53,15 +53,13 @@ class ResidentTiles:
         self._expected = np.zeros_like(needed) if expected is None else expected
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Add the root and all ancestors of some tiles to the mask of these tiles."""
-        marked = tiles.copy()
+        """Return a mask of tiles with the root and all ancestors of these tiles added."""
+        marked = self._tree.with_ancestors(tiles)
         marked[0] = True
-        for rows in reversed(self._tree.rows_of_level[1:]):
-            marked[self._tree.parent[rows[marked[rows]]]] = True
         return marked
 
     def admit(self, tile: int, time: float) -> tuple[int, ...] | None:
-        """Make a tile resident in the renderer's splat pool.
+        """Record that a streamed tile is in the renderer's GPU memory (splat pool) from now on.
 
         Returns:
             The tiles that leave for it; None where it does not fit beside those that stay.
@@ -80,16 +78,16 @@ class ResidentTiles:
         return evicted
 
     def protect(self, tile: int) -> None:
-        """Keep a resident tile until the next frame, whatever else is admitted."""
+        """Keep a tile in GPU memory until the next frame, regardless of other tiles."""
         self._protected[tile] = True
 
     def remove(self, tile: int) -> None:
-        """Remove a resident tile from the renderer's splat pool."""
+        """Remove a streamed tile from the renderer's GPU memory (splat pool)."""
         self.resident[tile] = False
         self.used_slots -= int(self._slots[tile])
 
     def _victims(self, lack: int) -> tuple[int, ...] | None:
-        """Return tiles to evict so that ``lack`` slots of the splat pool get free; or None."""
+        """Return tiles to evict so that ``lack`` slots of the splat pool get free, or None."""
         if lack <= 0:
             return ()
         rows = np.flatnonzero(self.resident & ~self._protected)

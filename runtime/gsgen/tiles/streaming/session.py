@@ -110,7 +110,7 @@ class ArrivalLink(Link, Protocol):
         ...
 
     def close(self) -> None:
-        """Cancel all tile requests."""
+        """Cancel all tile requests of the network link."""
         ...
 
 
@@ -260,7 +260,7 @@ class TilesetSession:
         )
 
     def _reserved_rows(self) -> Int64[np.ndarray, " n"]:
-        """Return the most splat-pool rows that each tile's ONNX generator fills; 0 without one."""
+        """Return the most Gaussians that each tile's ONNX generator may output; 0 without one."""
         reserved = np.zeros(len(self.tree), np.int64)
         if self.neural:
             for tile in self.neural.tiles:
@@ -275,7 +275,7 @@ class TilesetSession:
 
     @property
     def resident(self) -> Bool[np.ndarray, " n"]:
-        """The mask of the tiles that are resident in the renderer's splat pool."""
+        """The mask of the tiles that are in the renderer's GPU memory (splat pool)."""
         return self._residents.resident
 
     def frame(self, frustum: Frustum) -> SessionFrame:
@@ -330,7 +330,7 @@ class TilesetSession:
         return self._frustum.moved(position, quaternion)
 
     def _receive(self, time: float) -> list[FetchResult[TileArrival]]:
-        """Take the tiles that arrived over the link; report the tiles that failed."""
+        """Take the tiles that arrived over the network; report the tiles that failed."""
         self._link.queue(())  # the link begins no request while this frame plans
         results = list(self._link.poll())
         self._started = self._link.take_started()  # after the poll: no result lacks its request
@@ -357,7 +357,7 @@ class TilesetSession:
         return dead
 
     def _fitting_cut(self, frustum: Frustum) -> Cut:
-        """Select tiles as fine as the splat pool can hold, together with all their ancestors."""
+        """Select tiles as fine as the GPU memory can hold, together with all their ancestors."""
         error = self._options.max_error
         for _ in range(_MOST_STEPS):
             cut = cut_tree(self.tree, frustum, error)
@@ -394,7 +394,7 @@ class TilesetSession:
         return tuple(evicted), tuple(arrivals)
 
     def _admit(self, arrival: TileArrival, time: float) -> tuple[int, ...] | None:
-        """Make a tile resident for this frame; return the tiles that leave, None without room."""
+        """Make a tile resident for this frame; return the tiles that leave, or None if full."""
         tile = arrival.tile
         if not arrival.is_upgrade:
             # The metadata of foreign tilesets do not count splats: the estimate may be too low.
@@ -442,17 +442,29 @@ class TilesetSession:
     ) -> None:
         """Choose the file qualities of tiles to request; if idle, request one finer file."""
         assert self._frustum is not None
-        in_flight = self._planner.in_flight
-        missing = ~loaded
-        missing[list(in_flight)] = False
+        in_flight = list(self._planner.in_flight)
+        there = chooser.held.copy()
+        there[in_flight] = chooser.quality[in_flight]
+        for tile, arrival in self._pending.items():
+            there[tile] = arrival.quality
         received = self._recorder.bytes
         chooser.observe(time, received - self._received_bytes, busy=self._was_busy)
         self._received_bytes, self._was_busy = received, bool(in_flight)
-        chooser.choose(self._frustum.eye, missing & cut.seen)
+        first = chooser.choose(
+            time,
+            self._frustum.eye,
+            cut,
+            there,
+            dead=loaded & (there < 0),
+            max_splats=self.pool_slots * self.slot_rows,
+        )
+        self._planner.prioritise(first)
+        missing = ~loaded
+        missing[in_flight] = False
         rows = np.flatnonzero(missing)
         self.tree.size[rows] = chooser.sizes(rows)
         if not in_flight and not self._pending and not (missing & cut.seen).any():
             resident = cut.wanted & self._residents.resident & ~self._dead(time)
-            tile = chooser.upgrade(self._frustum.eye, resident)
-            if tile is not None:
-                self._planner.request(tile)
+            finer = chooser.upgrade(self._frustum.eye, resident)
+            if finer is not None:
+                self._planner.request(finer)

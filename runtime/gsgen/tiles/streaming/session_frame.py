@@ -28,7 +28,7 @@ from gsgen.tiles.streaming.metrics import StreamingMetrics
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TileArrival:
-    """The decoded splats of a tile, ready to be copied into slots of the splat pool.
+    """The decoded splats of a tile, ready to be copied to GPU memory (slots of the splat pool).
 
     Attributes:
         tile: Key of the tile.

@@ -82,7 +82,7 @@ class TilesSource(Source):
         self._values |= values
 
     def finish(self) -> None:
-        """Take the tiles that arrived; a waiting source takes all tiles that the camera needs."""
+        """Take the tiles that arrived; if set to wait, take all tiles that the camera needs."""
         if self._camera is None:
             return
         frustum = Frustum.from_camera(self._camera)
@@ -110,7 +110,7 @@ class TilesSource(Source):
             sys.stderr.write(f"gsgen: {self.name}: {line} drawn\n")
 
     def _take(self, frustum: Frustum, camera: Camera) -> SessionFrame:
-        """Upload and evict tiles in the renderer's splat pool, as the streaming session decides."""
+        """Upload and evict tiles in GPU memory (splat pool), as the streaming session decides."""
         frame = self._session.frame(frustum)
         for tile in frame.evicted:
             self._pool.evict(tile)
@@ -206,7 +206,7 @@ class TilesSource(Source):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return an empty splat set, since the tiles' Gaussians are in the splat pool."""
+        """Return an empty splat set, since the tiles' Gaussians are in the GPU's splat pool."""
         return SplatSet(self.data)
 
     def shape(self, name: str) -> tuple[int, ...]:

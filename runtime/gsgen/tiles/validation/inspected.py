@@ -70,7 +70,7 @@ class InspectedTileset:
         return self.tileset is not None and "source_splats" in self.tileset.metadata
 
     def note(self, error: TilesetInvalid) -> None:
-        """Record a fault of the tileset for the rules to report."""
+        """Record a fault of the tileset for the validation rules to report."""
         if sum(map(len, self.faults.values())) < _MOST_FAULTS:
             self.faults[error.fault].append(error)
 

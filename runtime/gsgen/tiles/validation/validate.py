@@ -161,7 +161,7 @@ def _draw(inspected: InspectedTileset, progress: Callable[[str], None]) -> None:
 
 
 def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
-    """Order rules so that each rule comes after the rules that it depends on."""
+    """Order validation rules so that each rule comes after the rules that it depends on."""
     pending, ordered = list(rules), list[Rule]()
     ids: set[str] = set()
     while pending:

@@ -12,7 +12,7 @@ def require_rows(count: int, where: str) -> None:
     """Raise ValueInvalid if a set of splats or points has no rows."""
     if count == 0:
         raise ValueInvalid(
-            "the data have 0 rows",
+            "the data have 0 splats or points",
             where=where,
             expected="at least one",
             hint="the program that wrote the file may have dropped every point",

@@ -26,7 +26,7 @@ Rows = Float32[np.ndarray, "n d"]
 
 
 def training_step(count: int) -> int:
-    """Return the step of the rows, of ``count``, that choose a palette: half a million at most."""
+    """Return the stride at which rows are sampled to choose a palette: half a million at most."""
     return -(-count // _TRAINING)
 
 

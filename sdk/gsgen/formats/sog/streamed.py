@@ -57,7 +57,7 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
         selected = np.concatenate(rows)
         if selected[-1] >= len(splats) or len(np.unique(selected)) < len(selected):
             raise HeaderMalformed(
-                f"the tree lists rows up to {selected[-1]} of {shown(names[index])}",
+                f"the level-of-detail tree lists rows up to {selected[-1]} of {shown(names[index])}",
                 where=f"{STREAMED_META}, tree",
                 expected=f"different rows below {len(splats)}",
             )

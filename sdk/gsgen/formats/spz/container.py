@@ -171,7 +171,7 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
     _require_memory(sum(parts.values()), max_bytes)
     if stream_count != len(parts):
         raise HeaderMalformed(
-            f"the file has {stream_count} streams",
+            f"the SPZ file has {stream_count} attribute streams",
             where="byte 15",
             expected=f"{len(parts)}, one for each attribute",
         )

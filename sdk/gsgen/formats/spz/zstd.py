@@ -39,7 +39,7 @@ def unpack(data: bytes, size: int, where: str) -> bytearray:
     if len(content) != size:
         actual_size = f"more than {size}" if len(content) > size else f"{len(content)}"
         raise ArchiveDamaged(
-            f"the stream unpacks to {actual_size} bytes",
+            f"the zstd stream unpacks to {actual_size} bytes",
             where=where,
             expected=f"{size}",
             hint=DOWNLOAD_HINT,

@@ -1,4 +1,4 @@
-"""Packs, casts, pads and names the outputs of a user's torch module as the contract requires."""
+"""Packs, casts, pads and names the outputs of a user's torch module for ONNX export."""
 
 __all__ = [
     "APPEARANCE_RGB", "APPEARANCE_SH", "CELLS", "COUNT", "GAUSSIANS", "Packed", "PackedGenerator",

@@ -97,7 +97,7 @@ class BoundSession:
         memory: str,
         stop: Stop | None = None,
     ) -> None:
-        """Create buffers for all inputs and outputs of the session, and bind them.
+        """Create and bind buffers for all inputs and outputs of an ONNX Runtime session.
 
         ``shapes`` and ``start`` are by input name; ``memory`` is ``cpu``, ``gpu`` or ``cuda``.
         """
@@ -116,7 +116,7 @@ class BoundSession:
         self.outputs = self._bind_outputs(tensor_specs(session.get_outputs()))
 
     def write(self, tensors: Mapping[str, np.ndarray]) -> frozenset[str]:
-        """Copy tensors into the session's input buffers; return the names of changed inputs."""
+        """Copy tensors into a session's input buffers; return the names of changed model inputs."""
         return frozenset(
             [name for name, array in tensors.items() if self.inputs[name].write(array)]
         )
@@ -132,17 +132,17 @@ class BoundSession:
         self.session.run_with_iobinding(self._binding, self._uncaptured_options)
 
     def read(self, name: str) -> np.ndarray:
-        """Return an output of the session as a read-only array, copied once per frame."""
+        """Return a model output as a read-only array, copied from the device once per frame."""
         if name not in self._read:
             self._read[name] = self.outputs[name].read()
         return self._read[name]
 
     def copies(self) -> dict[str, np.ndarray]:
-        """Return copies of all outputs of the session, by output name."""
+        """Return copies of all model outputs, by output name."""
         return {name: self.read(name).copy() for name in self.outputs}
 
     def close(self) -> None:
-        """Release the graph capture, then the buffers, then the session."""
+        """Release the graph capture, then the buffers, then the ONNX Runtime session."""
         if self._memory == "gpu":
             self.session.release_captured_graph()
         self._binding.clear_binding_inputs()
@@ -171,7 +171,7 @@ class BoundSession:
         return buffers
 
     def _learn_shapes(self, output_specs: tuple[TensorSpec, ...]) -> dict[str, tuple[int, ...]]:
-        """Run the session once without output buffers, and return the shapes of its outputs."""
+        """Run the model once without output buffers, and return the shapes of its outputs."""
         for spec in output_specs:
             self._binding.bind_output(spec.name, "cpu")
         try:

@@ -74,7 +74,7 @@ Camera = CameraLike | Pinhole | Sequence[Matrix]
 
 
 def camera_values(camera: Camera) -> dict[str, np.ndarray]:
-    """Return the values of a model's camera inputs by role: view, projection, centre, viewport.
+    """Return a camera's values by input role: view, projection, camera centre, viewport.
 
     ``camera`` has both matrices, or a view and intrinsics, or is the pair (view, projection).
     """

@@ -22,13 +22,13 @@ class FrameSource(Protocol):
 
     @property
     def outputs(self) -> Mapping[str, Buffer]:
-        """The output buffers of the session, by output name."""
+        """The output buffers of the model's session, by output name."""
 
     def read(self, name: str, number: int) -> np.ndarray:
         """Return an output of frame ``number``; raise if a newer frame has overwritten it."""
 
     def handle(self, name: str, number: int) -> Any:
-        """Return the ``OrtValue`` that holds an output of frame ``number``."""
+        """Return the ``OrtValue`` that holds a model output of frame ``number``."""
 
     def hold_frame(self, number: int) -> AbstractContextManager[None]:
         """Prevent other threads from computing a new frame while frame ``number`` is read."""
@@ -76,7 +76,7 @@ class Frame:
 
     @property
     def count(self) -> int:
-        """The number of live rows of the frame: the count output if declared, else all rows.
+        """The number of live Gaussians of the frame: the count output if declared, else all rows.
 
         Raises:
             LayoutMismatch: The manifest declares no packed rows.

@@ -34,7 +34,7 @@ class InputBinding:
 
     @property
     def role(self) -> str:
-        """The role of the input in the manifest; empty for an undeclared input."""
+        """The input role (such as ``view``) in the manifest; empty for an undeclared input."""
         return self.declared.role if self.declared else ""
 
     @property
@@ -110,7 +110,7 @@ class InputBinding:
 
 
 def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the default value of an input as the contract defines it for the input's role.
+    """Return the default value that the generator contract defines for the role of an input.
 
     The manifest's specification defines it under "default"; matrices are as in mathematics.
     """

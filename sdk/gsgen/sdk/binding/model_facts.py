@@ -27,7 +27,7 @@ Tensors = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class ModelFacts:
-    """A model's file and manifest, with facts derived from them."""
+    """A model's file and manifest, with facts derived from both."""
 
     path: Path  # the ONNX file
     file: ModelFile  # the file's structure

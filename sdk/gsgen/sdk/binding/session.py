@@ -129,19 +129,19 @@ class FrameSession:
 
     @property
     def left_on_cpu(self) -> tuple[Node, ...]:
-        """The graph nodes that run on the CPU although the session is on a GPU."""
+        """The graph nodes that run on the CPU although the model's session is on a GPU."""
         if self.provider == "cpu":
             return ()
         return tuple(node for node in self.nodes if node.provider == CPU)
 
     @property
     def closed(self) -> bool:
-        """Whether :meth:`close` was called on the session."""
+        """Whether :meth:`close` was called on the model's session."""
         return self._ready is None
 
     @property
     def inputs(self) -> Mapping[str, InputBinding]:
-        """The inputs of the model by name: dtype, shape and role."""
+        """The inputs of the model by name: dtype, shape and input role."""
         return MappingProxyType(self._require_open().ports)
 
     @property
@@ -162,7 +162,7 @@ class FrameSession:
         camera: Camera | None = None,
         copy: bool = False,
     ) -> Frame:
-        """Set given inputs of the model, and compute a frame.
+        """Set values of some inputs of the model, and compute a frame.
 
         Args:
             values: As in :meth:`update`.
@@ -253,7 +253,7 @@ class FrameSession:
                 raise translate_error(error) from error
 
     def handle(self, name: str, number: int) -> Any:
-        """Return the ``OrtValue`` that holds an output of frame ``number``."""
+        """Return the ``OrtValue`` that holds a model output of frame ``number``."""
         with self.hold_frame(number):
             return self._output(name).value
 
@@ -282,7 +282,7 @@ class FrameSession:
     # ---- The end
 
     def close(self) -> None:
-        """Release the session, its buffers and its graph capture; a second call does nothing."""
+        """Release the model's session, buffers and graph capture; a second call does nothing."""
         with self._lock:
             if self._ready is not None:
                 self._ready.bound.close()
@@ -317,6 +317,6 @@ def _lock_of(choice: Choice) -> AbstractContextManager[object]:
 
 @atexit.register
 def _close_all() -> None:
-    """Close all sessions before the interpreter shuts down, when drivers may crash."""
+    """Close all ONNX Runtime sessions before the interpreter exits, when drivers may crash."""
     for session in list(_open_sessions):
         session.close()

@@ -1,4 +1,4 @@
-"""Opens a session with graph capture if its replayed frames are correct, else without.
+"""Opens an ONNX Runtime session with graph capture if replayed frames are right, else without.
 
 Capture records kernels and not buffer copies, so a captured model may repeat its first frame
 forever without an error. Therefore, before the first frame, two different inputs are computed
@@ -33,7 +33,7 @@ class WarmSession:
 
 
 def warm_up(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
-    """Open a session that computes correct frames, with graph capture if possible.
+    """Open an ONNX Runtime session that computes correct frames, by graph capture if possible.
 
     If a provider that was chosen automatically fails, the CPU is used instead.
     """

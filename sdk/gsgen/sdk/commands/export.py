@@ -30,7 +30,7 @@ class _Targets(TyperGroup):
     """The command group of `gsgen export`: all installed plugins, and any ``module:factory``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Move the export target before the options if options precede it on the command line."""
+        """Move the argument TARGET before the options if options precede it on the command line."""
         known = [word for word in args if word in self.commands or is_target(word)]
         if args and args[0].startswith("-") and known:
             position = args.index(known[0])

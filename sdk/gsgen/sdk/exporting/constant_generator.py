@@ -214,7 +214,9 @@ def _outputs(
         )
         raise GeneratorInvalid(f"{shapes}, expected [N, {layout.ROW}] and [N, C]", where="rows")
     if not 0 <= count <= len(rows):
-        raise GeneratorInvalid(f"the count {count} is not within 0 to {len(rows)}", where="count")
+        raise GeneratorInvalid(
+            f"the row count {count} is not within 0 to {len(rows)}", where="count"
+        )
     return {
         declared.gaussians.name: _padded(rows, declared.gaussians.capacity),
         declared.appearance.name: _padded(appearance, declared.gaussians.capacity),

@@ -1,4 +1,4 @@
-"""Rewrite a traced graph for its target, and embed the manifest."""
+"""Rewrite a traced graph for its target runtime, and embed the manifest."""
 
 __all__ = ["rewrite_and_embed", "with_profile"]
 

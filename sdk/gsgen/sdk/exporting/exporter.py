@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import onnx_ir as ir
 import torch
 
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.contract.spec.fields.roles import ROLES
@@ -27,6 +29,7 @@ from gsgen.contract.spec.manifest import (
     GeneratorOutputs,
     Producer,
     ReferenceImage,
+    TestVector,
     Tolerances,
 )
 from gsgen.contract.spec.targets import load_target
@@ -55,9 +58,18 @@ from gsgen.sdk.exporting.eager_reference import (
 from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
 from gsgen.sdk.exporting.frame_size import check_fits, describe_size
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
-from gsgen.sdk.exporting.pipeline import OPSET, Dtype, ExportResult, Progress, silent, write_export
+from gsgen.sdk.exporting.pipeline import (
+    OPSET,
+    VECTORS,
+    Dtype,
+    ExportResult,
+    Progress,
+    silent,
+    write_export,
+)
 from gsgen.sdk.exporting.sh_degrees import HALF_RGB
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
+from gsgen.sdk.exporting.source_vectors import MOST_VECTORS, RowRecorder, add_source_vectors
 from gsgen.sdk.exporting.tracing.autocast import float32_arithmetic
 from gsgen.sdk.exporting.tracing.hazards import Watch
 from gsgen.sdk.exporting.tracing.trace import trace_generator
@@ -120,6 +132,7 @@ class _Options:
     target: str
     rewrite: bool
     pictures: int  # reference pictures of the eager module
+    vectors: int  # test vectors with rows of the eager module
     compared: int  # probes of the comparison with eager torch, besides the all-zero one
 
     @property
@@ -140,6 +153,7 @@ def export(
     rewrite: bool = True,
     verify: Literal["quick", "full"] = "full",
     pictures: int = 0,
+    vectors: int = VECTORS,
     settings: Settings | None = None,
     progress: Progress = silent,
 ) -> Exported:
@@ -163,6 +177,9 @@ def export(
             Bounds are measured at all of them in either case.
         pictures: How many pictures of the eager module become reference images of the model, which
             level ``render`` compares with; the renderer draws them (``gsgen[runtime]``).
+        vectors: How many test vectors with a few rows of the eager module the manifest gets, which
+            level ``behaviour`` compares with; at most four. None are written if ``forward`` sorts,
+            as equal keys may come in another order elsewhere.
         progress: Called with a message when a step begins.
 
     Raises:
@@ -171,9 +188,13 @@ def export(
         RewriteFailed: It cannot be converted to float16.
         ParityFailed: The model computes something else than the module.
         ExportRejected: The model breaks a rule; the error carries the report.
+        ConfigInvalid: ``vectors`` or ``pictures`` is out of range.
     """
     path = Path(path)
     refuse_folder(path)
+    if not 0 <= vectors <= MOST_VECTORS:
+        message = f"is {vectors}, expected from 0 to {MOST_VECTORS}"
+        raise ConfigInvalid(message, where="vectors", hint="Give 0 to record no rows.")
     validate_module(generator)
     generator = generator.eval().cpu()
     options = _Options(
@@ -184,6 +205,7 @@ def export(
         target=target,
         rewrite=rewrite,
         pictures=pictures,
+        vectors=vectors,
         compared=_BOUNDS_PROBES if verify == "full" else _QUICK_PROBES,
     )
     half = options.dtype == "float16"
@@ -220,32 +242,25 @@ def _export(
     changes = rewrite_and_embed(model, manifest, target, rewrite=options.rewrite)
     halved = None
     if searches:
-        prepare(model)
-        stride = max(1, len(references) // _HALF_PROBES)
-        probes = references.probes[::stride][:_HALF_PROBES]
-        model, halved = to_float16(
-            model,
-            manifest,
-            probes,
-            tolerances=_HALF_CHOICE,
-            arithmetic=False,
-            roundings=_HALF_ROUNDINGS,
-            budget=_HALF_BUDGET,
-            progress=progress,
-        )
+        model, halved = _in_float16(model, described, progress)
         manifest = float16_manifest(manifest)
     suspects = Suspects(generator, example, hazards, options.rewrite)
 
     images: list[ReferenceImage] = []
+    recorded: list[TestVector] = []
+    recorder = _row_recorder(described, options)
 
     def run_packed(probe: Probe) -> dict[str, np.ndarray]:
         return packed_outputs(run_eager(generator, probe), manifest)
 
-    # Step 6: verification, and pictures of the module.
+    # Step 6: verification, rows and pictures of the module.
     def verify(draft: Path) -> Parity:
         slack = (_HALF_SLACK, _HALF_ROUNDINGS) if searches else (None, 1)
-        parity = check_parity(draft, manifest, references, suspects, progress, *slack)
+        parity = check_parity(
+            draft, manifest, references, suspects, progress, *slack, observe=recorder.observe
+        )
         check_memory(generator, described.watch, references)
+        recorded.extend(add_source_vectors(draft, recorder, slack[0]))
         if options.pictures:
             progress("drawing the module in eager torch")
             images.extend(add_source_pictures(draft, run_packed, options.pictures))
@@ -262,7 +277,7 @@ def _export(
     )
     return Exported(
         path=path,
-        manifest=replace(manifest, reference_images=tuple(images)),
+        manifest=replace(manifest, reference_images=tuple(images), test_vectors=tuple(recorded)),
         parity=parity,
         report=report,
         changes=tuple(changes),
@@ -270,8 +285,34 @@ def _export(
     )
 
 
+def _in_float16(
+    model: ir.Model, described: "_Description", progress: Progress
+) -> tuple[ir.Model, Float16Result]:
+    """Return a traced model with weights and outputs in float16, where the error is allowed."""
+    prepare(model)
+    stride = max(1, len(described.references) // _HALF_PROBES)
+    return to_float16(
+        model,
+        described.manifest,
+        described.references.probes[::stride][:_HALF_PROBES],
+        tolerances=_HALF_CHOICE,
+        arithmetic=False,
+        roundings=_HALF_ROUNDINGS,
+        budget=_HALF_BUDGET,
+        progress=progress,
+    )
+
+
+def _row_recorder(described: "_Description", options: _Options) -> RowRecorder:
+    """Return the recorder of the torch module's output rows; none if ``forward`` sorts rows."""
+    # Probe 0 is all zeros; those after the compared ones are the SDK's own.
+    candidates = range(min(options.compared + 1, len(described.references)))
+    is_sorting = any(hazard.kind == "order" for hazard in described.watch.hazards)
+    return RowRecorder(described.references, candidates, 0 if is_sorting else options.vectors)
+
+
 def _default_dtype(generator: GaussianGenerator, target: str) -> Dtype:
-    """Return the default output dtype: float32, unless the target reads RGB only as float16."""
+    """Return the default output dtype: float32, unless the target viewer reads RGB as float16."""
     if target not in HALF_RGB:
         return "float32"
     probe = _probes(_manifest(generator, "", "float32", None, 1, None))[0]

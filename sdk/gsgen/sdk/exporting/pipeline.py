@@ -1,6 +1,15 @@
 """The last steps of every export: write a temporary file, verify, validate and rename it."""
 
-__all__ = ["OPSET", "Dtype", "ExportResult", "Progress", "check_contract", "silent", "write_export"]
+__all__ = [
+    "OPSET",
+    "VECTORS",
+    "Dtype",
+    "ExportResult",
+    "Progress",
+    "check_contract",
+    "silent",
+    "write_export",
+]
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -23,6 +32,8 @@ _Verified = TypeVar("_Verified")
 
 # The operator set of exported models unless another is requested: every runtime has its kernels.
 OPSET = SAFEST_OPSET
+# The number of test vectors with rows of the eager module, unless another is requested.
+VECTORS = 2
 
 
 def silent(_: str) -> None:

@@ -108,7 +108,7 @@ def repair(
 
 @contextmanager
 def _draft(target: Path | None, source: Path) -> Iterator[Path]:
-    """Yield a temporary path for the repaired model, which becomes the target or is deleted."""
+    """Yield a temporary path for the repaired model, which is renamed at the end or deleted."""
     if target is not None:
         with atomic_write(target) as draft:
             yield draft

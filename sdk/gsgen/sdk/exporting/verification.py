@@ -2,7 +2,7 @@
 
 __all__ = ["check_memory", "check_parity", "run_exported"]
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,6 +29,9 @@ _PAIRS = 3
 # Sums over many threads differ by this much, relatively, from run to run.
 _ROUNDING = 1e-5
 
+# Called with the index of a set of test inputs, and the model's outputs in the manifest's order.
+Observe = Callable[[int, Mapping[str, np.ndarray]], None]
+
 
 def check_parity(
     path: Path,
@@ -38,18 +41,21 @@ def check_parity(
     progress: Progress,
     allowed: Tolerances | None = None,
     roundings: int = 1,
+    *,
+    observe: Observe = lambda _index, _outputs: None,
 ) -> Parity:
     """Compare an exported model with eager torch, for normal test inputs and far cameras.
 
     ``allowed`` are the manifest's tolerances by default; the rounding of stored outputs is added to
-    them ``roundings`` times. The error names the field, the row, and the likely cause.
+    them ``roundings`` times. The error names the field, the row, and the likely cause. ``observe``
+    sees the outputs of each compared run.
     """
     tolerances = allowed or manifest.tolerances or Tolerances()
 
     def nearby(reference: Reference) -> Iterator[Reference]:
         return (run_eager(suspects.generator, probe) for probe in _nudged(reference.probe))
 
-    outputs = _told(_run(path, manifest, references.probes), len(references), progress)
+    outputs = _told(_run(path, manifest, references.probes, observe), len(references), progress)
     # Where values tie, kernels of sorts order rows in their own way.
     any_order = any(hazard.kind == "order" for hazard in suspects.hazards)
     parity = compare(
@@ -65,7 +71,7 @@ def check_parity(
     element = "cell" if worst.field.startswith("cell") else "Gaussian"
     reason, hint = diagnose(suspects, manifest, references, run)
     raise ParityFailed(
-        f"{worst.field} of {element} {worst.row} is off by {worst.error:.3g} at probe "
+        f"{worst.field} of {element} {worst.row} is off by {worst.error:.3g} at probe inputs "
         f"{worst.probe!r}, {worst.excess:.3g} times the tolerance{reason} "
         f"({parity.describe()})",
         where=path.name,
@@ -96,10 +102,17 @@ def _nudged(probe: Probe) -> Iterator[Probe]:
             yield replace(probe, inputs=moved)
 
 
-def _run(path: Path, manifest: GeneratorManifest, probes: Sequence[Probe]) -> Iterator[ModelOutput]:
+def _run(
+    path: Path,
+    manifest: GeneratorManifest,
+    probes: Sequence[Probe],
+    observe: Observe = lambda _index, _outputs: None,
+) -> Iterator[ModelOutput]:
     """Yield a model's outputs for each set of test inputs; arrays are valid until the next one."""
     rows, color, count, *cells = names = output_names(manifest)
-    for outputs in run_exported(path, names, probes, frame_bytes=frame_bytes(manifest)):
+    runs = run_exported(path, names, probes, frame_bytes=frame_bytes(manifest))
+    for index, outputs in enumerate(runs):
+        observe(index, {name: outputs[name] for name in names})
         yield ModelOutput(
             outputs[rows],
             outputs[color],
@@ -136,7 +149,7 @@ def check_memory(generator: GaussianGenerator, watch: Watch, references: EagerRu
         return
     changes = [hazard for hazard in watch.hazards if hazard.kind == "state"]
     raise GeneratorInvalid(
-        f"forward remembers earlier frames: at probe {reference.probe.label!r}, its result from the "
+        f"forward remembers earlier frames: at probe inputs {reference.probe.label!r}, its result from the "
         "initial state differs from its result after other frames",
         where="; ".join(hazard.where for hazard in changes[:3]),
         hint=changes[0].hint if changes else "",

@@ -1,4 +1,4 @@
-"""Measures the output error of rounding nodes and weights to float16, in the contract's units."""
+"""Measures the output error of rounding nodes and weights to float16, relative to tolerances."""
 
 __all__ = ["ErrorProbe"]
 

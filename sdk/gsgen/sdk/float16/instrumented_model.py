@@ -38,7 +38,7 @@ _MOVES = (
 
 
 class InstrumentedModel:
-    """Runs a model with selected nodes rounded to float16; one session serves every selection.
+    """Runs a model with selected nodes rounded to float16, in one session for every selection.
 
     A selected node reads float32 numbers that were rounded to float16, and its result is rounded,
     too. A device exceeds this error only if it also adds up in float16. Numbers beyond 65,504
@@ -96,7 +96,7 @@ class InstrumentedModel:
         return self._halves[name]
 
     def is_in_steps(self, table: int) -> bool:
-        """Return whether a weight table is quantised in even steps rather than as float16."""
+        """Return whether a weight table is quantised evenly in 16 bits rather than as float16."""
         return self._halved(self.weights[table]).step is not None
 
     def store_unstepped(self, tables: Collection[int]) -> None:

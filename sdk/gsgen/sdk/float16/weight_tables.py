@@ -1,4 +1,4 @@
-"""Stores weight tables in 16 bits per number: as float16, or quantised in even steps.
+"""Stores weight tables in 16 bits per number: as float16, or quantised at even spacing.
 
 Float16 rounds every number to 11 significant bits. 65,536 even steps between the smallest and the
 largest number of a column are finer for numbers that fill the range: positions in a scene,
@@ -51,7 +51,7 @@ class HalfTable:
 
 
 def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> HalfTable:
-    """Store a weight table as float16 or in even steps, whichever is closer to float32.
+    """Store a weight table as float16 or evenly quantised, whichever is closer to float32.
 
     Float16 suits sizes from very small to large: even steps may be closer by the mean square, but
     make the small numbers zero.
@@ -64,7 +64,7 @@ def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> H
 
 
 def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
-    """Quantise a weight table in even steps; None if float16 has no larger error."""
+    """Quantise a weight table at even spacing; None if float16 has no larger error."""
     axis = _axis_of_steps(array)
     start, width = _range(array, axis)
     step = (width / _STEPS).astype(np.float32)
@@ -87,7 +87,7 @@ def _in_steps(array: Float32[np.ndarray, "..."]) -> HalfTable | None:
 
 
 def _axis_of_steps(array: Float32[np.ndarray, "..."]) -> int | None:
-    """Return the axis along which a weight table's quantisation step varies; None for one step."""
+    """Return the axis along which a weight table's quantisation spacing varies, or None."""
     last = array.ndim - 1
     axes = [k for k, n in enumerate(array.shape) if 1 < n <= array.size // _LEAST_ROWS]
     coarse = {k: float(np.square(_range(array, k)[1]).mean()) for k in axes}

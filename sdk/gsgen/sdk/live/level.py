@@ -35,7 +35,7 @@ Event = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class EarlyStop:
-    """The reason why a WebGPU session ended before the last frame."""
+    """The reason why a model's WebGPU session ended before the last frame."""
 
     phase: str  # ``plain`` or ``captured``
     frame: int  # number of the frame; -1 during the creation of the session

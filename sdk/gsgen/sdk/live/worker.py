@@ -76,7 +76,7 @@ def _set_driver_environment(folder: Path) -> None:
 
 
 def _find_provider(emit: Emit) -> Opener:
-    """Report the GPU of the WebGPU provider, and return a function that opens sessions on it."""
+    """Report the GPU of the WebGPU provider, and return a function that opens models on it."""
     adapter = find_adapter()
     emit("device", name=adapter.name, version=adapter.version)
     choice = Choice("webgpu", "requested", adapter, is_requested=True)

@@ -1,4 +1,4 @@
-"""Converts spherical harmonics from the layouts of 3DGS methods to the contract's [N, K, 3]."""
+"""Converts spherical harmonics from the layouts of 3DGS methods to the packed [N, K, 3]."""
 
 __all__ = [
     "sh_from_channel_major",

@@ -98,7 +98,7 @@ def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult
         return export_post_process(module, request.output, dtype=dtype, **options)
     # Case 3: a generator.
     options |= {"dtype": request.dtype, "capacity": request.capacity, "verify": request.verify}
-    options["pictures"] = request.pictures
+    options |= {"pictures": request.pictures, "vectors": request.vectors}
     return export(module, request.output, **options)
 
 

@@ -12,7 +12,7 @@ import typer
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import MODEL_SUFFIX, refuse_itself, refuse_model
-from gsgen.sdk.exporting.pipeline import OPSET
+from gsgen.sdk.exporting.pipeline import OPSET, VECTORS
 
 if TYPE_CHECKING:
     from gsgen.sdk.authoring.generator import GaussianGenerator
@@ -40,6 +40,7 @@ class ExportRequest:
     level: str = "behaviour"  # the last level of the validation
     verify: Literal["quick", "full"] = "full"  # how many probes are compared with eager torch
     pictures: int = 0  # reference pictures of the eager module
+    vectors: int = VECTORS  # test vectors with rows of the eager module
     rewrite: bool = True  # whether to rewrite the graph for runtimes
     report: Path | None = None  # the file for a JSON report on the export; not written if absent
     as_json: bool = False  # whether to print that report instead of text
@@ -106,6 +107,15 @@ def _request(
             max=16,
         ),
     ] = 0,
+    vectors: Annotated[
+        int,
+        typer.Option(
+            help="Record a few rows of the eager module at so many probes, which `gsgen validate` "
+            "compares with.",
+            min=0,
+            max=4,
+        ),
+    ] = VECTORS,
     no_rewrite: Annotated[
         bool, typer.Option("--no-rewrite", help="Leave the graph as torch exports it.")
     ] = False,
@@ -126,6 +136,7 @@ def _request(
         level=level,
         verify=verify,
         pictures=pictures,
+        vectors=vectors,
         rewrite=not no_rewrite,
         report=report,
         as_json=as_json,

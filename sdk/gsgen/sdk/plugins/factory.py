@@ -91,7 +91,7 @@ class Factory:
 
 
 def _is_factory(value: Any) -> bool:
-    """Return whether an export target is a factory to be called, rather than a finished module."""
+    """Return whether the argument TARGET names a factory function, not a finished module."""
     import torch
 
     return callable(value) and not isinstance(value, torch.nn.Module)

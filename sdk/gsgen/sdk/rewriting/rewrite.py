@@ -70,7 +70,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class GraphStats:
-    """Counts of a graph's nodes, and the nodes that a target's graph capture does not support."""
+    """Counts of a graph's nodes, and the nodes that the target cannot record (graph capture)."""
 
     nodes: int  # number of nodes of the main graph
     opset: int  # the operator set

@@ -1,4 +1,4 @@
-"""Raises if a changed model breaks a rule that the original model keeps."""
+"""Raises if a changed model breaks a validation rule that the original model keeps."""
 
 __all__ = ["refuse_new_violations"]
 

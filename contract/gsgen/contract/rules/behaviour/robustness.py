@@ -1,7 +1,6 @@
 """Rules of robustness (GB, GI): extreme inputs, optimisations, and the order of runs."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -9,14 +8,12 @@ from gsgen.contract.probing.behaviour_probes import REPEATED
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, difference
-from gsgen.contract.probing.test_vectors import MOST_SEEDS, probed_seeds, vector_label
 from gsgen.contract.spec.fields.roles import KINDS
 from gsgen.contract.spec.layout import MOSTLY_INVISIBLE, OPACITY
-from gsgen.contract.spec.manifest import TestVector
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.agreement import FieldError, comparable_parts, field_errors
 from gsgen.contract.validation.finding import Location, Violation
-from gsgen.contract.validation.gates import FINITE_OUTPUTS, MANIFEST_PARSED, REPRODUCIBLE
+from gsgen.contract.validation.gates import FINITE_OUTPUTS, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.tolerances import effective_tolerances
 
@@ -185,7 +182,7 @@ def _input_bytes(probe: Probe) -> tuple[bytes, ...]:
     needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003"),
 )
 def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
-    """With an exact row count, most rows before the count are not fully transparent.
+    """With an exact row count, most Gaussians before the count are not fully transparent.
 
     Why:
         A renderer sorts and visits all rows before an exact count. If most are inert, the live ones
@@ -207,54 +204,3 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
             actual = f"{inert} of {len(opacity)} counted rows have opacity 0 at {probe.label!r}"
             yield Violation.at(f"output {count.name}", actual, "live rows first")
             return
-
-
-@rule(
-    "GM012",
-    "test-vectors-reproduce",
-    Severity.WARNING,
-    over="runs",
-    fixture="test_vector_differs",
-    needs=(*REPRODUCIBLE, *MANIFEST_PARSED),
-    kinds=KINDS,
-)
-def vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
-    """Every test vector names a known probe (test inputs), and the model reproduces its outputs.
-
-    Why:
-        A vector shows a user of the model that it runs as it did on the author's machine. The
-        digest is SHA-256 over the declared outputs in order: a line "name dtype shape", then the
-        bytes. Another processor may round differently, so a difference does not prove a fault.
-
-    Hint:
-        Take the digest given here, if the model is right. Models without vectors are fine.
-    """
-    manifest = behaviour.subject.manifest
-    for index, vector in enumerate(manifest.test_vectors if manifest else ()):
-        location, result = f"manifest test_vectors.{index}", _outcome(behaviour, vector)
-        if isinstance(result, Violation):
-            yield replace(result, where=Location(location))
-        elif result != vector.expected_sha256:
-            expected = f"the declared {vector.expected_sha256}"
-            yield Violation.at(location, f"sha256 {result}", expected, certainty="possible")
-
-
-def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
-    """Return the digest of the model's outputs for a test vector's inputs, or a violation."""
-    manifest, plan = behaviour.subject.manifest, behaviour.trial.plan
-    assert manifest is not None
-    label, same_seed = vector_label(vector.inputs, vector.seed), vector.seed == plan.seed
-    if not same_seed and vector.seed not in probed_seeds(manifest, plan.seed):
-        return Violation.at("", f"seed {vector.seed}", f"{MOST_SEEDS} other seeds at most")
-    runs = behaviour.values if same_seed else behaviour.visits("vectors")
-    digests = {run.probe.label: run.digest for run in runs}
-    digest = digests.get(vector.inputs if same_seed else label)
-    if digest:
-        return digest
-    known = [run.probe.label for run in behaviour.values]
-    planned = [plan.probes[index].label for index in plan.trials.get("vectors", ())]
-    if not same_seed and label in planned:
-        actual = f"no outputs at {label!r}"
-        return Violation.at("", actual, "a run within the time limit", certainty="possible")
-    actual = f"no probe {vector.inputs!r} with seed {vector.seed}"
-    return Violation.at("", actual, f"one of {', '.join(map(repr, known))}")

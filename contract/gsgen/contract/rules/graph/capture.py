@@ -1,4 +1,4 @@
-"""Rules of graph capture (GG): the target's WebGPU provider can record every node of a frame.
+"""Rules of graph capture (GG): WebGPU on the target runtime can record every node of a frame.
 
 The provider's kernels are known from measured tables, see :mod:`gsgen.contract.spec.operator_tables`.
 Each node that is not captured has one cause, and each cause one rule.
@@ -81,7 +81,7 @@ def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
     limit=_CAPTURE,
 )
 def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
-    """No operator of the frame computes in int64 without an int64 kernel on the target.
+    """No operator of a frame computes in int64 without an int64 kernel on the target runtime.
 
     Why:
         WebGPU has no 64-bit integers. Few operators take them by way of 32 bits; the others fall to
@@ -109,7 +109,7 @@ def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
     limit=_CAPTURE,
 )
 def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
-    """The target's WebGPU provider has a kernel for every operator of the frame, in its dtype.
+    """WebGPU on the target runtime has a kernel for every operator of a frame, in its dtype.
 
     Why:
         A node without one is copied to the CPU and back every frame, and graph capture is refused
@@ -138,7 +138,7 @@ def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     limit="split_outputs",
 )
 def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
-    """A Split has no more outputs, and a Concat no more inputs, than the target can bind.
+    """A Split has no more outputs, and a Concat no more inputs, than the target GPU can bind.
 
     Why:
         WebGPU guarantees eight storage buffers a stage, one of them for the whole tensor. A Split
@@ -172,7 +172,7 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
     limit=_CAPTURE,
 )
 def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
-    """The target's WebGPU provider has a kernel for every norm and normalisation of the frame.
+    """WebGPU on the target runtime has a kernel for every norm and normalisation of a frame.
 
     Why:
         GroupNormalization has none in current releases, LpNormalization none in onnxruntime-web
@@ -199,7 +199,7 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     limit=_CAPTURE,
 )
 def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
-    """Operators with a WebGPU kernel on the target are of an operator set that the kernel supports.
+    """Operators with a WebGPU kernel on the target runtime have a supported operator set version.
 
     Why:
         ONNX Runtime matches a kernel only up to the last version of the operator that it was

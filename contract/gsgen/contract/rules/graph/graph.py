@@ -20,7 +20,7 @@ def _node_location(node: NodeProto) -> str:
     "GG001", "opset-supported", Severity.ERROR, over="model", fixture="ancient_opset", kinds=KINDS
 )
 def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
-    """The target runs the model's operator set and IR version.
+    """The target runtime supports the model's operator set and IR version.
 
     Why:
         A runtime refuses an operator set it does not know, and old sets lack operators and types

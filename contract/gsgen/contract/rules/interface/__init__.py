@@ -1,1 +1,1 @@
-"""Do the manifest and the graph inputs declare what the contract requires?"""
+"""Do the manifest and the graph inputs declare what the generator contract requires?"""

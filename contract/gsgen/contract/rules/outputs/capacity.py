@@ -33,7 +33,7 @@ def _wasteful(most: int, capacity: int) -> bool:
     needs=COUNTED_ROWS[:-1],
 )
 def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]:
-    """A constant row count equals the capacity, up to rounding to whole workgroups.
+    """A constant row count equals the number of packed rows, rounded to whole workgroups.
 
     Why:
         Rows behind a constant count are never used, but computed, bound and often drawn: the
@@ -61,7 +61,7 @@ def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]
     needs=COUNTED_ROWS,
 )
 def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
-    """At some probe (set of test inputs), the row count reaches half of the capacity.
+    """At some probe (set of test inputs), the row count reaches half of the packed rows.
 
     Why:
         Every row of the capacity is computed, kept in memory and visited every frame, regardless of
@@ -95,7 +95,7 @@ def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
     limit="frame_bytes",
 )
 def frame_is_small(subject: InspectedModel) -> Iterator[Violation]:
-    """All outputs of a frame together are smaller than the target's limit on bytes per frame.
+    """All outputs of a frame together take fewer bytes than the target runtime allows.
 
     Why:
         Every byte is written by the model and read by the renderer, sixty times a second, beside

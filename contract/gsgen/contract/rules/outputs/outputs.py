@@ -1,6 +1,7 @@
 """Rules of outputs (GO): names, shapes and dtypes of the packed layout, checked without a run."""
 
 from collections.abc import Iterator
+from typing import Final
 
 from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
@@ -10,8 +11,7 @@ from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import DECLARED
 from gsgen.contract.validation.rule import rule
 
-# What rows of another width usually hold.
-_COLUMNS = {
+MEANINGS: Final = {
     7: "x y z, opacity and three scales without a rotation",
     11: "x y z, opacity, three scales and a quaternion",
     13: "x y z, opacity and the full matrix of nine covariances",
@@ -19,6 +19,7 @@ _COLUMNS = {
     59: "x y z, SH, opacity, three log scales and a quaternion of a PLY",
     62: "x y z, normal, SH, opacity, three log scales and a quaternion of a PLY",
 }
+"""What rows of another width usually hold, by their columns."""
 
 
 def _dim(tensor: Tensor | None, axis: int) -> int | str | None:
@@ -79,8 +80,8 @@ def _likely_columns(tensor: Tensor) -> str:
     columns = _dim(tensor, -1)
     if _dim(tensor, 0) == ROW:
         return "; this one is transposed, channels first"
-    if isinstance(columns, int) and columns in _COLUMNS:
-        return f"; {columns} columns usually are {_COLUMNS[columns]}"
+    if isinstance(columns, int) and columns in MEANINGS:
+        return f"; {columns} columns usually are {MEANINGS[columns]}"
     return ""
 
 
@@ -227,7 +228,7 @@ def appearance_rows(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO001", "GO005"),
 )
 def output_dtype(subject: InspectedModel) -> Iterator[Violation]:
-    """Gaussians, appearance and cells are float32 or float16.
+    """Gaussians, appearance and cells (groups of Gaussians) are float32 or float16.
 
     Why:
         Shaders read these two. Integers would need a scale that readers do not apply, and WebGPU

@@ -1,1 +1,1 @@
-"""Does a model fit a target: GPU buffer limits, and the Visionary web viewer?"""
+"""Does a model fit a target runtime: GPU buffer limits, and the Visionary web viewer?"""

@@ -92,7 +92,7 @@ def weighted_sum_has_cells(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM004", "GM017"),
 )
 def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
-    """The cells output is a matrix of ten columns and a fixed number of rows.
+    """The output with cells (groups of Gaussians) is a matrix of ten columns and fixed row count.
 
     Why:
         A row is x y z visibility xx xy xz yy yz zz, read by position. Buffers are allocated before
@@ -121,7 +121,7 @@ def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO020", "GO002", "GO004"),
 )
 def cells_hold_all_rows(subject: InspectedModel) -> Iterator[Violation]:
-    """The number of cells times the rows of each, `per_cell`, is the number of packed rows.
+    """The number of cells, times the rows of each (`per_cell`), is the number of packed Gaussians.
 
     Why:
         Row r belongs to cell r // per_cell, and to no other. With too few cells the last rows
@@ -155,7 +155,7 @@ def _per_cell(emission: ModelOutputs) -> int:
 
 
 def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
-    """Return the mask of the cells that contain a live row, i.e. a row before the row count."""
+    """Return the mask of cells (groups of Gaussians) with a row before the row count."""
     assert emission.cells is not None
     first = np.arange(len(emission.cells)) * _per_cell(emission)
     return np.asarray(first < emission.count)
@@ -163,7 +163,7 @@ def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
 
 @rule("GV026", "cells-finite", Severity.ERROR, over="emission", fixture="nan_cell", needs=CELLS)
 def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
-    """Every value of the cells output is finite, and below float16's maximum if it is float16.
+    """Every value of the cells output is finite; float16 values are below the largest float16.
 
     Why:
         Renderers sort cells: a NaN sorts anywhere, and takes all Gaussians of the cell along.
@@ -221,7 +221,7 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     needs=CELLS,
 )
 def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
-    """The covariance of every visible cell is positive semi-definite, up to rounding.
+    """The covariance of every visible cell (group of Gaussians) is positive semi-definite.
 
     Why:
         A renderer looks for a cell's Gaussians where its ellipsoid shows. An indefinite one
@@ -291,7 +291,7 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     needs=(*CELLS, "GO010", "GO011"),
 )
 def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
-    """The visibility of every cell without a live row (a row before the row count) is 0.
+    """The visibility of every cell without a live Gaussian (a row before the row count) is 0.
 
     Why:
         Renderers sort all cells that are visible, and look for their Gaussians in every tile that

@@ -1,12 +1,22 @@
 """Facts about a model that its author recorded: sources, test vectors, pictures, cost."""
 
-__all__ = ["Cost", "ExternalData", "Producer", "ReferenceImage", "TestVector", "VectorFile"]
+__all__ = [
+    "Cost",
+    "ExternalData",
+    "Producer",
+    "ReferenceImage",
+    "TestVector",
+    "VectorFile",
+    "VectorInput",
+    "VectorRows",
+]
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from gsgen.contract.spec.fields.json_schema import Hint
-from gsgen.contract.spec.fields.values import AboveZero, Fraction, Sha256
+from gsgen.contract.spec.fields.scene import Tolerances
+from gsgen.contract.spec.fields.values import AboveZero, Fraction, Name, RowNumber, Sha256
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +39,26 @@ class VectorFile:
 
 
 @dataclass(frozen=True, slots=True)
+class VectorInput:
+    """The numbers of one input of a test vector, inside the manifest."""
+
+    input: Name
+    shape: tuple[int, ...]
+    values: Annotated[tuple[float, ...], Hint(text="All numbers, in row-major order.")]
+
+
+@dataclass(frozen=True, slots=True)
+class VectorRows:
+    """Some rows of one output, as the original (torch) model computed them for a test vector."""
+
+    output: Name
+    rows: Annotated[tuple[RowNumber, ...], Hint(text="Row numbers, along the first axis.")]
+    values: Annotated[
+        tuple[tuple[float, ...], ...], Hint(text="The numbers of each row, in the order of `rows`.")
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TestVector:
     """A named set of test inputs, and the digest of the outputs that the model promises for it."""
 
@@ -38,6 +68,15 @@ class TestVector:
     files: Annotated[
         tuple[VectorFile, ...], Hint(text="The inputs as files, for readers without the probe set.")
     ] = ()
+    values: Annotated[
+        tuple[VectorInput, ...], Hint(text="The inputs themselves, instead of the probe's.")
+    ] = ()
+    outputs: Annotated[
+        tuple[VectorRows, ...], Hint(text="Rows of the source's outputs for `values`.")
+    ] = ()
+    tolerances: Annotated[
+        Tolerances | None, Hint(text="For `outputs`; absent: the manifest's.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

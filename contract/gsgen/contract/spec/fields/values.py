@@ -1,6 +1,15 @@
 """Types of a manifest's values: names, digests and numbers with a lower limit."""
 
-__all__ = ["AboveZero", "ExtensionName", "Fraction", "Name", "Positive", "RoleName", "Sha256"]
+__all__ = [
+    "AboveZero",
+    "ExtensionName",
+    "Fraction",
+    "Name",
+    "Positive",
+    "RoleName",
+    "RowNumber",
+    "Sha256",
+]
 
 from typing import Annotated
 
@@ -10,6 +19,7 @@ from gsgen.contract.spec.fields.roles import ROLES
 RoleName = Annotated[str, Hint(text="What the input means.", enum=tuple(ROLES))]
 Name = Annotated[str, Hint(text="The tensor's name in the graph.", min_length=1)]
 Positive = Annotated[int, Hint(minimum=1)]
+RowNumber = Annotated[int, Hint(minimum=0)]
 Sha256 = Annotated[str, Hint(text="SHA-256, in lower-case hex.", pattern="^[0-9a-f]{64}$")]
 Fraction = Annotated[float, Hint(minimum=0)]
 AboveZero = Annotated[float, Hint(above=0)]

@@ -44,7 +44,7 @@ class CullSlots:
     def step(
         self, frame: Buffer, keys: Buffer, lows: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> Step:
-        """Return the dispatch that lists the visible splat pool slots of a page of Gaussians."""
+        """Return the dispatch that lists the slots (streamed tiles) in view, of one GPU page."""
         assert page.slots is not None
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (
@@ -57,7 +57,7 @@ class CullSlots:
 def seen_reference(
     slots: Shaped[np.ndarray, " s"], frame: Shaped[np.ndarray, ""], page: Shaped[np.ndarray, ""]
 ) -> Bool[np.ndarray, " s"]:
-    """Return the mask of splat pool slots in view of a camera: ``cull_slots.wgsl`` in NumPy.
+    """Return the mask of pool slots (streamed tiles) in view: ``cull_slots.wgsl`` in NumPy.
 
     All eight corners of a box are tested against each side of the image and the near plane, which
     is another way to the same result as the shader's extents.

@@ -1,8 +1,8 @@
 """Blends the splats of each image tile, front to back."""
 
-__all__ = ["BlendTiles", "Layers", "blend_reference", "workgroup_shape"]
+__all__ = ["BlendTiles", "Layers", "allocate_layers", "blend_reference", "workgroup_shape"]
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -13,7 +13,7 @@ from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.project.project import Projected
-from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import VEC4, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import (
     MAX_ALPHA,
     MIN_TRANSMITTANCE,
@@ -48,6 +48,26 @@ class Layers:
     colors: Buffer
     depths: Buffer
     normals: Buffer | None = None
+
+
+def allocate_layers(
+    storage: Callable[[str, int], Buffer], count: int, size: tuple[int, int], *, normal: bool
+) -> Layers:
+    """Allocate GPU buffers for image layers: colours, depths and normals.
+
+    Args:
+        storage: Allocates a buffer of a name and a number of bytes.
+        count: Number of layers.
+        size: Width and height of the image, in pixels.
+        normal: Whether normals are requested.
+    """
+    pixels = count * size[0] * size[1]
+    return Layers(
+        count,
+        storage("layer colors", VEC4 * pixels),
+        storage("layer depths", 4 * pixels),
+        storage("layer normals", VEC4 * pixels) if normal else None,
+    )
 
 
 def workgroup_shape(

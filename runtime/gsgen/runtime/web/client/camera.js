@@ -16,17 +16,11 @@ import { cross, linearPart, normalized, plus, times, transposed } from "./matric
  */
 
 export const DEFAULT_NEAR = 0.01;
-export const DEFAULT_UP = Object.freeze([0, -1, 0]);
 
 /** Return the camera centre −Rᵀt. @param {Camera} camera */
 export function eyeOf(camera) {
   const { view } = camera;
   return times(transposed(linearPart(view)), [view[3], view[7], view[11]]).map((x) => -x);
-}
-
-/** Return the pixels of a full turn of a panorama; 0 for other cameras. @param {Camera} camera */
-export function periodOf(camera) {
-  return camera.kind === "panorama" ? 2 * Math.PI * camera.fx : 0;
 }
 
 /**
@@ -58,30 +52,7 @@ export function turnTowards(forward, up) {
 }
 
 /**
- * Return the pinhole camera at `eye` that looks at `target`.
- * @param {number[]} eye
- * @param {number[]} target
- * @param {{up?: readonly number[], width: number, height: number, fovY?: number, near?: number}} lens
- *     The vertical field of view is in degrees.
- * @returns {Camera}
- */
-export function lookAt(eye, target, { up = DEFAULT_UP, width, height, fovY = 50, near = DEFAULT_NEAR }) {
-  const focal = height / 2 / Math.tan((fovY * Math.PI) / 360);
-  return {
-    view: viewOf(turnTowards(plus(target, -1, eye), up), eye),
-    fx: focal,
-    fy: focal,
-    cx: width / 2,
-    cy: height / 2,
-    width,
-    height,
-    near,
-    kind: "pinhole",
-  };
-}
-
-/**
- * Return the world position at a pixel and a depth of a camera's image.
+ * Return the world position at a pixel and a depth of a pinhole camera's image.
  * @param {Camera} camera
  * @param {number} x
  * @param {number} y
@@ -90,12 +61,6 @@ export function lookAt(eye, target, { up = DEFAULT_UP, width, height, fovY = 50,
 export function unproject(camera, x, y, depth) {
   const across = (x - camera.cx) / camera.fx;
   const down = (y - camera.cy) / camera.fy;
-  let local = [across * depth, down * depth, depth];
-  if (camera.kind === "orthographic") local = [across, down, depth];
-  if (camera.kind === "panorama") {
-    const level = Math.cos(down);
-    const toward = [Math.sin(across) * level, Math.sin(down), Math.cos(across) * level];
-    local = toward.map((part) => depth * part);
-  }
+  const local = [across * depth, down * depth, depth];
   return plus(eyeOf(camera), 1, times(transposed(linearPart(camera.view)), local));
 }

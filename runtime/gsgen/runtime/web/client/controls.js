@@ -1,7 +1,7 @@
 /** Cameras that visitors move: orbit, pan, zoom and fly, by mouse, touch and keys. */
 
 import { DEFAULT_NEAR, turnTowards, viewOf } from "./camera.js";
-import { dot, normalized, plus, product, rotation, times, transposed } from "./matrices.js";
+import { cross, dot, normalized, plus, product, rotation, times, transposed } from "./matrices.js";
 
 const RADIANS = Math.PI / 180;
 const POLE = RADIANS; // least angle between the view and straight up or down
@@ -15,19 +15,10 @@ const NEAR_SHARE = 0.01; // distance of the near plane, relative to that of the 
 
 /** @type {Record<string, number[]>} Direction of each flying key: right, down and forward. */
 const FLIGHT = {
-  KeyW: [0, 0, 1],
-  KeyS: [0, 0, -1],
-  KeyA: [-1, 0, 0],
-  KeyD: [1, 0, 0],
-  KeyQ: [0, 1, 0],
-  KeyE: [0, -1, 0],
+  KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0],
+  KeyD: [1, 0, 0], KeyQ: [0, 1, 0], KeyE: [0, -1, 0],
 };
-const ARROWS = {
-  ArrowLeft: [-1, 0],
-  ArrowRight: [1, 0],
-  ArrowUp: [0, 1],
-  ArrowDown: [0, -1],
-};
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 
@@ -52,8 +43,8 @@ export class OrbitCamera {
     const { azimuth, elevation, radius } = this.home;
     const sizes = this.up.map(Math.abs);
     const axis = [0, 1, 2].map((i) => Number(i === sizes.indexOf(Math.min(...sizes))));
-    const side = normalized(crossed(this.up, axis));
-    const front = crossed(side, this.up);
+    const side = normalized(cross(this.up, axis));
+    const front = cross(side, this.up);
     const [turn, lift] = [azimuth * RADIANS, elevation * RADIANS];
     const level = plus(front.map((x) => x * Math.cos(turn)), Math.sin(turn), side);
     const offset = plus(level.map((x) => x * Math.cos(lift)), Math.sin(lift), this.up);
@@ -103,7 +94,7 @@ export class OrbitCamera {
     // Rows are made orthogonal again, so that rounding errors of many drags do not add up.
     const forward = normalized(turn.slice(6));
     const right = normalized(plus(turn.slice(0, 3), -dot(turn, forward), forward));
-    this.turn = [...right, ...crossed(forward, right), ...forward];
+    this.turn = [...right, ...cross(forward, right), ...forward];
   }
 
   /** Turn in place by angles to the right and down. */
@@ -146,10 +137,6 @@ export class OrbitCamera {
     this.turn = turnTowards(ahead, this.up);
     [this.distance, this.pivot] = [distance, [...point]];
   }
-}
-
-function crossed(a, b) {
-  return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 }
 
 /** Moves a camera by the pointers and keys of an element. */

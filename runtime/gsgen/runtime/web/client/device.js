@@ -1,26 +1,17 @@
 /** The graphics device of a page, which all elements share. */
 
 import { GsgenError } from "./errors.js";
+import { once } from "./once.js";
 
 const WANTED_LIMITS = [
-  "maxStorageBufferBindingSize",
-  "maxBufferSize",
-  "maxStorageBuffersPerShaderStage",
-  "maxComputeWorkgroupStorageSize",
-  "maxComputeInvocationsPerWorkgroup",
-  "maxComputeWorkgroupSizeX",
-  "maxComputeWorkgroupSizeY",
-  "maxComputeWorkgroupSizeZ",
+  "maxStorageBufferBindingSize", "maxBufferSize", "maxStorageBuffersPerShaderStage",
+  "maxComputeWorkgroupStorageSize", "maxComputeInvocationsPerWorkgroup",
+  "maxComputeWorkgroupSizeX", "maxComputeWorkgroupSizeY", "maxComputeWorkgroupSizeZ",
 ];
+/** @type {GPUFeatureName[]} */
 const WANTED_FEATURES = ["shader-f16"]; // for generators; no kernel of the renderer needs it
 
-/** @type {Promise<GPUDevice> | null} */
-let shared = null;
-
-/**
- * Open a device with the adapter's own limits.
- * @returns {Promise<GPUDevice>}
- */
+/** Open a device with the adapter's own limits. @returns {Promise<GPUDevice>} */
 export async function openDevice() {
   if (!navigator.gpu) {
     throw new GsgenError("this browser has no WebGPU", {
@@ -40,23 +31,5 @@ export async function openDevice() {
   return adapter.requestDevice({ label: "gsgen", requiredLimits, requiredFeatures });
 }
 
-/**
- * Return the page's device; after a loss the next call opens another one.
- * @returns {Promise<GPUDevice>}
- */
-export function sharedDevice() {
-  if (!shared) {
-    const opening = openDevice();
-    shared = opening;
-    opening.then(
-      (device) =>
-        device.lost.then(() => {
-          if (shared === opening) shared = null;
-        }),
-      () => {
-        shared = null;
-      },
-    );
-  }
-  return shared;
-}
+/** Return the page's device; after a loss the next call opens another one. */
+export const sharedDevice = once(openDevice, (device) => device.lost);

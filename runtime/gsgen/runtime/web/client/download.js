@@ -1,6 +1,6 @@
 /** Loads bytes: from an address, or from a script element of the same document (`#id`). */
 
-import { GsgenError } from "./errors.js";
+import { failing } from "./errors.js";
 
 /**
  * @param {string} source
@@ -10,20 +10,15 @@ import { GsgenError } from "./errors.js";
  */
 export async function download(source, onProgress = () => {}, signal) {
   if (source.startsWith("#")) return inlined(source);
+  const fail = failing(source, "Is the address right, and may this page read it (CORS)?");
   let response;
   try {
     response = await fetch(source, { signal });
   } catch (error) {
     if (signal?.aborted) throw error;
-    const hint = "Is the address right, and may this page read it (CORS)?";
-    throw new GsgenError(`cannot be loaded: ${error.message}`, { where: source, hint });
+    fail(`cannot be loaded: ${error.message}`);
   }
-  if (!response.ok || !response.body) {
-    throw new GsgenError(`cannot be loaded: ${response.status} ${response.statusText}`, {
-      where: source,
-      hint: "Is the address right?",
-    });
-  }
+  if (!response.ok) fail(`cannot be loaded: ${response.status} ${response.statusText}`);
   const total = Number(response.headers.get("Content-Length") ?? 0);
   const parts = [];
   let loaded = 0;
@@ -39,8 +34,6 @@ export async function download(source, onProgress = () => {}, signal) {
 /** Return the bytes of a script element that holds base64. */
 export function inlined(source) {
   const element = document.querySelector(source);
-  if (!element?.textContent) {
-    throw new GsgenError("is no element of this page", { where: source });
-  }
+  if (!element?.textContent) failing(source)("is no element of this page");
   return Uint8Array.from(atob(element.textContent.trim()), (letter) => letter.charCodeAt(0)).buffer;
 }

@@ -6,7 +6,6 @@ import { download } from "./download.js";
 import { ElementView } from "./element_view.js";
 import { GsgenError } from "./errors.js";
 import { openModel } from "./model.js";
-import { IDENTITY } from "./matrices.js";
 import { Playback } from "./playback.js";
 import { Presenter } from "./present.js";
 import { Renderer } from "./renderer.js";
@@ -83,8 +82,10 @@ export class GsgenModel extends HTMLElement {
       this._listen();
     } else if (name === "poster") this._view.showPoster(now);
     else if (["camera-orbit", "field-of-view", "up"].includes(name)) this._placeCamera();
-    else if (name === "time" && this._playback) this._setTimeValue(Number(now));
-    else if (name === "loop" && this._playback) this._playback.loop = this._loops();
+    else if (name === "time" && this._playback) {
+      this._playback.value = Number(now);
+      this._timeChanged();
+    } else if (name === "loop" && this._playback) this._playback.loop = this._loops();
     this.requestFrame();
   }
 
@@ -218,12 +219,19 @@ export class GsgenModel extends HTMLElement {
     const [kernels, bytes] = await Promise.all([started, data]);
     signal.throwIfAborted();
     const name = this.getAttribute("name") ?? source;
-    const model = await openModel(kernels, bytes, name);
+    const number = (attribute) => parseFloat(this.getAttribute(attribute) ?? "") || undefined;
+    const model = await openModel(kernels, bytes, name, {
+      source,
+      maxError: number("max-error"),
+      maxSplats: number("max-splats"),
+      onChange: () => this.requestFrame(),
+      onError: ({ message, hint }) => this._tell("error", { rule: "", where: name, message, hint }),
+    });
     if (signal.aborted) return model.destroy();
     this._watch(kernels.device, signal);
     this._model = model;
     this._renderer = new Renderer(kernels, { onStale: () => this.requestFrame() });
-    this._setScene();
+    this._renderer.setScene(model.sets);
     this._presenter = new Presenter(kernels, this._view.canvas);
     await this._presenter.prepare();
     if (model.time) this._startTime(model.time);
@@ -237,10 +245,6 @@ export class GsgenModel extends HTMLElement {
     this.report = { manifest: model.manifest ?? null, errors: [], findings: model.findings ?? [] };
     this._tell("load", { count: model.buffers.count });
     this.requestFrame();
-  }
-
-  _setScene() {
-    this._renderer.setScene([{ buffers: this._model.buffers, transform: [...IDENTITY] }]);
   }
 
   /** Open everything again if the device goes away, as browsers allow after a driver's fault. */
@@ -280,11 +284,6 @@ export class GsgenModel extends HTMLElement {
     const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
     if (this.hasAttribute("autoplay") && !isStill) playback.play();
     this._view.showTime(playback);
-  }
-
-  _setTimeValue(value) {
-    this._playback.value = value;
-    this._timeChanged();
   }
 
   _timeChanged() {
@@ -366,7 +365,7 @@ export class GsgenModel extends HTMLElement {
     if (playback?.advance(now)) this._timeChanged();
     if (this._isStale || model.followsCamera) {
       const time = playback && model.time ? { [model.time.name]: timeValue(model, playback) } : {};
-      if (await model.update({ ...time, ...this._inputs }, camera)) this._setScene();
+      if (await model.update({ ...time, ...this._inputs }, camera)) renderer.setScene(model.sets);
       if (this._model !== model) return; // removed or replaced meanwhile
       this._isStale = false;
     }

@@ -10,7 +10,7 @@ canvas:focus-visible { outline: 3px solid var(--gsgen-accent, #6cf) }
 [part=bar] { position: absolute; left: 0; bottom: 0; height: 3px; width: 0;
   background: var(--gsgen-accent, #6cf); transition: width .2s }
 [part=error] { position: absolute; inset: 0; margin: 0; padding: 1rem; display: grid; align-content: center;
-  justify-items: center; text-align: center; background: #200c; overflow: auto }
+  justify-items: center; text-align: center; background: #200c; overflow: auto; white-space: pre-line }
 [part=player] { position: absolute; inset: auto 0 0; display: flex; gap: .6rem; padding: .5rem .7rem;
   align-items: center; background: linear-gradient(transparent, #000b); opacity: 0; transition: opacity .2s }
 :host(:hover) [part=player], :host(:focus-within) [part=player], [part=player][data-paused] { opacity: 1 }
@@ -59,13 +59,8 @@ export class ElementView {
   /** @param {string} alt @param {boolean} isInteractive */
   describe(alt, isInteractive) {
     this.canvas.setAttribute("aria-label", alt);
-    if (isInteractive) {
-      this.canvas.tabIndex = 0;
-      this.canvas.setAttribute("aria-description", KEYS_HELP);
-    } else {
-      this.canvas.removeAttribute("tabindex");
-      this.canvas.removeAttribute("aria-description");
-    }
+    this.canvas.tabIndex = isInteractive ? 0 : -1;
+    this.canvas.ariaDescription = isInteractive ? KEYS_HELP : null;
   }
 
   /** @param {string | null} address */
@@ -95,13 +90,7 @@ export class ElementView {
   /** @param {Error & {hint?: string} | null} error */
   showError(error) {
     this._error.hidden = !error;
-    this._error.replaceChildren();
-    if (!error) return;
-    for (const text of [error.message, error.hint ?? ""].filter(Boolean)) {
-      const line = document.createElement("span");
-      line.textContent = text;
-      this._error.append(line);
-    }
+    this._error.textContent = error ? [error.message, error.hint].filter(Boolean).join("\n") : "";
   }
 
   /** @param {import("./playback.js").Playback | null} playback */

@@ -15,3 +15,10 @@ export class GsgenError extends Error {
     this.findings = findings;
   }
 }
+
+/** Return a function that throws the error of a file or model: its problem, and what helps. */
+export function failing(where, usual = "") {
+  return (message, hint = usual, rule = "") => {
+    throw new GsgenError(message, { where, hint, rule });
+  };
+}

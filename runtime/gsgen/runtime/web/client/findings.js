@@ -10,7 +10,7 @@ import { graphOf, manifestText } from "./onnx_metadata.js";
 /** @typedef {{rule: string, severity: string, where: string, actual: string, expected: string,
  *     hint: string}} PageFinding */
 /** @typedef {{name: string, dtype: string, dims: (number | string | null)[] | null}} Tensor */
-/** @typedef {[string, string, string, string]} Violation Rule, where, actual and expected. */
+/** @typedef {string[]} Violation Rule, where, actual and expected. */
 
 const short = (text) => (text.length <= 60 ? text : `${text.slice(0, 57)}…`);
 const shortJson = (value) => short(typeof value === "string" ? value : JSON.stringify(value));
@@ -56,6 +56,8 @@ function* violationsOf(bytes, contract) {
   yield* missing;
   if (manifest.kind !== "gaussian-generator") return;
   if (!missing.length) yield* tensorsAgree(manifest, graph, contract);
+  const rows = graph.outputs.find(({ name }) => name === manifest.outputs?.gaussians?.name);
+  if (rows?.dims) yield* rowsFit(rows, contract.rows);
   if (!manifest.space) yield ["GM006", "manifest space", "not declared", "up, unit and matrix_order"];
   yield* boundsHold(manifest);
 }
@@ -97,7 +99,7 @@ function* namesExist(manifest, graph) {
 }
 
 /** Check that declared dtypes and sizes are those of the graph (GM005). */
-function* tensorsAgree({ inputs = [], outputs = {} }, graph, { channels }) {
+function* tensorsAgree({ inputs = [], outputs = /** @type {any} */ ({}) }, graph, { channels }) {
   const tensorOf = (side, name) => graph[side].find((tensor) => tensor.name === name);
   const isSize = (dim) => typeof dim === "number" && dim > 0;
   for (const { name, shape } of inputs) {
@@ -131,6 +133,20 @@ function* tensorsAgree({ inputs = [], outputs = {} }, graph, { channels }) {
     }
   }
   yield* dtypesAgree(cells);
+}
+
+/** Check the shape of the packed rows (GO002, GO003), and that a dispatch reaches all (GL003). */
+function* rowsFit({ name, dtype, dims }, { width, most, meanings }) {
+  const [where, rows, columns] = [`output ${name}`, dims[0], dims[dims.length - 1]];
+  const shape = `shape ${dtype || "?"} ${listed(dims.map((dim) => dim ?? "?"))}`;
+  if (dims.length !== 2) {
+    const flat = dims.length === 1 ? "; these rows are flattened" : "";
+    yield ["GO003", where, shape, `two axes, [N, ${width}]${flat}`];
+  } else if (columns !== width) {
+    const meaning = meanings[columns] ? `; ${columns} columns usually are ${meanings[columns]}` : "";
+    const likely = rows === width ? "; this one is transposed, channels first" : meaning;
+    yield ["GO002", where, shape, `[N, ${width}]${likely}`];
+  } else if (rows > most) yield ["GL003", where, `${rows} rows`, `${most} rows at most`];
 }
 
 /** Check that bounds are declared, and are a box (GM009, GM019). */

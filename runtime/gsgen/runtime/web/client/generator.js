@@ -5,15 +5,16 @@
  * kernel copies rows that no page can bind, such as three float32 numbers.
  */
 
-import { GsgenError } from "./errors.js";
+import { GsgenError, failing } from "./errors.js";
 import { findingsOf } from "./findings.js";
 import { GeneratorSession } from "./generator_session.js";
+import { readBuffer, storageBuffer } from "./gpu_buffers.js";
+import { encodePass } from "./host.js";
+import { IDENTITY, plus } from "./matrices.js";
 import { extentOf } from "./model.js";
 import { manifestText } from "./onnx_metadata.js";
 import { evaluate } from "./plan.js";
-import { readBuffer } from "./read.js";
 import { appearanceKind, degreeOf, pagesOf } from "./splat_buffers.js";
-import { halfOf } from "./splat_files.js";
 
 const FRAMES = 100; // of a time that declares none
 const FRAMES_PER_SECOND = 25;
@@ -78,9 +79,7 @@ class GeneratorBuffers {
       (row) => row.target === target && row.dtype === type && row.columns === dims[1],
     );
     if (!entry) return gpuBuffer;
-    const size = Math.ceil((4 * entry.words * dims[0]) / 16) * 16;
-    const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_SRC;
-    const buffer = device.createBuffer({ label: `repacked ${target}`, size, usage });
+    const buffer = storageBuffer(device, `repacked ${target}`, 4 * entry.words * dims[0]);
     this._own.push(buffer);
     const bytes = Math.ceil((dims[0] * dims[1] * (type === "float16" ? 2 : 4)) / 4) * 4;
     await this._add(entry, dims[0], { buffer: gpuBuffer, size: bytes }, { buffer });
@@ -89,9 +88,7 @@ class GeneratorBuffers {
 
   async _countLive(tensor) {
     const { plans, device } = this._kernels;
-    const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_SRC;
-    const size = 4 * this.pages.length;
-    this.liveCounts = device.createBuffer({ label: "live rows", size, usage });
+    this.liveCounts = storageBuffer(device, "live rows", 4 * this.pages.length);
     this._own.push(this.liveCounts);
     const source = { buffer: tensor.gpuBuffer, size: 4 };
     await this._add(plans.generators.live_counts, 1, source, { buffer: this.liveCounts });
@@ -103,21 +100,14 @@ class GeneratorBuffers {
     const entries = resources.map((resource, binding) => ({ binding, resource }));
     this._commands.push({
       pipeline: await this._kernels.pipeline(pipeline),
-      group: device.createBindGroup({ layout, entries }),
+      groups: [device.createBindGroup({ layout, entries })],
       counts: groups.map((count) => evaluate(count, { capacity })),
     });
   }
 
   /** Encode the copies of a frame. @param {GPUCommandEncoder} encoder */
   encode(encoder) {
-    if (!this._commands.length) return;
-    const pass = encoder.beginComputePass({ label: "outputs of a generator" });
-    for (const { pipeline, group, counts } of this._commands) {
-      pass.setPipeline(pipeline);
-      pass.setBindGroup(0, group);
-      pass.dispatchWorkgroups(...counts);
-    }
-    pass.end();
+    if (this._commands.length) encodePass(encoder, "outputs of a generator", this._commands);
   }
 
   destroy() {
@@ -128,9 +118,7 @@ class GeneratorBuffers {
 
 /** Check what a page can show of a manifest. */
 function requireDrawable(manifest, name) {
-  const fail = (message, hint, rule = "") => {
-    throw new GsgenError(message, { where: name, hint, rule });
-  };
+  const fail = failing(name);
   if (manifest.kind !== "gaussian-generator") {
     fail(`is a ${manifest.kind}, expected a gaussian-generator`, "Show a generator.");
   }
@@ -176,11 +164,13 @@ export class GeneratorModel {
     this.isCaptured = session.isCaptured;
     this._inputs = session.inputs;
     this.buffers = new GeneratorBuffers(kernels, manifest);
+    this.sets = [{ buffers: this.buffers, transform: IDENTITY }];
     this.inputs = manifest.inputs;
     this.followsCamera = this._inputs.followsCamera;
     const axis = manifest.space?.up ?? "-y";
     this.up = ["x", "y", "z"].map((letter) => (axis.endsWith(letter) ? (axis[0] === "-" ? -1 : 1) : 0));
     this.time = timeOf(manifest.inputs);
+    this.findings = [];
     this.extent = { center: [0, 0, 0], reach: 1 };
     this._hasRun = false;
   }
@@ -201,33 +191,28 @@ export class GeneratorModel {
   /** Run some moments, and find a box around the Gaussians of all. */
   async _survey() {
     const { time } = this;
-    const camera = { view: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], fx: 1, fy: 1, cx: 0.5, cy: 0.5, width: 1, height: 1, near: 0.01 };
+    const camera = { view: [...IDENTITY], fx: 1, fy: 1, cx: 0.5, cy: 0.5, width: 1, height: 1, near: 0.01 };
     const boxes = [];
     for (let moment = 0; moment < (time ? SURVEYED : 1); moment++) {
       const value = time && time.low + ((time.high - time.low) * moment) / SURVEYED;
       await this.update(time ? { [time.name]: value } : {}, camera);
-      boxes.push(extentOf(...(await this._liveRows())));
+      boxes.push(extentOf(await this._liveRows()));
     }
-    const [low, high] = [Math.min, Math.max].map((pick, side) =>
-      [0, 1, 2].map((axis) =>
-        pick(...boxes.map(({ center, half }) => center[axis] + (side ? half[axis] : -half[axis]))),
-      ),
-    );
-    this.extent = {
-      center: low.map((x, axis) => (x + high[axis]) / 2),
-      reach: Math.hypot(...low.map((x, axis) => high[axis] - x)) / 2 || 1,
-    };
+    const low = [0, 1, 2].map((i) => Math.min(...boxes.map(({ center, half }) => center[i] - half[i])));
+    const high = [0, 1, 2].map((i) => Math.max(...boxes.map(({ center, half }) => center[i] + half[i])));
+    const half = plus(high, -1, low).map((side) => side / 2);
+    this.extent = { center: plus(low, 1, half), reach: Math.hypot(...half) || 1 };
   }
 
   /** Read the live rows back; only before the first picture. */
   async _liveRows() {
     const { gaussians, count } = this.manifest.outputs;
     const tensor = this._outputs[gaussians.name];
+    /** @type {(output: any, Numbers: any, size: number) => Promise<any>} */
     const read = (output, Numbers, size) => readBuffer(this._kernels.device, output.gpuBuffer, Numbers, size);
     const live = count ? (await read(this._outputs[count.name], Int32Array, 1))[0] : tensor.dims[0];
-    const isHalf = tensor.type === "float16";
-    const data = await read(tensor, isHalf ? Uint16Array : Float32Array, 10 * tensor.dims[0]);
-    return [isHalf ? Float32Array.from(data, halfOf) : data, Math.max(live, 0)];
+    const Numbers = tensor.type === "float16" ? Float16Array : Float32Array;
+    return { rows: await read(tensor, Numbers, 10 * tensor.dims[0]), count: Math.max(live, 0) };
   }
 
   destroy() {

@@ -2,6 +2,8 @@
 
 import { eyeOf } from "./camera.js";
 import { GsgenError } from "./errors.js";
+import { storageBuffer } from "./gpu_buffers.js";
+import { transposed4 } from "./matrices.js";
 
 const MATRICES = ["view", "projection"];
 const FAR_RATIO = 1e5; // of the far plane's distance to the near plane's
@@ -11,23 +13,9 @@ const ARRAYS = {
   int32: (numbers) => Int32Array.from(numbers),
   uint32: (numbers) => Uint32Array.from(numbers),
   int64: (numbers) => BigInt64Array.from(numbers, (number) => BigInt(Math.round(number))),
-  float16: (numbers) => Uint16Array.from(numbers, halfBits),
+  float16: (numbers) => Float16Array.from(numbers),
   bool: (numbers) => Uint8Array.from(numbers, (number) => Number(Boolean(number))),
 };
-
-/** Return the bits of the float16 nearest to a number. */
-function halfBits(number) {
-  const sign = number < 0 || Object.is(number, -0) ? 0x8000 : 0;
-  const size = Math.abs(number);
-  if (Number.isNaN(size)) return 0x7e00;
-  if (size >= 65520) return sign | 0x7c00;
-  const exponent = Math.max(Math.floor(Math.log2(size || 2 ** -24)), -14);
-  const scaled = size / 2 ** (exponent - 10);
-  const low = Math.floor(scaled);
-  const half = scaled - low;
-  const fraction = low + Number(half > 0.5 || (half === 0.5 && low % 2 === 1));
-  return sign | (fraction + ((exponent + 14) << 10));
-}
 
 /** Return the matrix camera → clip that generators receive, 4×4 row by row. */
 export function projectionOf({ fx, fy, cx, cy, width, height, near }) {
@@ -38,16 +26,6 @@ export function projectionOf({ fx, fy, cx, cy, width, height, near }) {
     0, 0, far / (far - near), (-near * far) / (far - near),
     0, 0, 1, 0,
   ];
-}
-
-/** Return the values of camera inputs by role. @param {import("./camera.js").Camera} camera */
-function cameraValues(camera) {
-  return {
-    view: camera.view,
-    projection: projectionOf(camera),
-    camera_position: eyeOf(camera),
-    viewport: [camera.width, camera.height],
-  };
 }
 
 /** Return the default of an input, as the contract defines it for the input's role. */
@@ -96,9 +74,7 @@ export class GeneratorInputs {
         });
       }
       const size = dims.reduce((a, b) => a * b, 1);
-      const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
-      const bytes = Math.max(16, Math.ceil((8 * size) / 16) * 16);
-      const buffer = device.createBuffer({ label: `input ${name}`, size: bytes, usage });
+      const buffer = storageBuffer(device, `input ${name}`, 8 * size);
       this._inputs.set(name, { spec, type, size, buffer, last: "" });
       this.feeds[name] = ort.Tensor.fromGpuBuffer(buffer, { dataType: type, dims });
       this._write(name, defaultOf(spec, dims));
@@ -117,7 +93,8 @@ export class GeneratorInputs {
    * @param {import("./camera.js").Camera} camera
    */
   update(values, camera) {
-    const known = { ...cameraValues(camera) };
+    const [projection, viewport] = [projectionOf(camera), [camera.width, camera.height]];
+    const known = { view: camera.view, projection, camera_position: eyeOf(camera), viewport };
     let isChanged = false;
     for (const [name, { spec }] of this._inputs) {
       const value = values[name] ?? values[spec.role] ?? known[spec.role];
@@ -139,7 +116,7 @@ export class GeneratorInputs {
       throw new GsgenError(`is ${numbers}, expected ${low} to ${high}`, { where: `input ${name}` });
     }
     const isMatrix = MATRICES.includes(spec.role) && this._isTransposed;
-    const ordered = isMatrix ? numbers.map((_, i) => numbers[4 * (i % 4) + Math.floor(i / 4)]) : numbers;
+    const ordered = isMatrix ? transposed4(numbers) : numbers;
     const key = ordered.join();
     if (key === input.last) return false;
     input.last = key;

@@ -7,6 +7,7 @@
 
 import { GsgenError } from "./errors.js";
 import { GeneratorInputs } from "./generator_inputs.js";
+import { storageBuffer } from "./gpu_buffers.js";
 import { outputsByOrigin } from "./onnx_metadata.js";
 import { onnxRuntime, openSession } from "./onnx_runtime.js";
 
@@ -34,10 +35,9 @@ export class GeneratorSession {
     if ((await ort.env.webgpu.device) !== device) {
       throw new GsgenError("ONNX Runtime Web took another device than the page's", { where: name });
     }
-    const session = new GeneratorSession(device, captured ?? plain, name);
-    session.inputs = new GeneratorInputs(device, ort, captured ?? plain, manifest);
-    session.isCaptured = Boolean(captured);
-    session._isStill = isStill;
+    const runs = { isCaptured: Boolean(captured), isStill };
+    const inputs = new GeneratorInputs(device, ort, captured ?? plain, manifest);
+    const session = new GeneratorSession(device, captured ?? plain, inputs, name, runs);
     if (plain && (captured || isStill)) {
       const outputs = await session._run(plain);
       for (const output of constant) session._keep(output, outputs[output]);
@@ -47,24 +47,19 @@ export class GeneratorSession {
     return session;
   }
 
-  constructor(device, session, name) {
+  constructor(device, session, inputs, name, { isCaptured, isStill }) {
     this._device = device;
     this._session = session;
+    this.inputs = inputs;
+    this.isCaptured = isCaptured;
+    this._isStill = isStill;
     this._name = name;
     /** @type {Record<string, GpuTensor>} */
     this._constants = {};
     this._outputs = null;
   }
 
-  /** Whether an output is the same in every frame. @param {string} output */
-  isConstant(output) {
-    return output in this._constants;
-  }
-
-  /**
-   * Run a frame; return its outputs by name.
-   * @returns {Promise<Record<string, GpuTensor>>}
-   */
+  /** Run a frame; return its outputs by name. @returns {Promise<Record<string, GpuTensor>>} */
   async run() {
     if (this._isStill) return this._constants;
     const last = this._outputs;
@@ -86,11 +81,9 @@ export class GeneratorSession {
   /** Copy an output into a buffer of its own. */
   _keep(output, { type, dims, gpuBuffer }) {
     const numbers = dims.reduce((a, b) => a * b, 1);
-    const size = Math.max(16, Math.ceil((numbers * BYTES[type]) / 16) * 16);
-    const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
-    const buffer = this._device.createBuffer({ label: `constant ${output}`, size, usage });
+    const buffer = storageBuffer(this._device, `constant ${output}`, numbers * BYTES[type]);
     const encoder = this._device.createCommandEncoder({ label: "constants" });
-    encoder.copyBufferToBuffer(gpuBuffer, 0, buffer, 0, Math.min(size, gpuBuffer.size));
+    encoder.copyBufferToBuffer(gpuBuffer, 0, buffer, 0, Math.min(buffer.size, gpuBuffer.size));
     this._device.queue.submit([encoder.finish()]);
     this._constants[output] = { type, dims, gpuBuffer: buffer };
   }

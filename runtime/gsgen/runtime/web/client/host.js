@@ -6,6 +6,7 @@
  */
 
 import { GsgenError } from "./errors.js";
+import { remembered } from "./once.js";
 import { choosePlan, evaluate } from "./plan.js";
 
 const BINDING_TYPES = { u: "uniform", r: "read-only-storage", w: "storage" };
@@ -24,15 +25,9 @@ const BINDING_TYPES = { u: "uniform", r: "read-only-storage", w: "storage" };
  * @property {number} [setCells]
  */
 /**
- * @typedef {object} Drawing
- * @property {string[]} outputs
- * @property {boolean} panorama
- * @property {boolean} deep
- * @property {boolean} weighted
- * @property {number} width
- * @property {number} height
- * @property {number} pairs Most pairs of a splat and a tile.
- * @property {Page[]} pages
+ * What is drawn, from how many pages, with at most how many pairs of a splat and a tile.
+ * @typedef {{outputs: string[], panorama: boolean, deep: boolean, weighted: boolean,
+ *     layers: number, width: number, height: number, pairs: number, pages: Page[]}} Drawing
  */
 
 /** Return the first page of each set. @param {Page[]} pages */
@@ -40,66 +35,76 @@ const setsOf = (pages) => pages.filter((page) => page.firstRow === 0);
 
 /** The compiled kernels of a device. */
 export class KernelCache {
-  /**
-   * @param {GPUDevice} device
-   * @param {import("./plan.js").PlanDocument} plans
-   */
+  /** @param {GPUDevice} device @param {import("./plan.js").PlanDocument} plans */
   constructor(device, plans) {
     this.device = device;
     this.plans = plans;
-    /** @type {Map<number, GPUShaderModule>} */
     this._modules = new Map();
-    /** @type {Map<string, GPUBindGroupLayout>} */
     this._layouts = new Map();
-    /** @type {Map<number, Promise<GPUComputePipeline>>} */
     this._pipelines = new Map();
   }
 
-  /** @param {number} row */
+  /** @param {number} row @returns {GPUShaderModule} */
   module(row) {
-    let module = this._modules.get(row);
-    if (!module) {
+    return remembered(this._modules, row, () => {
       const { label, constants, text } = this.plans.modules[row];
-      module = this.device.createShaderModule({ label, code: constants + this.plans.texts[text] });
-      this._modules.set(row, module);
-    }
-    return module;
+      return this.device.createShaderModule({ label, code: constants + this.plans.texts[text] });
+    });
   }
 
-  /** @param {string} kinds One letter per binding. */
+  /** @param {string} kinds One letter per binding. @returns {GPUBindGroupLayout} */
   layout(kinds) {
-    let layout = this._layouts.get(kinds);
-    if (!layout) {
-      const entries = [...kinds].map((kind, binding) => ({
-        binding,
-        visibility: GPUShaderStage.COMPUTE,
-        buffer: { type: BINDING_TYPES[kind] },
-      }));
-      layout = this.device.createBindGroupLayout({ label: kinds, entries });
-      this._layouts.set(kinds, layout);
-    }
-    return layout;
+    return remembered(this._layouts, kinds, () => {
+      const visibility = GPUShaderStage.COMPUTE;
+      const entries = [...kinds].map((kind, binding) => {
+        return { binding, visibility, buffer: { type: BINDING_TYPES[kind] } };
+      });
+      return this.device.createBindGroupLayout({ label: kinds, entries });
+    });
   }
 
-  /**
-   * @param {number} row
-   * @returns {Promise<GPUComputePipeline>}
-   */
+  /** @param {number} row @returns {Promise<GPUComputePipeline>} */
   pipeline(row) {
-    let pipeline = this._pipelines.get(row);
-    if (!pipeline) {
+    return remembered(this._pipelines, row, () => {
       const { label, module, entry, groups } = this.plans.pipelines[row];
-      pipeline = this.device.createComputePipelineAsync({
-        label,
-        layout: this.device.createPipelineLayout({
-          bindGroupLayouts: groups.map((kinds) => this.layout(kinds)),
-        }),
-        compute: { module: this.module(module), entryPoint: entry },
-      });
-      this._pipelines.set(row, pipeline);
-    }
-    return pipeline;
+      const bindGroupLayouts = groups.map((kinds) => this.layout(kinds));
+      const layout = this.device.createPipelineLayout({ bindGroupLayouts });
+      const compute = { module: this.module(module), entryPoint: entry };
+      return this.device.createComputePipelineAsync({ label, layout, compute });
+    });
   }
+
+  /** The pipeline that shows an image on a canvas, whose format is the same for all canvases. */
+  get presenting() {
+    return remembered(this._pipelines, -1, () => {
+      const { vertex, fragment, module: row } = this.plans.present;
+      const module = this.module(row);
+      const format = navigator.gpu.getPreferredCanvasFormat();
+      return this.device.createRenderPipelineAsync({
+        label: "present",
+        layout: "auto",
+        vertex: { module, entryPoint: vertex },
+        fragment: { module, entryPoint: fragment, targets: [{ format }] },
+      });
+    });
+  }
+}
+
+/**
+ * Encode dispatches in one pass.
+ * @param {GPUCommandEncoder} encoder
+ * @param {string} label
+ * @param {any[]} steps Pipeline, bind groups, and counts or an indirect buffer of each dispatch.
+ */
+export function encodePass(encoder, label, steps) {
+  const pass = encoder.beginComputePass({ label });
+  for (const { pipeline, groups, counts, indirect } of steps) {
+    pass.setPipeline(pipeline);
+    groups.forEach((group, index) => pass.setBindGroup(index, group));
+    if (indirect) pass.dispatchWorkgroupsIndirect(indirect[0], indirect[1]);
+    else pass.dispatchWorkgroups(counts[0], counts[1], counts[2]);
+  }
+  pass.end();
 }
 
 /** The buffers, bind groups and commands of a drawing. */
@@ -143,7 +148,7 @@ export class PlanHost {
     await Promise.all(
       [...new Set(rows)].map(async (row) => pipelines.set(row, await this.kernels.pipeline(row))),
     );
-    this._allocate(plan, stages, sizes);
+    this._allocate(plan, sizes);
     const used = new Set();
     this._passes = stages.map(({ label, steps }) => ({
       label,
@@ -171,27 +176,15 @@ export class PlanHost {
     });
   }
 
-  /** Make the buffers whose size changed, and release those that no step binds. */
-  _allocate(plan, stages, sizes) {
-    const rows = new Set([...Object.values(plan.images), ...Object.values(plan.inputs)]);
-    for (const [row] of plan.clears) rows.add(row);
-    for (const { steps } of stages) {
-      for (const { step } of steps) {
-        if (step.indirect) rows.add(step.indirect[0]);
-        for (const bind of step.binds) {
-          for (const [row] of this.plans.binds[bind].entries) {
-            if (typeof row === "number") rows.add(row);
-          }
-        }
-      }
-    }
+  /** Make the buffers whose size changed, and release those that the plan lacks. */
+  _allocate(plan, sizes) {
     for (const [row, buffer] of this._buffers) {
-      if (!rows.has(row) || buffer.size !== evaluate(this.plans.buffers[row].size, sizes)) {
+      if (!plan.buffers.includes(row) || buffer.size !== evaluate(this.plans.buffers[row].size, sizes)) {
         buffer.destroy();
         this._buffers.delete(row);
       }
     }
-    for (const row of rows) {
+    for (const row of plan.buffers) {
       const { label, size, usage, data, sizes: words = [] } = this.plans.buffers[row];
       const isNew = !this._buffers.has(row);
       if (isNew) this._buffers.set(row, this._create(label, evaluate(size, sizes), usage));
@@ -248,24 +241,12 @@ export class PlanHost {
     return group;
   }
 
-  /**
-   * Encode all passes of a frame.
-   * @param {GPUCommandEncoder} encoder
-   */
+  /** Encode all passes of a frame. @param {GPUCommandEncoder} encoder */
   encode(encoder) {
     for (const [row, offset, size] of this.plan.clears) {
       encoder.clearBuffer(this._buffer(row), offset, size ?? undefined);
     }
-    for (const { label, steps } of this._passes) {
-      const pass = encoder.beginComputePass({ label });
-      for (const { pipeline, groups, counts, indirect } of steps) {
-        pass.setPipeline(pipeline);
-        groups.forEach((group, index) => pass.setBindGroup(index, group));
-        if (indirect) pass.dispatchWorkgroupsIndirect(indirect[0], indirect[1]);
-        else pass.dispatchWorkgroups(...counts);
-      }
-      pass.end();
-    }
+    for (const { label, steps } of this._passes) encodePass(encoder, label, steps);
   }
 
   /** @param {string} output @returns {GPUBuffer} */

@@ -23,34 +23,34 @@ export function transposed(a) {
   return [a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]];
 }
 
-/** Return the upper left 3×3 part of a 4×4 matrix. @param {Matrix} m @returns {Matrix} */
+/** Return the upper left 3×3 part of a 4×4 matrix. @param {readonly number[]} m @returns {Matrix} */
 export function linearPart(m) {
   return [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
 }
 
-/**
- * Solve a x = b by elimination with row pivots.
- * @param {Matrix} a 3×3
- * @param {number[]} b
- */
+/** Return a 4×4 matrix by columns as the same by rows, and the other way round. @param {number[]} m */
+export function transposed4(m) {
+  return m.map((_, i) => m[4 * (i % 4) + Math.floor(i / 4)]);
+}
+
+/** Return the product of two affine 4×4 matrices. @param {readonly number[]} a @param {readonly number[]} b */
+export function composed(a, b) {
+  const linear = product(linearPart(a), linearPart(b));
+  const [x, y, z] = moved(a, [b[3], b[7], b[11]]);
+  return [...linear.slice(0, 3), x, ...linear.slice(3, 6), y, ...linear.slice(6), z, 0, 0, 0, 1];
+}
+
+/** Return an affine 4×4 matrix times a point. @param {readonly number[]} m @param {number[]} point */
+export function moved(m, point) {
+  return plus(times(linearPart(m), point), 1, [m[3], m[7], m[11]]);
+}
+
+/** Solve a x = b by Cramer's rule. @param {Matrix} a 3×3 @param {number[]} b */
 export function solve(a, b) {
-  const rows = [0, 1, 2].map((i) => [a[3 * i], a[3 * i + 1], a[3 * i + 2], b[i]]);
-  for (let k = 0; k < 3; k++) {
-    let pivot = k;
-    for (let i = k + 1; i < 3; i++) if (Math.abs(rows[i][k]) > Math.abs(rows[pivot][k])) pivot = i;
-    [rows[k], rows[pivot]] = [rows[pivot], rows[k]];
-    for (let i = k + 1; i < 3; i++) {
-      const factor = rows[i][k] / rows[k][k];
-      for (let j = k; j < 4; j++) rows[i][j] -= factor * rows[k][j];
-    }
-  }
-  const x = [0, 0, 0];
-  for (let i = 2; i >= 0; i--) {
-    let rest = rows[i][3];
-    for (let j = i + 1; j < 3; j++) rest -= rows[i][j] * x[j];
-    x[i] = rest / rows[i][i];
-  }
-  return x;
+  const [p, q, r] = [a.slice(0, 3), a.slice(3, 6), a.slice(6)];
+  const first = cross(q, r).map((part) => b[0] * part);
+  const sum = plus(plus(first, b[1], cross(r, p)), b[2], cross(p, q));
+  return sum.map((part) => part / dot(p, cross(q, r)));
 }
 
 /**
@@ -106,7 +106,11 @@ export function plus(a, s, b) {
   return [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
 }
 
-/** Return the rotation about a unit axis (Rodrigues' formula). @returns {Matrix} */
+/**
+ * Return the rotation about a unit axis (Rodrigues' formula).
+ * @param {Matrix} axis
+ * @param {number} angle
+ */
 export function rotation([x, y, z], angle) {
   const [c, s, d] = [Math.cos(angle), Math.sin(angle), 1 - Math.cos(angle)];
   return [

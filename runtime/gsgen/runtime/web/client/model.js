@@ -1,5 +1,6 @@
 /** Models that an element shows: splat files, and generators that compute new ones every frame. */
 
+import { linearPart, times } from "./matrices.js";
 import { readSplats } from "./splat_files.js";
 import { SplatBuffers } from "./splat_buffers.js";
 
@@ -9,6 +10,7 @@ const SAMPLES = 50_000; // centres that an extent is found from
 /**
  * @typedef {object} Model
  * @property {any} buffers Its Gaussians in GPU memory.
+ * @property {import("./renderer.js").PlacedSet[]} sets What is drawn of it.
  * @property {{center: number[], reach: number}} extent
  * @property {number[]} up
  * @property {{name: string, low: number, high: number, seconds: number, loop: boolean} | null} time
@@ -17,14 +19,15 @@ const SAMPLES = 50_000; // centres that an extent is found from
  * @property {(values: Record<string, any>, camera: any) => Promise<boolean>} update Computes a
  *     frame; true if the pages are others than before.
  * @property {() => void} destroy
+ * @property {any} [manifest] Of generators, with the findings of rules.
+ * @property {any[]} [findings]
  */
 
 /**
  * Return the centre of the box around most centres, half its sides, and half its diagonal.
- * @param {Float32Array} rows
- * @param {number} count
+ * @param {{rows: Float32Array, count: number}} splats
  */
-export function extentOf(rows, count) {
+export function extentOf({ rows, count }) {
   const step = Math.max(1, Math.floor(count / SAMPLES));
   const axes = [[], [], []];
   for (let row = 0; row < count; row += step) {
@@ -50,42 +53,43 @@ function quantile(sorted, share) {
   return sorted[low] + (place - low) * (sorted[high] - sorted[low]);
 }
 
-/** The Gaussians of a splat file. */
-class StillModel {
-  /**
-   * @param {import("./host.js").KernelCache} kernels
-   * @param {import("./splat_buffers.js").Splats} splats
-   */
-  constructor({ device, plans }, splats) {
-    this.buffers = new SplatBuffers(device, plans, splats);
-    this.extent = extentOf(splats.rows, splats.count);
-    this.up = [0, -1, 0];
-    this.time = null;
-    this.inputs = [];
-    this.followsCamera = false;
-  }
-
-  async update() {
-    return false;
-  }
-
-  destroy() {
-    this.buffers.destroy();
-  }
+/** Return the model of a splat file. @returns {Model} */
+function stillModel({ device, plans }, splats) {
+  const buffers = new SplatBuffers(device, plans, splats);
+  const sets = [{ buffers, transform: splats.transform }];
+  const { center, reach } = extentOf(splats);
+  const extent = { center: times(linearPart(splats.transform), center), reach };
+  const [update, destroy] = [async () => false, () => buffers.destroy()];
+  const still = { time: null, inputs: [], followsCamera: false, update, destroy };
+  return { buffers, sets, extent, up: [0, -1, 0], ...still };
 }
+
+/**
+ * @typedef {object} Options How tilesets are streamed.
+ * @property {string} [source] Address of the tileset, to which those of its tiles are relative.
+ * @property {number} [maxError] Error in pixels above which tiles are refined.
+ * @property {number} [maxSplats] Most Gaussians in GPU memory.
+ * @property {() => void} onChange Called when tiles have arrived.
+ * @property {(error: import("./errors.js").GsgenError) => void} onError
+ */
 
 /**
  * Open a model from its bytes.
  * @param {import("./host.js").KernelCache} kernels
  * @param {ArrayBuffer} data
  * @param {string} name Address of the file, for messages.
+ * @param {Options} [options]
  * @returns {Promise<Model>}
  */
-export async function openModel(kernels, data, name) {
+export async function openModel(kernels, data, name, options = { onChange() {}, onError() {} }) {
   const { isOnnx } = await import("./onnx_metadata.js");
   if (isOnnx(new Uint8Array(data))) {
     const { GeneratorModel } = await import("./generator.js");
     return GeneratorModel.open(kernels, data, name);
   }
-  return new StillModel(kernels, await readSplats(data, name));
+  if (new TextDecoder().decode(data.slice(0, 1)) === "{") {
+    const { TilesetModel } = await import("./tileset.js");
+    return new TilesetModel(kernels, JSON.parse(new TextDecoder().decode(data)), name, options);
+  }
+  return stillModel(kernels, await readSplats(data, name));
 }

@@ -12,7 +12,7 @@ const NODE_PARTS = { input: 1, output: 2, operator: 4 }; // NodeProto
 /**
  * Yield the fields of a protobuf message: number, and bytes or a number.
  * @param {Uint8Array} bytes
- * @returns {Generator<[number, Uint8Array | number]>}
+ * @returns {Generator<[number, any]>}
  */
 function* fieldsOf(bytes) {
   let position = 0;
@@ -57,7 +57,7 @@ export function manifestText(bytes) {
   for (const [number, value] of fieldsOf(bytes)) {
     if (number !== METADATA || typeof value === "number") continue;
     const entry = new Map(fieldsOf(value));
-    const text = (part) => decoder.decode(/** @type {Uint8Array} */ (entry.get(part)));
+    const text = (part) => decoder.decode(entry.get(part));
     if (KEYS.includes(text(1))) return text(2);
   }
   return null;
@@ -65,7 +65,7 @@ export function manifestText(bytes) {
 
 /** Return the bytes of a model's graph. @param {Uint8Array} bytes */
 function graphBytes(bytes) {
-  return /** @type {Uint8Array} */ ([...fieldsOf(bytes)].find(([number]) => number === GRAPH)?.[1]);
+  return [...fieldsOf(bytes)].find(([number]) => number === GRAPH)?.[1] ?? EMPTY;
 }
 
 /**
@@ -103,19 +103,21 @@ function tensorOf(bytes) {
  */
 export function outputsByOrigin(bytes, copies) {
   const decoder = new TextDecoder();
-  const nameOf = (value) => decoder.decode(new Map(fieldsOf(value)).get(1));
+  const nameOf = (value, part = 1) => decoder.decode(new Map(fieldsOf(value)).get(part));
   const [outputs, changing, copied, weights] = [[], new Set(), new Set(), new Set()];
   const [inputs, nodes] = [[], []];
   for (const [number, value] of fieldsOf(graphBytes(bytes))) {
     if (typeof value === "number") continue;
     if (number === OUTPUT) outputs.push(nameOf(value));
     else if (number === INPUT) inputs.push(nameOf(value));
-    else if (number === WEIGHT) weights.add(tensorName(value, decoder));
+    else if (number === WEIGHT) weights.add(nameOf(value, TENSOR_NAME));
     else if (number === NODE) nodes.push(nodeOf(value, decoder));
   }
   // Files of the oldest versions list weights among the inputs.
-  for (const name of inputs) if (!weights.has(name)) changing.add(name);
-  for (const name of inputs) copied.add(name);
+  for (const name of inputs) {
+    copied.add(name);
+    if (!weights.has(name)) changing.add(name);
+  }
   for (const { operator, reads, writes } of nodes) {
     if (!reads.some((name) => changing.has(name))) continue;
     // A reduction without axes may return its input, too.
@@ -142,12 +144,4 @@ function nodeOf(bytes, decoder) {
     parts.filter(([field]) => field === part).map(([, text]) => decoder.decode(text));
   const { input, output, operator } = NODE_PARTS;
   return { operator: texts(operator)[0] ?? "", reads: texts(input), writes: texts(output) };
-}
-
-/** Return the name of a weight, without a copy of its numbers. */
-function tensorName(bytes, decoder) {
-  for (const [number, value] of fieldsOf(bytes)) {
-    if (number === TENSOR_NAME) return decoder.decode(/** @type {Uint8Array} */ (value));
-  }
-  return "";
 }

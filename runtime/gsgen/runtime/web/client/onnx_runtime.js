@@ -6,6 +6,7 @@
 
 import { inlined } from "./download.js";
 import { GsgenError } from "./errors.js";
+import { once } from "./once.js";
 
 // Where the browser suspends WebAssembly by itself (JSPI), the smaller build runs.
 const HAS_JSPI = "Suspending" in WebAssembly;
@@ -13,9 +14,6 @@ const [BUNDLE, WASM] = HAS_JSPI
   ? ["ort.jspi.bundle.min.mjs", "ort-wasm-simd-threaded.jspi.wasm"]
   : ["ort.webgpu.bundle.min.mjs", "ort-wasm-simd-threaded.asyncify.wasm"];
 const INLINED = { bundle: "#gsgen-ort", wasm: "#gsgen-ort-wasm" };
-
-/** @type {Promise<any> | null} */
-let loading = null;
 
 /** Set the folder of ONNX Runtime Web. @type {{folder: string | null}} */
 export const ortSettings = { folder: null };
@@ -47,14 +45,8 @@ async function load() {
   return ort;
 }
 
-/** @returns {Promise<any>} The module of ONNX Runtime Web. */
-export function onnxRuntime() {
-  loading ??= load();
-  loading.catch(() => {
-    loading = null;
-  });
-  return loading;
-}
+/** Return the module of ONNX Runtime Web. */
+export const onnxRuntime = once(load);
 
 /**
  * Open a session on a device.
@@ -76,13 +68,9 @@ export async function openSession(ort, device, bytes, name, { capture }) {
     });
   } catch (refusal) {
     if (capture && /graph capture/i.test(refusal.message)) return null;
-    throw unreadable(refusal, name);
+    throw new GsgenError(`ONNX Runtime Web refuses the model: ${refusal.message}`, {
+      where: name,
+      hint: "See what is wrong: gsgen validate MODEL --target webgpu",
+    });
   }
-}
-
-function unreadable(error, name) {
-  return new GsgenError(`ONNX Runtime Web refuses the model: ${error.message}`, {
-    where: name,
-    hint: "See what is wrong: gsgen validate MODEL --target webgpu",
-  });
 }

@@ -5,6 +5,7 @@
  * bind groups and dispatches of a frame; this client knows none of them by name.
  */
 
+import { download } from "./download.js";
 import { GsgenError } from "./errors.js";
 
 /** @typedef {number | string | [string, ...any[]]} Formula */
@@ -15,6 +16,7 @@ import { GsgenError } from "./errors.js";
  * @property {boolean} panorama
  * @property {boolean} deep Whether depths are sorted by two keys.
  * @property {boolean} weighted Whether Gaussians are summed cell by cell.
+ * @property {number} layers Image layers among the Gaussians.
  * @property {Formula[]} guards Conditions under which the plan has these steps.
  * @property {[number, number, number | null][]} clears Buffer, offset and size of cleared bytes.
  * @property {Record<string, (number | Record<string, number>)[]>} stages
@@ -62,7 +64,7 @@ export function evaluate(formula, sizes) {
 /**
  * Return the first plan of a shape whose guards hold for the sizes.
  * @param {PlanDocument} plans
- * @param {{outputs: string[], panorama: boolean, deep: boolean, weighted: boolean}} shape
+ * @param {Pick<Plan, "outputs" | "panorama" | "deep" | "weighted" | "layers">} shape
  * @param {Sizes} sizes
  * @returns {Plan}
  */
@@ -71,7 +73,7 @@ export function choosePlan(plans, shape, sizes) {
   const found = plans.plans.find(
     (plan) =>
       plan.outputs.join() === outputs &&
-      ["panorama", "deep", "weighted"].every((name) => plan[name] === shape[name]) &&
+      ["panorama", "deep", "weighted", "layers"].every((name) => plan[name] === shape[name]) &&
       plan.guards.every((guard) => evaluate(guard, sizes)),
   );
   if (!found) {
@@ -89,11 +91,5 @@ export function choosePlan(plans, shape, sizes) {
  * @returns {Promise<PlanDocument>}
  */
 export async function loadPlans(address = new URL("plans.json", import.meta.url)) {
-  const response = await fetch(address);
-  if (!response.ok) {
-    throw new GsgenError(`cannot be loaded: ${response.status} ${response.statusText}`, {
-      where: String(address),
-    });
-  }
-  return response.json();
+  return JSON.parse(new TextDecoder().decode(await download(String(address))));
 }

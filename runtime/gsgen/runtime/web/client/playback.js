@@ -4,7 +4,10 @@
 export class Playback {
   /** @param {{low: number, high: number, seconds: number, loop: boolean}} time */
   constructor({ low, high, seconds, loop }) {
-    Object.assign(this, { low, high, duration: seconds, loop });
+    this.low = low;
+    this.high = high;
+    this.duration = seconds;
+    this.loop = loop;
     this.paused = true;
     this.rate = 1;
     this.currentTime = 0; // seconds

@@ -2,45 +2,17 @@
 
 import { showingUniform } from "./uniforms.js";
 
-/** @type {WeakMap<GPUDevice, Promise<GPURenderPipeline>>} */
-const pipelines = new WeakMap();
-
-/**
- * @param {import("./host.js").KernelCache} kernels
- * @param {GPUTextureFormat} format The format that the browser prefers: one for all canvases.
- */
-function pipelineOf(kernels, format) {
-  const { device, plans } = kernels;
-  let pipeline = pipelines.get(device);
-  if (!pipeline) {
-    const { vertex, fragment } = plans.present;
-    const module = kernels.module(plans.present.module);
-    pipeline = device.createRenderPipelineAsync({
-      label: "present",
-      layout: "auto",
-      vertex: { module, entryPoint: vertex },
-      fragment: { module, entryPoint: fragment, targets: [{ format }] },
-      primitive: { topology: "triangle-list" },
-    });
-    pipelines.set(device, pipeline);
-  }
-  return pipeline;
-}
-
 /** Shows images on one canvas. */
 export class Presenter {
-  /**
-   * @param {import("./host.js").KernelCache} kernels
-   * @param {HTMLCanvasElement} canvas
-   */
+  /** @param {import("./host.js").KernelCache} kernels @param {HTMLCanvasElement} canvas */
   constructor(kernels, canvas) {
     this.device = kernels.device;
     this.plans = kernels.plans;
     this._kernels = kernels;
-    this._format = navigator.gpu.getPreferredCanvasFormat();
     this._context = /** @type {GPUCanvasContext} */ (canvas.getContext("webgpu"));
     const { device } = this;
-    this._context.configure({ device, format: this._format, alphaMode: "opaque" });
+    const format = navigator.gpu.getPreferredCanvasFormat();
+    this._context.configure({ device, format, alphaMode: "opaque" });
     this._canvas = canvas;
     this._uniform = device.createBuffer({
       label: "showing",
@@ -53,7 +25,7 @@ export class Presenter {
 
   /** Compile the pipeline. */
   async prepare() {
-    this._pipeline = await pipelineOf(this._kernels, this._format);
+    this._pipeline = await this._kernels.presenting;
   }
 
   /**

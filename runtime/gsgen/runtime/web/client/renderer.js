@@ -1,20 +1,15 @@
 /** Draws sets of Gaussians from a camera into an image in GPU memory. */
 
 import { PlanHost } from "./host.js";
-import { readBuffer } from "./read.js";
+import { readBuffer } from "./gpu_buffers.js";
 import { frameUniform, pageUniforms } from "./uniforms.js";
 
 const READERS = 2; // copies of the counts that may be in flight
 
 /**
- * A set of Gaussians in a scene.
- * @typedef {object} PlacedSet
- * @property {any} buffers Pages, capacity, count and degree (splat_buffers.js, generator.js).
- * @property {number[]} transform
- * @property {number} [opacityScale]
- * @property {number | null} [degree] SH degree to draw; that of the Gaussians if absent.
- * @property {"classic" | "mip"} [antialias]
- * @property {{low: number[], high: number[]} | null} [clip]
+ * A set of Gaussians in a scene: pages, capacity, count, and what is absent here in `buffers`.
+ * @typedef {Partial<import("./uniforms.js").SplatSet> &
+ *     {buffers: any, transform: readonly number[]}} PlacedSet
  */
 
 /** Return the cells of each set as the pages of a uniform. */
@@ -60,10 +55,12 @@ export class Renderer {
   /**
    * Draw a frame; the promise resolves when it is submitted, not when it is drawn.
    * @param {import("./camera.js").Camera} camera
-   * @param {{outputs?: string[], background?: readonly number[]}} [options]
+   * @param {{outputs?: string[], background?: readonly number[], layers?: number,
+   *     encodeLayers?: (encoder: GPUCommandEncoder, host: PlanHost) => void}} [options]
+   *     Image layers among the Gaussians, and what writes them.
    */
-  async draw(camera, { outputs = ["color"], background = [0, 0, 0] } = {}) {
-    await this._configure(camera, outputs);
+  async draw(camera, { outputs = ["color"], background = [0, 0, 0], layers = 0, encodeLayers } = {}) {
+    await this._configure(camera, outputs, layers);
     const { device, host, plans } = this;
     const placed = this._placed();
     const { queue } = device;
@@ -83,6 +80,7 @@ export class Renderer {
       const offset = slot * size + fields.count[2];
       encoder.copyBufferToBuffer(liveCounts, 4 * page, host.input("pages"), offset, 4);
     });
+    encodeLayers?.(encoder, host);
     host.encode(encoder);
     const reader = this._freeReader();
     if (reader) {
@@ -103,16 +101,17 @@ export class Renderer {
     }
   }
 
-  async _configure(camera, outputs) {
+  async _configure(camera, outputs, layers) {
     const { width, height } = camera;
     const panorama = camera.kind === "panorama";
     const [deep, pairs] = [this._deep, this._pairs];
     const weighted = this._sets.some(({ buffers }) => buffers.weighted);
-    const key = JSON.stringify([outputs, panorama, deep, width, height, pairs, this._version]);
+    const shape = { outputs, panorama, deep, weighted, layers, width, height, pairs };
+    const key = JSON.stringify([shape, this._version]);
     if (key === this._key) return;
     this._key = "";
     const pages = this._sets.flatMap((set) => set.buffers.pages);
-    await this.host.configure({ outputs, panorama, deep, weighted, width, height, pairs, pages });
+    await this.host.configure({ ...shape, pages });
     this._key = key;
   }
 

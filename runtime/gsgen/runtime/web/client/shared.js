@@ -3,35 +3,21 @@
 import { sharedDevice } from "./device.js";
 import { inlined } from "./download.js";
 import { KernelCache } from "./host.js";
+import { once, remembered } from "./once.js";
 import { loadPlans } from "./plan.js";
 
 const INLINED_PLANS = "#gsgen-plans"; // an element of pages that are one file
 
-/** @type {Promise<import("./plan.js").PlanDocument> | null} */
-let plans = null;
 /** @type {WeakMap<GPUDevice, KernelCache>} */
 const caches = new WeakMap();
 
-/** @returns {Promise<import("./plan.js").PlanDocument>} */
-function sharedPlans() {
-  if (!plans) {
-    plans = document.querySelector(INLINED_PLANS)
-      ? Promise.resolve(JSON.parse(new TextDecoder().decode(inlined(INLINED_PLANS))))
-      : loadPlans();
-    plans.catch(() => {
-      plans = null;
-    });
-  }
-  return plans;
-}
+const sharedPlans = once(async () => {
+  if (!document.querySelector(INLINED_PLANS)) return loadPlans();
+  return JSON.parse(new TextDecoder().decode(inlined(INLINED_PLANS)));
+});
 
 /** Return the kernels of the page's device. @returns {Promise<KernelCache>} */
 export async function sharedKernels() {
   const [document, device] = await Promise.all([sharedPlans(), sharedDevice()]);
-  let kernels = caches.get(device);
-  if (!kernels) {
-    kernels = new KernelCache(device, document);
-    caches.set(device, kernels);
-  }
-  return kernels;
+  return remembered(caches, device, () => new KernelCache(device, document));
 }

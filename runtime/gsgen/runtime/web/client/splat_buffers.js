@@ -1,6 +1,7 @@
 /** Gaussians in GPU memory: pages of rows and appearance, as frame plans bind them. */
 
 import { GsgenError } from "./errors.js";
+import { storageBuffer } from "./gpu_buffers.js";
 
 /**
  * Gaussians in the contract's packed rows.
@@ -12,10 +13,10 @@ import { GsgenError } from "./errors.js";
  * @property {number} count Number of live rows, which are the first.
  * @property {"classic" | "mip"} [antialias]
  * @property {"srgb" | "linear"} [colorSpace]
+ * @property {readonly number[]} transform From the axes of the rows to those of a camera.
  */
 
 const ROW_BYTES = 40;
-const USAGE = () => GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
 
 /** Return the SH degree of an appearance; null for RGB. */
 export function degreeOf(channels, space) {
@@ -85,14 +86,20 @@ export class SplatBuffers {
     this.isLinear = splats.colorSpace === "linear";
     /** @type {GPUBuffer | null} Live rows of each page, where only the GPU knows them. */
     this.liveCounts = null;
-    const size = (bytes) => Math.max(16, Math.ceil(bytes / 16) * 16);
-    const [rowBytes, bytes] = [ROW_BYTES, storage.bytes].map((each) => size(each * this.capacity));
-    this._rows = device.createBuffer({ label: "rows", size: rowBytes, usage: USAGE() });
-    this._appearance = device.createBuffer({ label: "appearance", size: bytes, usage: USAGE() });
-    device.queue.writeBuffer(this._rows, 0, rows.buffer, rows.byteOffset, rows.byteLength);
-    const padded = paddedRows(appearance, channels, storage.bytes / appearance.BYTES_PER_ELEMENT);
-    device.queue.writeBuffer(this._appearance, 0, padded.buffer, padded.byteOffset, padded.byteLength);
+    this._rows = storageBuffer(device, "rows", ROW_BYTES * this.capacity);
+    this._appearance = storageBuffer(device, "appearance", storage.bytes * this.capacity);
     this.pages = pagesOf(plans, storage, this._rows, this._appearance, this.capacity);
+    this._device = device;
+    this._length = storage.bytes / appearance.BYTES_PER_ELEMENT;
+    this.write(rows, appearance, channels);
+  }
+
+  /** Write the first rows. */
+  write(rows, appearance, channels) {
+    const padded = paddedRows(appearance, channels, this._length);
+    for (const [buffer, array] of [[this._rows, rows], [this._appearance, padded]]) {
+      this._device.queue.writeBuffer(buffer, 0, array.buffer, array.byteOffset, array.byteLength);
+    }
   }
 
   /** Release the buffers. */

@@ -1,9 +1,12 @@
 /** Reads splat files into the contract's packed rows: PLY of 3D Gaussian splatting, and SPZ. */
 
-import { GsgenError } from "./errors.js";
+import { failing } from "./errors.js";
+import { IDENTITY } from "./matrices.js";
 
 const MOST_COEFFICIENTS = 16; // degree 3
 const CONVERT = "Convert it: gsgen convert FILE model.spz";
+// Axes right, up, back → right, down, forward.
+const FROM_SPZ_AXES = Object.freeze([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1]);
 
 /**
  * Read a splat file.
@@ -18,7 +21,7 @@ export async function readSplats(data, name) {
   if (start[0] === 0x1f && start[1] === 0x8b) return readSpz(await inflated(data, name), name);
   if (magic === "NGSP") return readSpz(data, name);
   const hint = "The page reads .ply, .spz (versions 1 to 3) and .onnx. " + CONVERT;
-  throw new GsgenError("is neither PLY nor SPZ", { where: name, hint });
+  return failing(name, hint)("is neither PLY nor SPZ");
 }
 
 /** @param {ArrayBuffer} data @param {string} name */
@@ -27,8 +30,7 @@ async function inflated(data, name) {
   try {
     return await new Response(stream).arrayBuffer();
   } catch (error) {
-    const hint = "Download it again.";
-    throw new GsgenError(`cannot be unpacked: ${error.message}`, { where: name, hint });
+    return failing(name, "Download it again.")(`cannot be unpacked: ${error.message}`);
   }
 }
 
@@ -63,9 +65,10 @@ class RowWriter {
     this.rows.set([...center, opacity, ...covariance], 10 * index);
   }
 
-  splats(antialias) {
+  /** @returns {import("./splat_buffers.js").Splats} */
+  splats(antialias, transform = IDENTITY) {
     const { rows, appearance, channels, count } = this;
-    return { rows, appearance, channels, count, space: "sh", antialias };
+    return { rows, appearance, channels, count, space: "sh", antialias, transform };
   }
 }
 
@@ -83,9 +86,7 @@ const PLY_READERS = {
 function plyHeader(data, name) {
   const head = new TextDecoder("latin1").decode(new Uint8Array(data, 0, Math.min(65536, data.byteLength)));
   const end = head.search(/end_header\r?\n/);
-  const fail = (message, hint = CONVERT) => {
-    throw new GsgenError(message, { where: name, hint });
-  };
+  const fail = failing(name, CONVERT);
   if (end < 0) fail("has no end_header in its first 65536 bytes");
   const lines = head.slice(0, end).split(/\r?\n/).map((line) => line.trim().split(/\s+/));
   if (!lines.some(([word, kind]) => word === "format" && kind === "binary_little_endian")) {
@@ -113,21 +114,18 @@ function plyHeader(data, name) {
 /** @param {ArrayBuffer} data @param {string} name */
 function readPly(data, name) {
   const { columns, size, count, first } = plyHeader(data, name);
+  const fail = failing(name, CONVERT);
   const view = new DataView(data);
   const required = ["x", "y", "z", "opacity", "f_dc_0", "f_dc_1", "f_dc_2"];
   required.push(...[0, 1, 2].map((i) => `scale_${i}`), ...[0, 1, 2, 3].map((i) => `rot_${i}`));
   const missing = required.filter((column) => !columns.has(column));
-  if (missing.length) {
-    const hint = "A PLY of Gaussians has x y z f_dc_* opacity scale_* rot_*. " + CONVERT;
-    throw new GsgenError(`has no ${missing.join(", ")}`, { where: name, hint });
-  }
+  const hint = "A PLY of Gaussians has x y z f_dc_* opacity scale_* rot_*. " + CONVERT;
+  if (missing.length) fail(`has no ${missing.join(", ")}`, hint);
   const numbers = (names) => names.map((column) => columns.get(column));
   const read = (row, { read: method, offset }) => view[method](first + row * size + offset, true);
   const higher = [...columns.keys()].filter((column) => column.startsWith("f_rest_")).length;
   const stored = 1 + higher / 3;
-  if (!Number.isInteger(Math.sqrt(stored))) {
-    throw new GsgenError(`has ${higher} columns f_rest_*, expected 0, 9, 24 or 45`, { where: name });
-  }
+  if (![1, 4, 9, 16, 25].includes(stored)) fail(`has ${higher} columns f_rest_*, expected 0, 9, 24 or 45`);
   const coefficients = Math.min(stored, MOST_COEFFICIENTS);
   const [center, scale, turn] = [required.slice(0, 3), required.slice(7, 10), required.slice(10)].map(numbers);
   const [opacity] = numbers(["opacity"]);
@@ -138,20 +136,18 @@ function readPly(data, name) {
   }
   const writer = new RowWriter(count, coefficients);
   for (let row = 0; row < count; row++) {
-    const at = (column) => read(row, column);
-    writer.set(row, center.map(at), sigmoid(at(opacity)), scale.map(at), turn.map(at));
+    const value = (column) => read(row, column);
+    writer.set(row, center.map(value), sigmoid(value(opacity)), scale.map(value), turn.map(value));
     const base = row * writer.channels;
     for (let i = 0; i < harmonics.length; i++) writer.appearance[base + i] = read(row, harmonics[i]);
   }
   return writer.splats("classic");
 }
 
-/** SPZ of nianticlabs/spz, versions 1 to 3, unpacked; its axes are x right, y up, z back. */
+/** SPZ of nianticlabs/spz, versions 1 to 3, unpacked; rows keep its axes: right, up, back. */
 function readSpz(data, name) {
   const view = new DataView(data);
-  const fail = (message, hint = CONVERT) => {
-    throw new GsgenError(message, { where: name, hint });
-  };
+  const fail = failing(name, CONVERT);
   if (data.byteLength < 16) fail("ends within the header", "Download it again.");
   const magic = view.getUint32(0, true);
   const [version, count] = [view.getUint32(4, true), view.getUint32(8, true)];
@@ -168,40 +164,27 @@ function readSpz(data, name) {
     fail(`unpacks to ${data.byteLength} bytes, expected ${starts[6]}`, "Download it again.");
   }
   const bytes = new Uint8Array(data);
-  const signs = harmonicSigns(stored);
   const writer = new RowWriter(count, stored);
   for (let row = 0; row < count; row++) {
     const [p, a, c, s, r, h] = starts.map((start, i) => start + widths[i] * row);
-    const [x, y, z] = [0, 1, 2].map((i) => spzCoordinate(view, bytes, p, i, version, bits));
+    const center = [0, 1, 2].map((i) => spzCoordinate(view, bytes, p, i, version, bits));
     const scale = [0, 1, 2].map((i) => bytes[s + i] / 16 - 10);
-    const [qw, qx, qy, qz] = version <= 2 ? byteRotation(bytes, r) : wordRotation(view.getUint32(r, true));
-    // Axes right, up, back → right, down, forward: y and z change their signs.
-    writer.set(row, [x, -y, -z], bytes[a] / 255, scale, [qw, qx, -qy, -qz]);
+    const turn = version <= 2 ? byteRotation(bytes, r) : wordRotation(view.getUint32(r, true));
+    writer.set(row, center, bytes[a] / 255, scale, turn);
     const base = row * writer.channels;
     for (let i = 0; i < 3; i++) writer.appearance[base + i] = (bytes[c + i] / 255 - 0.5) / 0.15;
     for (let i = 3; i < writer.channels; i++) {
-      const sign = signs[Math.floor(i / 3)];
-      writer.appearance[base + i] = (sign * (bytes[h + i - 3] - 128)) / 128;
+      writer.appearance[base + i] = (bytes[h + i - 3] - 128) / 128;
     }
   }
-  return writer.splats(flags & 1 ? "mip" : "classic");
+  return writer.splats(flags & 1 ? "mip" : "classic", FROM_SPZ_AXES);
 }
 
 function spzCoordinate(view, bytes, first, axis, version, bits) {
-  if (version <= 1) return halfOf(view.getUint16(first + 2 * axis, true));
-  const at = first + 3 * axis;
-  const whole = bytes[at] | (bytes[at + 1] << 8) | (bytes[at + 2] << 16);
+  if (version <= 1) return view.getFloat16(first + 2 * axis, true);
+  const offset = first + 3 * axis;
+  const whole = bytes[offset] | (bytes[offset + 1] << 8) | (bytes[offset + 2] << 16);
   return ((whole << 8) >> 8) / 2 ** bits;
-}
-
-/** Return the number of a float16's bits. */
-export function halfOf(bits) {
-  const exponent = (bits >> 10) & 31;
-  const fraction = bits & 1023;
-  const sign = bits & 0x8000 ? -1 : 1;
-  if (exponent === 0) return sign * fraction * 2 ** -24;
-  if (exponent === 31) return fraction ? NaN : sign * Infinity;
-  return sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
 }
 
 function byteRotation(bytes, first) {
@@ -226,20 +209,4 @@ function wordRotation(word) {
   parts[largest] = Math.sqrt(Math.max(1 - square, 0));
   const [x, y, z, w] = parts;
   return [w, x, y, z];
-}
-
-/**
- * Return the sign of each SH coefficient when y and z change theirs.
- *
- * A real harmonic of order m is odd in y for negative m, and odd in z for odd l − |m|.
- */
-function harmonicSigns(count) {
-  const signs = [];
-  for (let l = 0; signs.length < count; l++) {
-    for (let m = -l; m <= l; m++) {
-      const [oddY, oddZ] = [m < 0, (l - Math.abs(m)) % 2 === 1];
-      signs.push(oddY !== oddZ ? -1 : 1);
-    }
-  }
-  return signs;
 }

@@ -4,7 +4,7 @@
  * Offsets and types of the fields come from the plans' document.
  */
 
-import { eyeOf, periodOf } from "./camera.js";
+import { eyeOf } from "./camera.js";
 import { cross, dot, linearPart, product, relativeStretch, solve, times, transposed } from "./matrices.js";
 
 const INFINITE_BOX = { low: [-Infinity, -Infinity, -Infinity], high: [Infinity, Infinity, Infinity] };
@@ -12,7 +12,7 @@ const INFINITE_BOX = { low: [-Infinity, -Infinity, -Infinity], high: [Infinity, 
 /**
  * A set of Gaussians as it is drawn.
  * @typedef {object} SplatSet
- * @property {number[]} transform Local → world, 4×4 row by row.
+ * @property {readonly number[]} transform Local → world, 4×4 row by row.
  * @property {number | null} degree SH degree to draw; null for RGB.
  * @property {number} [opacityScale]
  * @property {"classic" | "mip"} [antialias]
@@ -26,7 +26,7 @@ const INFINITE_BOX = { low: [-Infinity, -Infinity, -Infinity], high: [Infinity, 
  */
 
 /** Writes fields of a uniform by their name. */
-class UniformWriter {
+export class UniformWriter {
   constructor(structure, count = 1) {
     this.bytes = new ArrayBuffer(structure.size * count);
     this._view = new DataView(this.bytes);
@@ -67,7 +67,7 @@ export function frameUniform(plans, camera, background) {
   uniform.set("slope_high", both((i) => (size[i] - center[i] + margin[i]) / focal[i]));
   uniform.set("near", camera.near);
   uniform.set("size", size);
-  uniform.set("period", periodOf(camera));
+  uniform.set("period", camera.kind === "panorama" ? 2 * Math.PI * camera.fx : 0);
   uniform.set("background", background.slice(0, 3));
   return uniform.bytes;
 }

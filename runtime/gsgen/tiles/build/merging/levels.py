@@ -1,4 +1,4 @@
-"""Levels of detail: chooses the cells in which a tile's splats are merged, and merges them."""
+"""Levels of detail: chooses grid cells in which a tile's splats are merged, and merges them."""
 
 __all__ = ["Level", "choose_cells", "merge_level", "stored_degree"]
 
@@ -103,7 +103,7 @@ def _cell_numbers(starts: Int64[np.ndarray, " m"], count: int) -> Int64[np.ndarr
 def _largest(
     mass: Float64[np.ndarray, " n"], starts: Int64[np.ndarray, " m"], count: int
 ) -> Bool[np.ndarray, " n"]:
-    """Return the mask of the largest splats to keep unmerged, so that a level has ``count``.
+    """Return the mask of the largest splats to keep unmerged, for a level of ``count`` splats.
 
     A splat that stays adds one to the level, except the last of its cell.
 

@@ -30,11 +30,11 @@ class Stop:
         return options
 
     def now(self) -> None:
-        """Cancel the session's running inferences; new ones fail until :meth:`reset`."""
+        """Cancel the running inferences of an ONNX Runtime session, until :meth:`reset`."""
         self._set(terminate=True)
 
     def reset(self) -> None:
-        """Allow the session to run inferences again after a cancellation."""
+        """Allow an ONNX Runtime session to run inferences again after a cancellation."""
         self._set(terminate=False)
 
     def _set(self, *, terminate: bool) -> None:

@@ -1,4 +1,4 @@
-"""Errors and warnings of sessions that run a model every frame."""
+"""Errors and warnings of ONNX Runtime sessions that run a model every frame."""
 
 __all__ = [
     "CaptureOff", "FellBack", "FrameGone", "InputInvalid", "NodesOnCpu", "ProviderUnavailable",
@@ -9,7 +9,7 @@ from gsgen.contract.errors import GsgenError
 
 
 class SessionClosed(GsgenError):
-    """Raised if a session, or one of its frames, is used after ``close``."""
+    """Raised if a model's session, or one of its frames, is used after ``close``."""
 
 
 class FrameGone(GsgenError):
@@ -41,4 +41,4 @@ class CaptureOff(UserWarning):
 
 
 class NodesOnCpu(UserWarning):
-    """Warning that some of the model's nodes run on the CPU, although the session is on a GPU."""
+    """Warning that some of a model's nodes run on the CPU, although its session is on a GPU."""

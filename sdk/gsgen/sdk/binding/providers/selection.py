@@ -46,7 +46,7 @@ class Choice:
 
     @property
     def device(self) -> str:
-        """The name of the device on which the session computes, as text."""
+        """The name of the device on which ONNX Runtime computes, as text."""
         if self.adapter is None:
             return {"cpu": "CPU", "cuda": "CUDA device 0"}[self.provider]
         if not self.adapter.hardware:
@@ -65,7 +65,7 @@ class SessionOptions:
     stop: Stop | None = None  # cancels the session's runs; optional
 
     def without_capture(self) -> "SessionOptions":
-        """Copy the session options, with graph capture and replay turned off."""
+        """Copy the ONNX Runtime session options, with graph capture and replay turned off."""
         return replace(self, capture=False)
 
     @property

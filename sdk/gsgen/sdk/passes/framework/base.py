@@ -208,7 +208,7 @@ class WithinLimit(Rewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> Self | None:
-        """Return the graph rewrite for a target's binding limit; None if it has no limit."""
+        """Return the graph rewrite for a target GPU's binding limit; None without a limit."""
         limit = target.limits.get(cls.limited_by)
         return None if limit is None else cls(limit)
 

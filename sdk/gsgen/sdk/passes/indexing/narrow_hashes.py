@@ -115,7 +115,7 @@ class _Remainder:
             return self._arithmetic(node)
         span = self.spans.get(value.name or "")
         if not fits_int32(span):
-            raise _Unprovable(f"{value.name} may leave the range of int32")
+            raise _Unprovable(f"values of tensor {value.name} may leave the range of int32")
         return self._reduced(self._cast(value), *required(span))
 
     def _arithmetic(self, node: ir.Node) -> ir.Value:
@@ -129,12 +129,12 @@ class _Remainder:
             a, b = b, a
         factor = constant_of(b)
         if factor is None:
-            raise _Unprovable(f"{node.outputs[0].name} is a product of two varying numbers")
+            raise _Unprovable(f"tensor {node.outputs[0].name} is a product of two varying numbers")
         # Factors from −2ᵏ⁻¹ to 2ᵏ⁻¹ keep the product one bit shorter than those from 0 to 2ᵏ.
         factor = np.mod(factor.astype(np.int64) + size // 2, size) - size // 2
         span = self.spans.get(a.name or "")
         if span is None or not fits_int32(span):
-            raise _Unprovable(f"{a.name} may leave the range of int32")
+            raise _Unprovable(f"values of tensor {a.name} may leave the range of int32")
         most = max(abs(span[0]), abs(span[1])) * int(np.abs(factor).max(initial=0))
         if most + size > _LARGEST_INT32:
             raise _Unprovable(
@@ -151,7 +151,7 @@ class _Remainder:
         if low < 0:  # a division rounds towards zero, so the value must not be negative
             shift = -int(low // size) * size
             if high + shift > _LARGEST_INT32:
-                raise _Unprovable(f"{value.name} may leave the range of int32")
+                raise _Unprovable(f"values of tensor {value.name} may leave the range of int32")
             value = self.write.op("Add", value, self._constant(np.array(shift)))
         return self._low_bits(value, self.bits)
 

@@ -30,7 +30,7 @@ class ChunkConcat(WithinLimit, NodeRewrite):
         return is_op(node, "Concat") and len(node.inputs) > self.limit
 
     def replace(self, node: ir.Node) -> None:
-        """Concatenate groups of a Concat's inputs, level by level, until one tensor is left."""
+        """Concatenate groups of a Concat's inputs, then the results, until one tensor is left."""
         axis, write = node.attributes["axis"].as_int(), InsertionPoint(node)
         parts: list[ir.Value | None] = list(node.inputs)
         while len(parts) > 1:

@@ -99,7 +99,7 @@ class LowerOpset(CautiousRewrite):
         return not self.refusals
 
     def _obstacle(self, node: ir.Node) -> str:
-        """Return why a node has no equivalent in the lower operator set; empty if it has one."""
+        """Return why a node has no equivalent in the lower operator set; empty if one exists."""
         if self.opset > _NEWEST_KNOWN_OPSET:
             return f"operator set is {self.opset}, expected {_NEWEST_KNOWN_OPSET} or earlier"
         new, old = (_schema(node.op_type, opset) for opset in (self.opset, self.target_opset))

@@ -49,7 +49,7 @@ class SplitLargeWeights(CautiousRewrite):
 
     @classmethod
     def for_target(cls, target: RewriteTarget) -> "SplitLargeWeights":
-        """Return the rewrite for the target's largest bindable weight size."""
+        """Return the rewrite for the largest weight size that the target GPU can bind."""
         return cls(target.limits.get("binding_bytes", _BINDING))
 
     def rewrite(self, model: ir.Model) -> None:

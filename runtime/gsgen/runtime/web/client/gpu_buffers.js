@@ -1,4 +1,10 @@
-/** Reads GPU buffers back, outside of a frame's path. */
+/** Storage buffers in GPU memory, and reading them back outside of a frame's path. */
+
+/** Return a storage buffer of at least some bytes. @returns {GPUBuffer} */
+export function storageBuffer(device, label, bytes) {
+  const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
+  return device.createBuffer({ label, size: Math.max(16, Math.ceil(bytes / 16) * 16), usage });
+}
 
 /**
  * Return a copy of the first numbers of a buffer.

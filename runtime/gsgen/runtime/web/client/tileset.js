@@ -1,0 +1,198 @@
+/**
+ * Explicit 3D Tiles of splats: draws the tiles that a camera needs, and loads what it lacks.
+ *
+ * Tiles take slots of GPU memory: sets of one size, so that arrivals change no frame plan.
+ */
+
+import { eyeOf } from "./camera.js";
+import { download } from "./download.js";
+import { failing } from "./errors.js";
+import {
+  IDENTITY, composed, dot, linearPart, moved, normalized, plus, times, transposed, transposed4,
+} from "./matrices.js";
+import { SplatBuffers, degreeOf } from "./splat_buffers.js";
+import { readTileContent } from "./tile_content.js";
+
+const REBUILD = "Pages read explicit tilesets with boxes or spheres: gsgen tiles build";
+const MOST_REQUESTS = 6; // at once
+const MOST_SPLATS = 1 << 18; // in GPU memory
+const MOST_DEGREE = 3;
+const FAR = 1e6; // from the origin: the tileset stands on the globe, and up is away from its centre
+
+/** A tile, in the frame of the tileset. */
+class Tile {
+  constructor(json, parent, name) {
+    this.frame = composed(parent?.frame ?? IDENTITY, transposed4(json.transform ?? IDENTITY));
+    const { box, sphere } = json.boundingVolume;
+    const isKnown = (box || sphere) && !json.implicitTiling;
+    if (!isKnown) failing(name, REBUILD)("has a region, or implicit tiles");
+    const [x, y, z, r] = sphere ?? [];
+    const numbers = box ?? [x, y, z, r, 0, 0, 0, r, 0, 0, 0, r];
+    const linear = linearPart(this.frame);
+    const scales = [0, 3, 6].map((first) => Math.hypot(...transposed(linear).slice(first, first + 3)));
+    this.center = moved(this.frame, numbers.slice(0, 3));
+    this.axes = [3, 6, 9].map((first) => times(linear, numbers.slice(first, first + 3)));
+    this.error = json.geometricError * Math.max(...scales);
+    this.level = parent ? parent.level + 1 : 0;
+    this.adds = (json.refine ?? (parent?.adds ? "ADD" : "REPLACE")) === "ADD";
+    this.uris = (json.contents ?? [json.content ?? []]).flatMap(({ uri = [] }) => uri);
+    this.children = (json.children ?? []).map((child) => new Tile(child, this, name));
+    /** @type {any[] | null} What holds its splats, once they are loaded. */
+    this.slots = null;
+    this.needed = 1; // slots, as far as known
+    this.isRequested = false; // … or failed
+    this.seen = 0; // the last frame whose camera met it
+  }
+
+  /** Return whether no side of the view has the whole box behind it. */
+  meets({ view, fx, fy, cx, cy, width, height }) {
+    const sides = [[fx, 0, cx], [-fx, 0, width - cx], [0, fy, cy], [0, -fy, height - cy], [0, 0, 1]];
+    const center = moved(view, this.center);
+    const axes = this.axes.map((axis) => times(linearPart(view), axis));
+    const reach = (side, axis) => Math.abs(dot(side, axis));
+    return sides.every((side) => {
+      return axes.reduce((sum, axis) => sum + reach(side, axis), dot(side, center)) >= 0;
+    });
+  }
+
+  /** Return the geometric error in pixels; infinite within the box. */
+  pixels(camera) {
+    const offset = plus(eyeOf(camera), -1, this.center);
+    const beyond = this.axes.map((axis) => {
+      const length = Math.hypot(...axis) || Number.MIN_VALUE;
+      return Math.max(Math.abs(dot(axis, offset)) / length - length, 0);
+    });
+    return this.error && (this.error * camera.fy) / Math.hypot(...beyond);
+  }
+}
+
+/** A tileset in a page. */
+export class TilesetModel {
+  /**
+   * @param {import("./host.js").KernelCache} kernels
+   * @param {any} tileset The parsed tileset.json.
+   * @param {string} name
+   * @param {import("./model.js").Options} options
+   */
+  constructor({ device, plans }, tileset, name, options) {
+    const { slotRows, maxError } = plans.streaming;
+    const channels = 3 * (1 + (tileset.metadata?.properties?.sh_degree ?? MOST_DEGREE)) ** 2;
+    const [rows, appearance] = [10, channels].map((width) => new Float32Array(width * slotRows));
+    const space = /** @type {const} */ ("sh");
+    const empty = { rows, appearance, channels, space, count: 0, transform: IDENTITY };
+    const length = Math.floor((options.maxSplats ?? MOST_SPLATS) / slotRows);
+    /** @type {any[]} All slots; those that the last camera does not need have no live row. */
+    this.sets = Array.from({ length }, () => {
+      return { buffers: new SplatBuffers(device, plans, empty), transform: IDENTITY, live: 0 };
+    });
+    this._free = [...this.sets];
+    this._slotRows = slotRows;
+    this._base = new URL(options.source ?? name, document.baseURI);
+    this._options = { ...options, maxError: options.maxError ?? maxError };
+    this._root = new Tile(tileset.root, null, name);
+    const { center, axes } = this._root;
+    this.extent = { center, reach: Math.hypot(...axes.flat()) || 1 };
+    this.up = Math.hypot(...center) > FAR ? normalized(center) : [0, 0, 1];
+    this.followsCamera = true;
+    this.time = null;
+    this.inputs = [];
+    this.buffers = { count: 0, isLinear: false };
+    /** @type {Tile[]} */
+    this.drawn = [];
+    this.loading = 0;
+    this._held = new Set();
+    this._frame = 0;
+    this._stop = new AbortController();
+  }
+
+  /** Choose the tiles of a camera, and request what lacks. */
+  async update(_, camera) {
+    this._frame += 1;
+    const wanted = [];
+    this.drawn = this._cut(this._root, camera, wanted) ?? [];
+    wanted.sort(([a, errorA], [b, errorB]) => a.level - b.level || errorB - errorA);
+    for (const [tile] of wanted) {
+      const isIdle = !tile.slots && !tile.isRequested && this.loading < MOST_REQUESTS;
+      if (isIdle && this._room() >= tile.needed) this._load(tile);
+    }
+    for (const { buffers } of this.sets) buffers.count = 0;
+    for (const { buffers, live } of this.drawn.flatMap(({ slots }) => slots)) buffers.count = live;
+    return false;
+  }
+
+  /** Return the tiles to draw at and below a tile; null while one of them is not loaded. */
+  _cut(tile, camera, wanted) {
+    if (!tile.meets(camera)) return [];
+    const pixels = tile.pixels(camera);
+    const own = tile.slots ? [tile] : tile.uris.length ? null : [];
+    tile.seen = this._frame;
+    if (tile.uris.length) wanted.push([tile, pixels]);
+    if (pixels <= this._options.maxError || !tile.children.length) return own;
+    const below = tile.children.map((child) => this._cut(child, camera, wanted));
+    const loaded = below.flatMap((tiles) => tiles ?? []);
+    if (tile.adds) return own && [...own, ...loaded];
+    return below.every(Boolean) || !tile.uris.length ? loaded : own;
+  }
+
+  async _load(tile) {
+    const { signal } = this._stop;
+    this.loading += 1;
+    tile.isRequested = true;
+    try {
+      const addresses = tile.uris.map((uri) => String(new URL(uri, this._base)));
+      const contents = addresses.map(async (address) => {
+        return readTileContent(await download(address, undefined, signal), address);
+      });
+      const splats = (await Promise.all(contents)).flat();
+      if (signal.aborted) return;
+      this._place(tile, splats);
+      tile.isRequested = false;
+    } catch (error) {
+      if (!signal.aborted) this._options.onError(error);
+    } finally {
+      this.loading -= 1;
+    }
+    this._options.onChange();
+  }
+
+  /** Copy splats into slots; if tiles that the camera needs hold them all, later. */
+  _place(tile, splats) {
+    const rows = this._slotRows;
+    const parts = splats.flatMap((set) => {
+      return Array.from({ length: Math.ceil(set.count / rows) }, (_, i) => [set, i * rows]);
+    });
+    tile.needed = parts.length;
+    if (this._room() < parts.length) return;
+    while (this._free.length < parts.length) this._evict();
+    tile.slots = parts.map(([set, first]) => {
+      const { channels, antialias } = set;
+      const slot = this._free.pop();
+      const live = Math.min(rows, set.count - first);
+      const part = (numbers, width) => numbers.subarray(first * width, (first + live) * width);
+      slot.buffers.write(part(set.rows, 10), part(set.appearance, channels), channels);
+      const transform = composed(tile.frame, set.transform);
+      return Object.assign(slot, { transform, live, antialias, degree: degreeOf(channels, "sh") });
+    });
+    this._held.add(tile);
+  }
+
+  /** Return how many slots a tile may take. */
+  _room() {
+    const unseen = [...this._held].filter(({ seen }) => seen < this._frame);
+    const evictable = unseen.reduce((sum, { slots }) => sum + slots.length, 0);
+    return this._free.length + evictable;
+  }
+
+  /** Free the slots of the tile that was not seen for longest. */
+  _evict() {
+    const tile = [...this._held].reduce((first, other) => (other.seen < first.seen ? other : first));
+    this._free.push(...tile.slots);
+    this._held.delete(tile);
+    tile.slots = null;
+  }
+
+  destroy() {
+    this._stop.abort();
+    for (const { buffers } of this.sets) buffers.destroy();
+  }
+}

@@ -1,0 +1,27 @@
+"""Packages of npm that tests of the browser client use; scripts/browser_packages.sh fetches them."""
+
+import os
+from pathlib import Path
+from shutil import which
+
+import pytest
+
+from support.commands import ROOT
+
+
+def package(name: str, *, needs_node: bool = False) -> Path:
+    """Return a package's folder; without it, fail the test in CI, and skip it elsewhere.
+
+    Args:
+        name: Name and version, such as ``three-0.180.0``.
+        needs_node: Whether the package is run by Node.js.
+    """
+    folder = ROOT / ".venv/npm" / name
+    missing = [] if folder.is_dir() else [f"{name} (run scripts/browser_packages.sh)"]
+    missing += ["node on the PATH"] if needs_node and which("node") is None else []
+    if missing:
+        message = f"missing: {' and '.join(missing)}"
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+    return folder

@@ -1,0 +1,140 @@
+"""Tilesets in a page: the tiles that Python selects, from servers that are slow or wrong."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsgen.formats import write_ply
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.tiles.gltf.axes import Z_UP_FROM_Y_UP
+from gsgen.tiles.gltf.container import open_content
+from gsgen.tiles.gltf.decoding import decode_content
+from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.selection.cut import cut_tree
+from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.tile_tree import TileTree
+from gsgen.tiles.serving.faults import NetworkFaults
+from gsgen.tiles.stores.opening import open_store
+from support.tiles.builds import SMALL, build
+from support.tiles.level_scenes import knot
+from support.tiles.serving import served
+from support.web.pages import WebSite, unpacked
+from support.web.scenes import camera_of
+
+_SIZE = {"width": 80, "height": 60}
+CAMERAS = (
+    Camera.look_at([0, -9, 2], [0, 0, 0], up=(0, 0, 1), **_SIZE),
+    Camera.look_at([0.5, -1.5, 0.3], [1.5, 0, 0], up=(0, 0, 1), **_SIZE),
+)
+"""From afar, and near one side."""
+MAX_ERROR = 8.0
+_SLOT_ROWS = 4096
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("tiles")
+    write_ply(folder / "knot.ply", knot(5_000, degree=1))
+    build([folder / "knot.ply"], folder / "tiles", replace(SMALL, leaf=900))
+    return folder / "tiles"
+
+
+def frames_of(
+    site: WebSite, address: str, cameras: Sequence[Camera] = CAMERAS, **options: float
+) -> Any:
+    options = {"maxError": MAX_ERROR, "maxSplats": 10 * _SLOT_ROWS, **options}
+    cameras = [camera_of(camera) for camera in cameras]
+    return site.call("tilesetFrames", f"{address}/tileset.json", cameras, options)
+
+
+def expected_sets(folder: Path, camera: Camera) -> dict[str, list[SplatSet]]:
+    """Return the sets of each content that Python's selection draws, by uri."""
+    store, index = open_store(folder)
+    tileset = load_tileset(store, index)
+    tree = TileTree.of_tileset(tileset, store)
+    cut = cut_tree(tree, Frustum.from_camera(camera, tileset.transform), MAX_ERROR)
+    sets = {}
+    for row in np.flatnonzero(cut.wanted):
+        for content in tree.tiles[row].contents:
+            container = open_content((folder / content.uri).read_bytes(), content.uri)
+            frame = tileset.transform @ tree.tiles[row].transform @ Z_UP_FROM_Y_UP
+            sets[content.uri] = [
+                SplatSet(SplatData.from_splats(splats), frame @ matrix)
+                for splats, matrix in decode_content(container, content.uri)
+            ]
+    return sets
+
+
+def test_a_page_draws_the_tiles_that_python_selects(
+    folder: Path, site: WebSite, renderer: Renderer
+) -> None:
+    """From a slow server; while tiles arrive, frames are drawn and no GPU objects are made."""
+    with served(folder, NetworkFaults(bytes_per_second=200_000, latency=0.02)) as address:
+        result = frames_of(site, address)
+    assert (result["failures"], result["errors"]) == ([], [])
+    counts = set()
+    for camera, frame in zip(CAMERAS, result["frames"], strict=True):
+        sets = expected_sets(folder, camera)
+        assert frame["drawn"] == sorted(sets)
+        counts.add(len(sets))
+        drawing = renderer.draw(Scene([part for parts in sets.values() for part in parts]), camera)
+        words = renderer.device.read(drawing.image, np.float32, 4 * camera.width * camera.height)
+        np.testing.assert_allclose(unpacked(frame["image"], np.float32), words, atol=1e-4)
+        assert frame["created"] == []
+    assert len(counts) == len(CAMERAS)
+    assert set(result["frames"][1]["levels"]) == {1}  # the coarse tile stands in for eight finer
+
+
+def test_a_budget_keeps_coarser_tiles(folder: Path, site: WebSite) -> None:
+    with served(folder) as address:
+        result = frames_of(site, address, maxSplats=3 * _SLOT_ROWS)
+    assert result["failures"] == []
+    far, near = result["frames"]
+    assert far["drawn"] == sorted(expected_sets(folder, CAMERAS[0]))
+    assert near["drawn"] == far["drawn"]  # its eight finer tiles do not fit
+    assert near["live"] > 0
+
+
+def test_a_damaged_tile_is_told_and_the_rest_is_drawn(
+    folder: Path, site: WebSite, tmp_path: Path
+) -> None:
+    tiles = tmp_path / "tiles"
+    tiles.mkdir()
+    for path in filter(Path.is_file, folder.rglob("*")):
+        copy = tiles / path.relative_to(folder)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(path.read_bytes())
+    uri = max(expected_sets(folder, CAMERAS[1]))
+    (tiles / uri).write_bytes((folder / uri).read_bytes()[:-40])
+    with served(tiles) as address:
+        result = frames_of(site, address, CAMERAS[1:])
+    [failure] = result["failures"]
+    assert uri in failure
+    assert "expected" in failure
+    [frame] = result["frames"]
+    assert frame["live"] > 0
+    assert uri not in frame["drawn"]
+
+
+@pytest.mark.parametrize(
+    ("root", "message"),
+    [
+        ({"boundingVolume": {"region": [0, 0, 1, 1, 0, 9]}}, "has a region, or implicit tiles"),
+        (
+            {"boundingVolume": {"sphere": [0, 0, 0, 1]}, "implicitTiling": {}},
+            "has a region, or implicit tiles",
+        ),
+    ],
+)
+def test_what_pages_do_not_read_is_named(root: Any, message: str, site: WebSite) -> None:
+    site.contents["/tileset.json"] = json.dumps({"root": root}).encode()
+    with pytest.raises(Exception, match=message):
+        frames_of(site, site.address, CAMERAS[:1])
