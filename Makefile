@@ -118,11 +118,12 @@ docs: setup
 wheel: setup
 	$(BIN)/python -m build --wheel --outdir dist
 
-# Mutants of the code, drawn over all rooms, each against the tests that name its module.
+# Mutants of the code, drawn over all rooms, each against the tests nearest to its module, in forks of
+# one process. A run that was stopped goes on where it was.
 MUTANTS ?= 300
 mutants: setup
 	$(PIP) --group mutants
-	$(BIN)/python scripts/mutants.py --count $(MUTANTS) --seed $(SEED) --minutes $(MINUTES)
+	nice -n 15 $(BIN)/python scripts/mutants.py --count $(MUTANTS) --seed $(SEED) --minutes $(MINUTES)
 
 # All of a release but the upload: RELEASING.md explains each step.
 release: setup

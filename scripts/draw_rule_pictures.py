@@ -48,6 +48,7 @@ PICTURES: dict[str, tuple[str, Kind, int, int | None]] = {
     "GV047": ("colors_sorted_alone", "surface", 400, 1),
     "GV048": ("sh_as_in_ply", "surface", 160, 3),
     "GV049": ("positions_in_bfloat16", "surface", 1200, 0),
+    "GV063": ("rgb_of_two_sigmoids", "surface", 160, None),
 }
 # Rule → how much smaller the Gaussians of its right scene are, as those of its fixture.
 SHRUNK = {"GV049": 0.4}

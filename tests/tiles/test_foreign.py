@@ -1,6 +1,7 @@
 """Tilesets that others wrote: counts are exact, and splats stand where they should."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,12 @@ from gsgen.tiles.leaves import finest_contents, read_leaves, read_tile_content
 from gsgen.tiles.loading import load_tileset, open_tileset
 from gsgen.tiles.stores.archive_writing import write_archive
 from gsgen.tiles.stores.opening import open_store
+from support.commands import ROOT
 from support.commands import gsgen as run
 from support.tiles import foreign_tiles as foreign
+
+SPLATS = "KHR_gaussian_splatting"
+GOLDENS = ROOT / "tests" / "formats" / "goldens"
 
 
 def on_globe(path: Path) -> np.ndarray:
@@ -293,3 +298,39 @@ def test_convert_writes_all_leaves(tmp_path: Path) -> None:
     assert "a.glb" in failed.err
     assert "Traceback" not in failed.err
     assert json.loads(files["tileset.json"])["root"]["content"]["uri"] == "a.glb"
+
+
+def test_splats_of_another_program_are_read_whole(tmp_path: Path) -> None:
+    """Splats of playcanvas/splat-transform, in the original and in its file of glTF."""
+    source = read_ply(GOLDENS / "scene.ply")
+    shutil.copy(GOLDENS / "scene.glb", tmp_path)
+    reach = float(np.abs(source.position).max() + 5 * np.exp(source.log_scale).max())
+    root = {
+        "boundingVolume": {"box": [0, 0, 0, reach, 0, 0, 0, reach, 0, 0, 0, reach]},
+        "geometricError": 0,
+        "refine": "REPLACE",
+        "content": {"uri": "scene.glb"},
+    }
+    extension = {"extensionsUsed": [SPLATS], "extensionsRequired": [SPLATS]}
+    document = {
+        "asset": {"version": "1.1"},
+        "extensionsUsed": ["3DTILES_content_gltf"],
+        "extensionsRequired": ["3DTILES_content_gltf"],
+        "extensions": {"3DTILES_content_gltf": extension},
+        "geometricError": 10,
+        "root": root,
+    }
+    (tmp_path / "tileset.json").write_text(json.dumps(document))
+    leaves = read_leaves(tmp_path)
+    assert len(leaves) == len(source)
+    # The program turns its scenes by half a turn about z; glTF has y up, tiles have z up.
+    expected = source.position[:, [0, 2, 1]] * [-1, -1, -1]
+    assert np.abs(leaves.position - expected).max() < 1e-6
+    np.testing.assert_allclose(np.sort(leaves.log_scale), np.sort(source.log_scale), atol=1e-5)
+    np.testing.assert_allclose(leaves.logit_opacity, source.logit_opacity, atol=1e-4)
+    np.testing.assert_allclose(leaves.sh[:, 0], source.sh[:, 0], atol=1e-5)
+    # The program keeps quaternions as they are, and those of the original have random lengths.
+    lengths = np.linalg.norm(source.rotation, axis=1)
+    (finding,) = validate(tmp_path / "tileset.json").findings
+    assert finding.rule == "GT012"
+    assert f"{(np.abs(lengths - 1) > 0.02).sum()} of {len(source)} quaternions" in finding.message

@@ -25,7 +25,7 @@ def panel_of(command: str) -> str:
 
 
 def panel_order(command: str) -> tuple[int, int, str]:
-    """Return the sort key of a command in the help: its panel, its place there, its name."""
+    """Return the sort key of a command in the help: panel, position in the panel, and name."""
     panel = panel_of(command)
     names = PANELS.get(panel, ())
     index = names.index(command) if command in names else len(names)

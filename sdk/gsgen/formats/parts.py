@@ -86,7 +86,7 @@ class PlyParts:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _CountedParts:
-    """The edited splats of a PLY file, of known count."""
+    """The edited splats of a PLY file, whose number is known beforehand."""
 
     parts: PlyParts
     count: int

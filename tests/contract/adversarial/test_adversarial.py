@@ -16,7 +16,8 @@ from contract.adversarial.runner import Measurement, measure, summary, table
 HERE = Path(__file__).parent
 SPECIFICATION = HERE.parents[2] / "docs" / "spec"
 FIRST_RUNS = [
-    json.loads((HERE / name).read_text("utf-8")) for name in ("first_run.json", "later_run.json")
+    json.loads((HERE / name).read_text("utf-8"))
+    for name in ("first_run.json", "later_run.json", "third_run.json")
 ]
 # The share of decidable faults that are refused with the right cause first.
 BAR = 0.98
@@ -124,7 +125,7 @@ def first_counts(names: set[str]) -> dict[str, int]:
     }
 
 
-@pytest.mark.parametrize("run", FIRST_RUNS, ids=["first", "later"])
+@pytest.mark.parametrize("run", FIRST_RUNS, ids=["first", "later", "third"])
 def test_the_first_measurements_count_what_they_list(run) -> None:
     models, counts = run["models"], run["summary"]
     for sort in ("decidable", "heuristic", "right"):

@@ -105,7 +105,7 @@ def test_the_duration_is_asked_for_once(tmp_path: Path) -> None:
     with pytest.raises(NotInCheckpoint, match="no file of the run has the times") as caught:
         plugin.build(run)
     assert "--config FILE" in caught.value.hint
-    with pytest.raises(GsgenError, match="is given beside --config"):
+    with pytest.raises(GsgenError, match="cannot be combined with --config"):
         plugin.build(run, config, (0, 1))
     with pytest.raises(GsgenError, match="the time goes from 1 to 1"):
         plugin.build(run, time_duration=(1, 1))

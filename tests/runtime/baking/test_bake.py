@@ -178,7 +178,7 @@ def _bake(model: Path, output: Path, **options: object) -> BakeReport:
         ("drift", "a.txt", {}, "has the suffix .txt, expected a format"),
         ("drift", "a.ply", {"time": np.array([0, 1])}, "expected a pattern for 2 frames"),
         ("drift", "%d/%d.ply", {"time": np.array([0, 1])}, "has 2 frame numbers"),
-        ("drift", "a.ply", {"views": 5}, "is 5, expected 20 or more"),
+        ("drift", "a.ply", {"views": 5}, "the number of cameras is 5, expected 20 or more"),
         ("drift", "a.ply", {"max_degree": 4}, "is 4, expected 0 to 3"),
     ],
 )

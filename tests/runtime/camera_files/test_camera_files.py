@@ -334,7 +334,7 @@ WRONG = {
     '{"a": 1}': "is JSON without cameras, but with a",
     "[3]": "is JSON without cameras, but with 3",
     '{"frames": []}': "has no frames",
-    '{"frames": [3]}': "frame 0: is a int",
+    '{"frames": [3]}': "frame 0: the frame is a int",
     '{"w": 2, "h": 2, "frames": [{}]}': "frame 0: lacks transform_matrix: expected 4×4 finite",
     '{"w": 1e999, "h": 2, "frames": [{}]}': "w is inf, expected a finite number",
     '{"w": 2.5, "h": 2, "frames": [{}]}': "w is 2.5, expected whole pixels",

@@ -212,7 +212,7 @@ WRONG = {
         {"models": [A | {"transform": np.eye(4).tolist(), "scale": 2}]},
         "scale: excludes `transform`",
     ),
-    "flat": ({"models": [A | {"scale": 0}]}, r"models\[0\]\.scale: is singular"),
+    "flat": ({"models": [A | {"scale": 0}]}, r"models\[0\]\.scale: the matrix is singular"),
     "shape": ({"models": [A | {"transform": [1, 2]}]}, "expected 4×4 numbers"),
     "ragged": ({"models": [A | {"transform": [[1], [2, 3]]}]}, "expected 4×4 numbers"),
     "huge": ({"models": [A | {"translate": [1, 2, 1e300]}]}, "numbers that are finite"),

@@ -52,7 +52,7 @@ def _stale_rows() -> ModelSpec:
 
 
 def _growing() -> ModelSpec:
-    """Return a model whose row count varies, and whose rows after the count hold Gaussians."""
+    """Return a model of varying row count, whose rows after the count also hold Gaussians."""
     grown = drifting(8).reworded(
         "num_points = Identity (live)",
         "part = Mul (time, capacity) whole = Floor (part) num_points = Cast <to = 6> (whole)",

@@ -89,7 +89,7 @@ class InspectedModel:
 
     @cached_property
     def declared_count(self) -> CountOutput | None:
-        """The manifest's declaration of the row count output."""
+        """The manifest's declaration of the output with the number of Gaussians."""
         return self.generator.outputs.count if self.generator else None
 
     @cached_property
@@ -109,7 +109,7 @@ class InspectedModel:
 
     @property
     def count(self) -> Tensor | None:
-        """The graph output that holds the row count."""
+        """The graph output that holds the number of Gaussians (row count)."""
         return self._output(self.declared_count)
 
     @property

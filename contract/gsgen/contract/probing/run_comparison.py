@@ -66,7 +66,7 @@ class ProbeRun:
 
     @property
     def extremes(self) -> Extremes | None:
-        """The row count and each column's extremes, where a model run kept no output rows."""
+        """The number of Gaussians and each column's extremes, where a run kept no output rows."""
         return self.sample.extremes if self.sample is not None else None
 
     @property
@@ -108,7 +108,7 @@ class Behaviour:
         return [runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The base test inputs, and test inputs that differ from them in one role alone."""
+        """The base test inputs, and test inputs that differ in one input role alone."""
         base, variants = self.trial.plan.variants.get(role, (0, ()))
         return self._of((base, *variants)) if variants else []
 
@@ -137,7 +137,7 @@ class Behaviour:
         return [self._visit(index) for index in probe_indices if self._ran(index)]
 
     def runs(self, indices: Iterable[int]) -> list[ProbeRun]:
-        """Return the finished model runs with given indices in the plan of test runs."""
+        """Return the finished model runs with the given indices in the planned list of runs."""
         return [self._visit(index) for index in indices if self._ran(index)]
 
     def _ran(self, index: int) -> bool:

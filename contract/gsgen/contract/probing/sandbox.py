@@ -43,7 +43,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extremes:
-    """The row count of one run, with minimum and maximum of each column of its live rows.
+    """The number of live Gaussians of one run, and the minimum and maximum of each output column.
 
     Attributes:
         count: The count as the model outputs it, or the capacity if it has none.

@@ -185,7 +185,7 @@ def _survey_outputs(
 
 
 def _extremes(rows: np.ndarray | None, count: np.ndarray | None) -> dict[str, Any] | None:
-    """Return the row count, and minimum and maximum of each column of the live rows."""
+    """Return the number of live Gaussians, and the minimum and maximum of their columns."""
     if rows is None or rows.ndim != 2 or rows.dtype.kind != "f":
         return None
     live = int(count.reshape(-1)[0]) if count is not None and count.size else len(rows)
@@ -239,7 +239,7 @@ def thinned(value: np.ndarray) -> np.ndarray:
 
 
 def thinning_step(rows: int) -> int:
-    """Return n, where every n-th row of an output is stored for an extra probe."""
+    """Return n if every n-th row of an output is stored for additional test inputs."""
     return max(1, rows // _THIN_ROWS)
 
 

@@ -38,7 +38,7 @@ class OperatorTable:
     outcomes: dict[tuple[str, str], dict[int, str]]
 
     def outcome(self, operator: str, variant: str, dtype: str, opset: int) -> str:
-        """Return how this runtime release executes an operator; empty if not measured."""
+        """Return how this runtime release executes an ONNX operator; empty if not measured."""
         steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
         steps = steps or self.outcomes.get((operator, dtype))
         if not steps:
@@ -47,7 +47,7 @@ class OperatorTable:
         return steps[max(reached)]
 
     def opset_with_kernel(self, operator: str, variant: str, dtype: str) -> int | None:
-        """Return an opset version whose form of the operator this ONNX Runtime captures, or None."""
+        """Return an operator set version in which the runtime can capture an operator, or None."""
         steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
         steps = steps or self.outcomes.get((operator, dtype), {})
         return next((step for step, outcome in steps.items() if outcome == CAPTURE), None)

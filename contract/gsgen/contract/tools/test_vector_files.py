@@ -170,7 +170,9 @@ def _selected_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe
         message = f"{count} test vectors, but the model has only {have}"
         raise ConfigInvalid(message, where="--count", hint=f"--count {len(probes)} takes all.")
     if count < 1:
-        raise ConfigInvalid(f"{count} test vectors, expected 1 or more", where="--count")
+        raise ConfigInvalid(
+            f"the number of test vectors is {count}, expected 1 or more", where="--count"
+        )
     return evenly_spaced(probes, count)
 
 

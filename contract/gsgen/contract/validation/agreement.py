@@ -31,7 +31,7 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 @dataclass(frozen=True, slots=True)
 class FieldError:
-    """A field of an ONNX generator's outputs in which two runs differ beyond the tolerance.
+    """A field of the Gaussians in which two runs of a model differ beyond the tolerance.
 
     Attributes:
         tolerance: The field and its largest allowed difference.

@@ -198,7 +198,7 @@ def backends_in(module: ModuleType) -> list[LevelBackend]:
 
 @dataclass(frozen=True, slots=True)
 class Registry:
-    """All installed validation rules and level backends.
+    """All installed validation rules, and the backends that run validation levels.
 
     Attributes:
         rules: By id, in order of the catalogue.

@@ -138,7 +138,7 @@ def require_sizes(cfg: CfgArgs, cloud: AnchorCloud, ply: Path) -> None:
 def read_cloud(
     path: Path, *, columns: tuple[str, ...] = (), has_features: bool = True
 ) -> AnchorCloud:
-    """Read the anchors of a PLY file, and the named columns of their levels.
+    """Read the anchors of a PLY file, and named columns about their levels of detail.
 
     Without ``has_features``, anchors have features of length 0.
     """

@@ -59,7 +59,7 @@ class _Bounded(nn.Module):
 
 @final
 class DuplexGS(AnchorGenerator):
-    """Duplex-GS as a generator model: N cells of K Gaussians; row a K + k is Gaussian k of cell a.
+    """Duplex-GS as a model of N cells with K Gaussians each; row a K + k is Gaussian k of cell a.
 
     The opacity is that of the network or, if ``weighted``, that of the method's renderer: times
     the cell's visibility from the camera, and times 1 − depth / σ.

@@ -60,7 +60,7 @@ def build(
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
 ) -> "DuplexGS":
-    """Read a checkpoint of Duplex-GS, report its contents, and return its generator."""
+    """Read a checkpoint of Duplex-GS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.anchors.anchor_checkpoint import require_appearance
     from gsgen.reference_plugins.anchors.cell_checkpoint import describe_cells, read_cells
     from gsgen.reference_plugins.anchors.duplex_gs import DuplexGS

@@ -35,7 +35,7 @@ def build(
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
 ) -> "OctreeGS":
-    """Read a checkpoint of Octree-GS, report its contents, and return its generator."""
+    """Read a checkpoint of Octree-GS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.anchors.anchor_checkpoint import (
         describe_anchors,
         read_anchors,

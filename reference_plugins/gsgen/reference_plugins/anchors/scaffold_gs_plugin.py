@@ -34,7 +34,7 @@ def build(
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
 ) -> "ScaffoldGS":
-    """Read a checkpoint of Scaffold-GS, report its contents, and return its generator."""
+    """Read a checkpoint of Scaffold-GS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.anchors.anchor_checkpoint import (
         describe_anchors,
         read_anchors,

@@ -128,7 +128,7 @@ def _level_cfg(options: AnchorOptions, mode: str, fork: int) -> dict[str, object
 def anchor_columns(
     options: AnchorOptions, rng: np.random.Generator
 ) -> dict[str, Float[np.ndarray, " n"]]:
-    """Return the PLY columns of anchors along a torus knot, without levels."""
+    """Return the PLY columns of anchors along a torus knot, without levels of detail."""
     return _positions(options) | _payload(options, rng)
 
 
@@ -181,7 +181,7 @@ def _write(
 
 
 def write_networks(iteration_folder: Path, options: AnchorOptions, *, octree: bool = True) -> None:
-    """Write random networks of an anchor method; with ``octree``, the bank has no distance."""
+    """Write random networks of an anchor method; with ``octree``, as Octree-GS has them."""
     networks = _networks(options, octree=octree)
     if options.united:
         united = {

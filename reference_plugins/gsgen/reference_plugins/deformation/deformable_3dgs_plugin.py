@@ -31,7 +31,7 @@ _PUBLICATION = Publication(
 
 @with_time_options
 def build(checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input) -> "Deformable3DGS":
-    """Read a checkpoint of Deformable-3D-Gaussians, and return its generator."""
+    """Read a checkpoint of Deformable-3D-Gaussians, and return a Gaussian generator."""
     from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
     from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
     from gsgen.reference_plugins.loading.provenance import producer_of

@@ -39,7 +39,7 @@ _PUBLICATION = Publication(
 def build(
     checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input, bake: _Bake = "auto"
 ) -> "HexPlane4DGS":
-    """Read a checkpoint of 4DGaussians, report its contents, and return its generator."""
+    """Read a checkpoint of 4DGaussians, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
     from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
     from gsgen.reference_plugins.loading.provenance import producer_of

@@ -29,7 +29,7 @@ _PUBLICATION = Publication(
 
 @with_time_options
 def build(checkpoint: Checkpoint, iteration: Iteration = None, *, time: Input) -> "ScGs":
-    """Read a checkpoint of SC-GS, report its contents, and return its generator."""
+    """Read a checkpoint of SC-GS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.deformation.sc_gs import ScGs
     from gsgen.reference_plugins.deformation.sc_gs_checkpoint import read_sc_gs
     from gsgen.reference_plugins.loading.provenance import producer_of

@@ -32,7 +32,7 @@ _PUBLICATION = Publication(
 def build(
     checkpoint: Checkpoint, body: _Body = None, iteration: Iteration = None
 ) -> "GaussianAvatars":
-    """Read a checkpoint of GaussianAvatars, report its contents, and return its generator."""
+    """Read a checkpoint of GaussianAvatars, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.heads.gaussian_avatars import GaussianAvatars
     from gsgen.reference_plugins.heads.gaussian_avatars_checkpoint import read_gaussian_avatars
     from gsgen.reference_plugins.loading.provenance import producer_of

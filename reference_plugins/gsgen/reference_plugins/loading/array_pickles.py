@@ -100,7 +100,7 @@ class _Wrapped(_Inert):
 
     def dense(self) -> np.ndarray:
         if "x" not in self.state:
-            raise ValueError("an array of chumpy has no attribute x")
+            raise ValueError("a pickled array of chumpy has no attribute x")
         return np.asarray(_plain(self.state["x"]))
 
 

@@ -41,7 +41,7 @@ _COLORS = ("logit_opacity", "sh")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplicitColors:
-    """Opacities and colours that anchors of one Gaussian each store themselves."""
+    """Opacities and colours that anchors of one Gaussian each store, without networks."""
 
     logit_opacity: Float[Tensor, "n 1"]
     sh: Float[Tensor, "n k 3"]
@@ -49,7 +49,7 @@ class ExplicitColors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnyGSCheckpoint:
-    """A checkpoint of Octree-AnyGS; either ``anchors`` or ``colors`` is present."""
+    """A checkpoint of Octree-AnyGS, with either ``anchors`` or explicit ``colors``."""
 
     run: TrainingRun  # its options are those of the model
     base: str  # scaffoldgs, 3dgs or 2dgs
@@ -85,7 +85,7 @@ def read_anygs(folder: Path, iteration: int | None = None) -> AnyGSCheckpoint:
 
 
 def _model_options(cfg: CfgArgs) -> CfgArgs:
-    """Return the options of ``model_config`` beside those of the training run."""
+    """Return the options in ``model_config`` together with those of the training run."""
     config = cfg.values.get("model_config")
     if not isinstance(config, dict) or not isinstance(config.get("kwargs"), dict):
         message = "model_config is missing, or has no kwargs"
@@ -100,7 +100,7 @@ def _model_options(cfg: CfgArgs) -> CfgArgs:
 
 
 def _levels(cfg: CfgArgs, ply: Path) -> Levels:
-    """Return the levels of detail of a PLY, whose distance and number are in its header."""
+    """Return the levels of detail of a PLY, from the distance and count in its header."""
     words = [line.split() for line in ply_infos(ply)]
     infos = {entry[0]: entry[1] for entry in words if len(entry) == 2}
     try:
@@ -127,7 +127,7 @@ def _colors(ply: Path) -> ExplicitColors:
 
 
 def describe_anygs(checkpoint: AnyGSCheckpoint) -> str:
-    """Return the kind, sizes and levels of an Octree-AnyGS checkpoint as one line."""
+    """Return kind, sizes and levels of detail of an Octree-AnyGS checkpoint as one line."""
     levels = checkpoint.levels
     parts = [f"base model {checkpoint.base}"]
     if checkpoint.anchors is not None:

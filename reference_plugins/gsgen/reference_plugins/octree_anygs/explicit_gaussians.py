@@ -23,7 +23,7 @@ from gsgen.sdk.math import camera_centre
 
 
 def explicit_splats(cloud: AnchorCloud, colors: ExplicitColors, *, flat: bool) -> Splats:
-    """Return the Gaussians of all levels as splats; ``flat`` ones have no thickness."""
+    """Return the Gaussians of all levels of detail as splats; ``flat`` ones lack thickness."""
     scale = cloud.log_scale.double()
     position = cloud.position.double() + cloud.offset.double()[:, 0] * torch.exp(scale[:, :3])
     log_scale = cloud.log_scale[:, 3:].clone()
@@ -40,7 +40,7 @@ def explicit_splats(cloud: AnchorCloud, colors: ExplicitColors, *, flat: bool) -
 
 @final
 class LeveledGaussians(GaussianGenerator):
-    """A generator of explicit Gaussians, hidden where their level is too fine for the distance."""
+    """A model of Gaussians that are hidden if their level of detail is too fine for a distance."""
 
     family = "static"
     count_semantics = "upper-bound"

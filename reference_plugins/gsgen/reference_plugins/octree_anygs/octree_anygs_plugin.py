@@ -45,7 +45,7 @@ def build(
     cull: Cull = "none",
     max_anchors: MaxAnchors = None,
 ) -> "GaussianGenerator | ConstantSource":
-    """Read a checkpoint of Octree-AnyGS, report its contents, and return its generator."""
+    """Read a checkpoint of Octree-AnyGS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.anchors.octree_gs import SUPPORTED_OPTIONS
     from gsgen.reference_plugins.anchors.selection import Selection
     from gsgen.reference_plugins.loading.provenance import producer_of
@@ -92,7 +92,7 @@ def _neural(
 
 
 def _require_neural(options: dict[str, object]) -> None:
-    """Raise if an option of networks is given for explicit Gaussians."""
+    """Raise if an option for neural Gaussians is given for a checkpoint of explicit Gaussians."""
     for name, value in options.items():
         if value not in (None, "none"):
             raise ConfigInvalid(

@@ -94,7 +94,7 @@ def _anchors(options: AnchorOptions, rng: np.random.Generator) -> tuple[Columns,
 def _explicit(
     count: int, degree: int, rng: np.random.Generator
 ) -> tuple[Columns, dict[str, object]]:
-    """Return Gaussians along a torus knot, moved by their offsets."""
+    """Return Gaussians along a torus knot, moved by their anchor offsets."""
     columns = splat_columns(torus_knot(count, degree=degree))
     offset, reach = rng.normal(0, 1, (3, count)), rng.normal(-4, 0.3, (3, count))
     scale = {f"scale_{axis + 3}": columns[f"scale_{axis}"] + 0.7 for axis in range(3)}

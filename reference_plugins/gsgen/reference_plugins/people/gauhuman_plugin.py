@@ -46,7 +46,7 @@ def build(
     *,
     loop: Loop = False,
 ) -> "GaussianGenerator":
-    """Read a checkpoint of GauHuman, report its contents, and return its generator."""
+    """Read a checkpoint of GauHuman, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.bodies.motions import read_motion
     from gsgen.reference_plugins.people.gauhuman import GauHuman
     from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman

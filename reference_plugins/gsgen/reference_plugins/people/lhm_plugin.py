@@ -51,7 +51,7 @@ def build(
     no_expression: NoExpression = False,
     loop: Loop = False,
 ) -> "GaussianGenerator":
-    """Read an avatar of LHM, report its contents, and return its generator."""
+    """Read an avatar of LHM, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.bodies.motions import read_motion
     from gsgen.reference_plugins.people.lhm import LHM
     from gsgen.reference_plugins.people.lhm_checkpoint import read_face, read_lhm

@@ -61,7 +61,7 @@ def build(
     time: Input,
     color: _Color = "sh",
 ) -> "Rotor4DGS":
-    """Read a checkpoint of rotor 4DGS, report its contents, and return its generator."""
+    """Read a checkpoint of rotor 4DGS, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.loading.provenance import producer_of
     from gsgen.reference_plugins.spacetime.rotor_4dgs import Rotor4DGS
     from gsgen.reference_plugins.spacetime.rotor_checkpoint import read_rotor
@@ -87,7 +87,7 @@ def _duration(
 
     if config is not None and time_duration is not None:
         hint = "Give one of them."
-        raise ConfigInvalid("is given beside --config", where="--time-duration", hint=hint)
+        raise ConfigInvalid("cannot be combined with --config", where="--time-duration", hint=hint)
     if config is None and time_duration is None:
         message = "no file of the run has the times of its first and last frame"
         hint = "Give --config FILE, the training's YAML, or --time-duration 0 1."

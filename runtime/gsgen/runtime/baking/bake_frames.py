@@ -126,7 +126,7 @@ def bake_source(
         raise ConfigInvalid(f"is {max_degree}, expected 0 to {MAX_DEGREE}", where="max_degree")
     if views < MIN_VIEWS:
         raise ConfigInvalid(
-            f"is {views}, expected {MIN_VIEWS} or more",
+            f"the number of cameras is {views}, expected {MIN_VIEWS} or more",
             where="views",
             hint="Degree 3 has 16 coefficients, and every fifth camera is held out.",
         )

@@ -57,7 +57,7 @@ def parameters(
     """Return fx, fy, cx, cy and the distortion coefficients of a COLMAP camera model."""
     if model not in MODELS or "FISHEYE" in model or model == "FOV":
         raise ConfigInvalid(
-            f"has the camera model {model}, expected one that a pinhole approximates",
+            f"the camera model is {model}, expected one that a pinhole approximates",
             where=where,
             hint="COLMAP's image_undistorter converts images to pinhole cameras.",
         )

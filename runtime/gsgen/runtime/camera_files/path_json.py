@@ -46,7 +46,9 @@ def _camera(
 ) -> NamedCamera:
     where = f"{path}, frame {index}"
     if not isinstance(document, dict):
-        raise ConfigInvalid(f"is a {type(document).__name__}, expected an object", where=where)
+        raise ConfigInvalid(
+            f"the JSON value is a {type(document).__name__}, expected an object", where=where
+        )
     width, height = size
     to_world = matrix(document, "camera_to_world", (16,), where).reshape(4, 4)
     values: dict[str, Any] = {

@@ -30,7 +30,9 @@ def read_training(document: list[Any], path: str) -> CameraFile:
 def _camera(document: object, index: int, path: str) -> NamedCamera:
     where = f"{path}, camera {index}"
     if not isinstance(document, dict):
-        raise ConfigInvalid(f"is a {type(document).__name__}, expected an object", where=where)
+        raise ConfigInvalid(
+            f"the JSON value is a {type(document).__name__}, expected an object", where=where
+        )
     axes = matrix(document, "rotation", (3, 3), where)
     view = view_from_opencv(axes, matrix(document, "position", (3,), where))
     width, height = side(document, "width", where), side(document, "height", where)

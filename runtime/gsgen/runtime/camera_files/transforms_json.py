@@ -40,7 +40,9 @@ def read_transforms(document: Mapping[str, Any], path: str) -> CameraFile:
     for index, frame in enumerate(frames):
         where = f"{path}, frame {index}"
         if not isinstance(frame, dict):
-            raise ConfigInvalid(f"is a {type(frame).__name__}, expected an object", where=where)
+            raise ConfigInvalid(
+                f"the frame is a {type(frame).__name__}, expected an object", where=where
+            )
         merged = {**document, **frame}
         if not {"w", "h"} <= merged.keys():
             size = size or _picture_size(merged, path, where)
@@ -104,7 +106,7 @@ def _focal(document: Mapping[str, Any], axis: str, pixels: int, where: str) -> f
                 )
             return across / 2 / math.tan(radians / 2)
     raise ConfigInvalid(
-        f"lacks fl_{axis} and camera_angle_{axis}: the angle of {pixels} pixels is unknown",
+        f"the file lacks fl_{axis} and camera_angle_{axis}: the angle of {pixels} pixels is unknown",
         where=where,
     )
 
@@ -123,7 +125,7 @@ def _picture_size(document: Mapping[str, Any], path: str, where: str) -> tuple[i
         except (OSError, ValueError, Image.DecompressionBombError):
             continue  # unreadable: try the next name
     raise ConfigInvalid(
-        f"lacks w and h, and there is no picture {name!r} to take them from",
+        f"the file lacks w and h, and there is no picture {name!r} to take them from",
         where=where,
         hint='Add "w" and "h" to the file: the size of its pictures, in pixels.',
     )

@@ -51,7 +51,7 @@ def image_decibels(
 
 
 class ReferenceUnreadable(GsgenError):
-    """A reference image is missing, outside the folder, altered, too large, or not a PNG."""
+    """Raised if a reference image is missing, outside its folder, altered, too large, not a PNG."""
 
 
 def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
@@ -98,7 +98,7 @@ def _bytes(folder: Path, name: str) -> bytes:
     root = folder.resolve()
     path = (root / parts).resolve()
     if "\\" in name or parts.is_absolute() or not path.is_relative_to(root):
-        raise ReferenceUnreadable(f"{name!r} is outside the model's folder")
+        raise ReferenceUnreadable(f"the reference image {name!r} is outside the model's folder")
     try:
         if not path.is_file():
             raise ReferenceUnreadable("the reference image is missing in the model's folder")

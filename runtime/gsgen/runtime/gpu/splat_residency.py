@@ -159,7 +159,7 @@ class _Filled:
     rows: int = 0
 
     def missing(self, version: int, live: int) -> Iterator[slice]:
-        """Yield the slice of an array's live rows that is not uploaded yet; mark it as uploaded."""
+        """Yield the slice of an array's used rows that is not uploaded yet; mark it as uploaded."""
         first = self.rows if self.version == version else 0
         if live > first:
             yield slice(first, live)
@@ -168,7 +168,7 @@ class _Filled:
 
 @final
 class _State(NamedTuple):
-    """The array versions and the number of live rows of a splat set at the start of a frame."""
+    """The array versions and the number of rows in use of a splat set at the start of a frame."""
 
     rows: int
     appearance: int
@@ -196,7 +196,7 @@ class _Resident:
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
-    """Yield each GPU page with its part of a splat set's live rows, and the part's page offset."""
+    """Yield each GPU page with its part of a splat set's Gaussians, and the part's page offset."""
     for page in pages:
         first = max(live.start, page.first)
         last = min(live.stop, page.first + page.capacity)

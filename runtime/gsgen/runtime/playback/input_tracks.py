@@ -126,5 +126,7 @@ def numbers_of(array: Shaped[np.ndarray, "..."], where: str) -> Shaped[np.ndarra
         raise ConfigInvalid(message, where=where)
     if not np.isfinite(array).all():
         count = int((~np.isfinite(array)).sum())
-        raise ConfigInvalid(f"has {count} non-finite values, expected finite numbers", where=where)
+        raise ConfigInvalid(
+            f"the array has {count} non-finite values, expected finite numbers", where=where
+        )
     return integers_if_whole(array)

@@ -111,7 +111,7 @@ def _fit_pose(
     )
     if not (known and convention == "smpl-axis-angle"):
         raise ConfigInvalid(
-            f"holds poses of {list(pose.shape[1:])}, expected {list(shape)}",
+            f"the file holds poses of {list(pose.shape[1:])}, expected {list(shape)}",
             where=where,
             hint=_KINDS,
         )

@@ -75,7 +75,7 @@ class PostProcessor:
         return tuple(spec for spec in self.manifest.inputs if spec.name != self._image)
 
     def named(self, word: str) -> list[Input]:
-        """Return the model inputs with this tensor name, or else with this role."""
+        """Return the model inputs with this tensor name, or else with this input role."""
         return named(self.inputs, word)
 
     def shape(self, name: str) -> tuple[int, ...]:

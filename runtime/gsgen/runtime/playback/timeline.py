@@ -23,7 +23,7 @@ class AnimatedInputs(Protocol):
         """The model inputs that a caller may set."""
 
     def named(self, word: str) -> list[Input]:
-        """Return the model inputs with this tensor name, or else with this role."""
+        """Return the model inputs with this tensor name, or else with this input role."""
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of an input tensor."""

@@ -1,4 +1,4 @@
-"""Divides an image that is larger than a GPU binding into bands of rows, drawn one by one."""
+"""Divides an image too large for one GPU buffer binding into bands of rows, drawn one by one."""
 
 __all__ = ["Band", "Drawing", "PairsExceeded", "band_rows", "draw_bands"]
 
@@ -23,13 +23,13 @@ Drawing = tuple[np.ndarray, dict[str, np.ndarray]]
 
 
 class PairsExceeded(CapacityExceeded):
-    """The pairs of a splat and a tile of an image, or of a band, exceed a GPU binding."""
+    """Raised if the splat-tile pairs of an image, or of a band of it, exceed a GPU binding."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """Consecutive rows of a camera's image.
+    """A band of an image: consecutive rows, which are drawn together.
 
     Attributes:
         whole: Camera of the whole image.
@@ -43,19 +43,19 @@ class Band:
 
     @classmethod
     def of(cls, camera: Camera) -> "Band":
-        """Return the band of all rows."""
+        """Return the band with all image rows of a camera."""
         return cls(camera, 0, camera.height)
 
     @property
     def camera(self) -> Camera:
-        """The camera that sees these rows."""
+        """The camera that sees the image rows of the band."""
         if self.rows == self.whole.height:
             return self.whole
         return replace(self.whole, cy=self.whole.cy - self.first, height=self.rows)
 
 
 def band_rows(device: Device, camera: Camera, images: int, layers: int) -> int:
-    """Return the most image rows that fit the device's buffers: all, or whole rows of tiles.
+    """Return the most image rows that fit the GPU's buffers: all, or whole rows of tiles.
 
     Args:
         device: The device.
@@ -72,12 +72,12 @@ def band_rows(device: Device, camera: Camera, images: int, layers: int) -> int:
 
 
 def _whole_tiles(rows: int) -> int:
-    """Round rows down to a multiple of the largest tiles, but at least one."""
+    """Round image rows down to a multiple of the largest image tile, but at least one tile."""
     return max(rows // LARGE_TILE, 1) * LARGE_TILE
 
 
 def draw_bands(camera: Camera, rows: int, draw: Callable[[Band], Drawing]) -> Drawing:
-    """Draw an image in bands; return the summed counters, and the images of all rows.
+    """Draw an image in bands of rows; return the summed GPU counters, and the whole images.
 
     A band with more pairs of a splat and a tile than a binding holds is halved. A splat counts in
     each band that it touches.

@@ -43,7 +43,7 @@ class DepthOrder:
         origins: Buffer | None = None,
         spare: Buffer | None = None,
     ) -> tuple[list[Step], Buffer]:
-        """Return the GPU steps of a depth sort, and the buffer of drawn splats, nearest first.
+        """Return the GPU dispatches of a depth sort, and the buffer of splats, nearest first.
 
         Args:
             capacity: Most splats.
@@ -74,7 +74,7 @@ class DepthOrder:
         histogram: Buffer,
         first_keys: Buffer | None = None,
     ) -> tuple[list[Step], int]:
-        """Return the GPU steps that sort splats by other sort keys, or else by their depth keys."""
+        """Return the dispatches that sort splats by other sort keys, or by their depth keys."""
         return self._sort.steps(
             counts,
             histogram,
@@ -95,7 +95,7 @@ class DepthOrder:
         spare: Buffer,
         histogram: Buffer,
     ) -> tuple[list[Step], Columns]:
-        """Return the GPU steps that sort splats by depth remainder and then stably by depth key."""
+        """Return the dispatches that sort splats by depth remainder, then stably by depth key."""
         keys, by_low = columns[0].keys, [columns[0]._replace(keys=spare), columns[1]]
         first, side = self._by_key(capacity, counts, by_low, histogram, first_keys=lows)
         sorted_lows = by_low[side]

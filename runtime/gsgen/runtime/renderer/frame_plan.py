@@ -160,14 +160,14 @@ class Plan:
         self._staging = Staging(device, self._held | self.images)
 
     def _add(self, part: WeightedPart) -> None:
-        """Add the buffers, images and stages of weighted sums."""
+        """Add the GPU buffers, images and stages of weighted-sum rendering to a frame."""
         self.buffers |= part.buffers
         self.images |= part.images
         self.stages |= part.stages
         self.clears += part.clears
 
     def _slabs(self, placed: Sequence[Placed], splats: int, *, with_ids: bool) -> Slabs:
-        """Return the slabs of a scene; their splats have ids in the order of the sets."""
+        """Return the depth slabs in which a scene is drawn; splat ids follow the set order."""
         pages = [page for _, page in placed]
         slabs = Slabs(self._device, self._kernels, pages, splats, self._origins, with_ids=with_ids)
         self.buffers |= slabs.buffers
@@ -179,7 +179,7 @@ class Plan:
         return self.buffers[name]
 
     def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
-        """Allocate projected-splat buffers; return those of the projection and of other kernels."""
+        """Allocate GPU buffers of projected splats: those that projection writes, and the rest."""
         if not self._records:
             arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
             return arrays, arrays
@@ -187,7 +187,7 @@ class Plan:
         return [records, self._storage("weights", 0)], [records, records]
 
     def _cleared(self, placed: Sequence[Placed]) -> list[tuple[Buffer, int, int | None]]:
-        """Return the buffers that are cleared before a frame, with offset and size in bytes."""
+        """Return the GPU buffers to clear before a frame, with offset and size in bytes."""
         dispatches = [page.slots.dispatch for _, page in placed if page.slots is not None]
         return [
             (self._ranges, 0, None),
@@ -199,7 +199,7 @@ class Plan:
     def _record(
         self, placed: Sequence[Placed], outputs: frozenset[Output], *, quads: bool
     ) -> dict[str, list[Step]]:
-        """Record the stages that draw the depth-sorted splat sets, in execution order."""
+        """Record the GPU stages that draw the depth-sorted splat sets, in execution order."""
         n = self._gaussians
         # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
         columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
@@ -231,7 +231,7 @@ class Plan:
         return stages
 
     def _lay_inputs(self, count: int) -> Layers:
-        """Allocate image layers that the caller writes."""
+        """Allocate GPU buffers of image layers that the caller writes."""
         layers = allocate_layers(self._storage, count, self._size, normal=False)
         self.inputs |= {"layer colors": layers.colors, "layer depths": layers.depths}
         return layers
@@ -266,7 +266,7 @@ class Plan:
         lows: Buffer,
         normals: Buffer | None,
     ) -> dict[str, list[Step]]:
-        """Return the stages that project all Gaussians, or those of a slab.
+        """Return the GPU stages that project all Gaussians, or those of a depth slab.
 
         Normals are computed here, because the sort overwrites the keys that mark absent Gaussians.
         """
@@ -370,7 +370,7 @@ class Plan:
         meshes: Sequence[PlacedMesh] = (),
         fetch: bool = True,
     ) -> Drawing:
-        """Draw a frame, in slabs if the plan has them, and wait for its counters and images.
+        """Draw a frame, if needed in depth slabs, and wait for its GPU counters and images.
 
         Arguments, results and errors are those of :meth:`submit` and :meth:`collect`.
         """
@@ -407,7 +407,7 @@ class Plan:
         band: Band | None = None,
         state: tuple[bool, bool] = (False, False),
     ) -> None:
-        """Write the uniforms of a frame, and submit its GPU commands.
+        """Write the uniform buffers of a frame, and submit its GPU commands.
 
         Args:
             placed: The pages of the plan with their present sets.
@@ -471,7 +471,7 @@ class Plan:
         return Staging(self._device, self._held)
 
     def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Wait for the frame; return its counters and each image as [height, width, 4] words.
+        """Wait for the GPU to finish a frame; return its counters and images of 32-bit words.
 
         Args:
             fetch: Whether images are read; must be the same as in :meth:`submit`.

@@ -105,7 +105,7 @@ class Kernels:
         self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
 
     def records(self, gaussians: int) -> bool:
-        """Return whether projected splats are structs in one buffer, which must fit a binding."""
+        """Return whether projected splats are structs in one GPU buffer, if it can be bound."""
         is_possible = self.cut.tile != TILE and not self._one_shape
         return is_possible and RECORD * gaussians <= self._largest_binding
 

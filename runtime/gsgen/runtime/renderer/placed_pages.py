@@ -1,4 +1,4 @@
-"""The GPU pages of a scene with their splat sets, in the order in which they are drawn."""
+"""The GPU pages (buffers) of a scene with their splat sets, in drawing order."""
 
 __all__ = ["Placed", "scene_order", "slot_rows", "sorted_pages", "weighted_pages"]
 
@@ -32,10 +32,10 @@ def slot_rows(page: Page) -> int:
 
 
 def weighted_pages(placed: Sequence[Placed]) -> list[Placed]:
-    """Return the pages of sets that are blended by weighted sums."""
+    """Return the GPU pages of splat sets that are blended by weighted sums."""
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is not None]
 
 
 def sorted_pages(placed: Sequence[Placed]) -> list[Placed]:
-    """Return the pages of sets that are sorted by depth."""
+    """Return the GPU pages of splat sets that are sorted by depth."""
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]

@@ -51,7 +51,7 @@ _MOST_BYTES: Final = 1 << 16  # of the cache file
 @final
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """Seconds of the drawing stages: compute tiles of two sizes, and hardware quads.
+    """Seconds that a GPU takes to draw: with compute tiles of two sizes, and hardware quads.
 
     Attributes:
         tiles: Seconds of listing pairs, sorting them by tile and blending, with LARGE_TILE.
@@ -65,12 +65,12 @@ class Timings:
 
     @property
     def best(self) -> Rasteriser:
-        """The rasteriser to use: quads only if they are clearly faster."""
+        """The rasteriser to use on a GPU: hardware quads only if they are clearly faster."""
         return "quads" if self.quads < _WORTH * min(self.tiles, self.small_tiles) else "tiles"
 
     @property
     def tile(self) -> int:
-        """The edge of the tiles to use, in pixels."""
+        """The edge of the image tiles to use on a GPU, in pixels."""
         return TILE if self.small_tiles < self.tiles else LARGE_TILE
 
 
@@ -103,7 +103,7 @@ def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> 
 
 
 def chosen_cut(device: Device) -> SortConfig:
-    """Return a device's sort settings, with the faster tiles if :func:`choose` measured it."""
+    """Return a device's sort settings, with the tile size that :func:`choose` measured, if any."""
     cut, timings = cut_for(device), _measured.get(_key(device))
     if device.software or timings is None:
         return cut
@@ -132,7 +132,7 @@ def explain(device: Device) -> str:
 def probe(
     device: Device, kernels: Kernels, *, gaussians: int = _GAUSSIANS, size: tuple[int, int] = _SIZE
 ) -> Timings:
-    """Draw a test frame in each way several times, and return the median seconds.
+    """Draw a test frame with each rasteriser several times, and return the median seconds.
 
     The times are GPU timestamps of the stages that differ. If timestamps stand still, they are
     wall-clock times of whole frames, which include the stages that both share.
@@ -198,7 +198,7 @@ def _roomy(
 def _seconds(
     device: Device, plan: Plan, placed: list[Placed], camera: Camera, stages: tuple[str, ...]
 ) -> tuple[float, float]:
-    """Return the median GPU seconds of some stages (0 without timestamps) and of whole frames."""
+    """Return the median GPU seconds of given stages (0 without timestamps) and of whole frames."""
     clock = StageClock(device) if device.has_clock else None
     ticks, walls = [], []
     for number in range(_WARM + _FRAMES):

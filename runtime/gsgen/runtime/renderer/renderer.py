@@ -55,7 +55,7 @@ _OUTPUTS: Final = ("color", "depth", "normal")
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """A rendered image that stayed in GPU memory.
+    """A rendered image that stays in GPU memory, to be shown from there.
 
     Attributes:
         image: Buffer of four 32-bit words per pixel, as the kernels blend them.
@@ -198,7 +198,7 @@ class Renderer:
     def _drawn(
         self, scene: Scene, camera: Camera, background: Sequence[float], outputs: Collection[Output]
     ) -> Drawing:
-        """Draw a scene in as many bands as its buffers need, and read its images."""
+        """Draw a scene in as many bands of image rows as its buffers need, and read the images."""
         requested = _known(outputs)
         if self._published:
             _require_alone(scene)
@@ -217,7 +217,7 @@ class Renderer:
     def _drawn_at_once(
         self, scene: Scene, camera: Camera, background: Sequence[float], output: Output
     ) -> tuple[Plan, np.ndarray]:
-        """Draw an image that stays in one GPU buffer."""
+        """Draw a whole image, without bands, which stays in one GPU buffer."""
         requested = _known((output,))
         if self._published:
             _require_alone(scene)
@@ -229,7 +229,7 @@ class Renderer:
 
     @contextmanager
     def _device_errors(self, scene: Scene, camera: Camera) -> Iterator[None]:
-        """Translate device errors in a ``with`` block; those of memory name the scene's size."""
+        """Translate GPU errors in a ``with`` block; memory errors then name the scene's size."""
         try:
             with self.device.translate_errors():
                 yield
@@ -241,7 +241,7 @@ class Renderer:
             raise _too_large(scene, camera, error, compact=self._compact) from error
 
     def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
-        """Upload the changed splats and meshes of a scene; return its GPU pages and meshes."""
+        """Upload changed splats and meshes of a scene; return the GPU buffers of both."""
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
         pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
@@ -259,7 +259,7 @@ class Renderer:
         *,
         fetch: bool = True,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
-        """Draw until splat-tile pairs fit and depth ties are sorted; read images if ``fetch``."""
+        """Draw again until splat-tile pairs fit and ties are sorted; read images if ``fetch``."""
         while True:
             plan = self.plan(placed, band.camera, requested, meshes)
             counts, images = plan.draw(placed, band, behind[:3], meshes=meshes, fetch=fetch)
@@ -279,7 +279,7 @@ class Renderer:
     def _drawn_late(
         self, scene: Scene, camera: Camera, behind: np.ndarray, requested: frozenset[Output]
     ) -> tuple[Plan, np.ndarray]:
-        """Draw a frame by GPU counters of earlier frames; wait for the GPU if there are none."""
+        """Draw a frame with buffer sizes of earlier frames; wait for the GPU if there are none."""
         for parts in self.late.read():
             self._take(parts)
         placed, meshes = self._uploaded(scene)
@@ -298,7 +298,7 @@ class Renderer:
         return plan, self._steady[1]
 
     def _take(self, parts: list[np.ndarray]) -> bool:
-        """Use an earlier frame's counters; return whether that frame lacked splats or order."""
+        """Read an earlier frame's counters; return whether it lacked splats or depth order."""
         counts = frame_counts(self.device, self._kernels, parts)
         try:
             incomplete = self._must_redraw(counts)
@@ -332,7 +332,7 @@ class Renderer:
         return bool(short or counts[Counts.UNSORTED] or counts[Counts.TIED])
 
     def placed(self, scene: Scene) -> list[Placed]:
-        """Return each GPU page of a scene with its splat set, after uploading changed rows."""
+        """Return the GPU buffers (pages) of each splat set of a scene, after uploading changes."""
         for data in dict.fromkeys(splat_set.data for splat_set in scene.sets):
             self._residency.begin(data)
         return self._pages(scene)
@@ -396,13 +396,13 @@ class Renderer:
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
     def _slab_splats(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> int | None:
-        """Return the splats of a slab if the Gaussians exceed it and can be drawn in slabs."""
+        """Return the number of splats per depth slab if a scene needs and allows slabs."""
         most = min(most_splats(self.device, self._kernels), self._most_in_slab)
         is_large = sum(page.capacity for _, page in placed) > most
         return most if is_large and _fits_slabs(placed, meshes) else None
 
     def _halve_slabs(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
-        """Halve the slabs of a scene, whose pairs exceed a binding; return whether that can help."""
+        """Halve the depth slabs of a scene with too many splat-tile pairs; return if it helps."""
         splats = sum(page.capacity for _, page in placed)
         most = min(splats, most_splats(self.device, self._kernels), self._most_in_slab)
         if most < 2 or not _fits_slabs(placed, meshes):
@@ -429,7 +429,7 @@ class Renderer:
 
 
 def _fits_slabs(placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
-    """Return whether a scene can be drawn in slabs: sorted sets without pools and meshes can."""
+    """Return whether a scene can be drawn in depth slabs: only depth-sorted sets of splats can."""
     return not meshes and not any(splat_set.weighted or page.slots for splat_set, page in placed)
 
 
@@ -448,7 +448,7 @@ def _bare_set(pooled: PooledSet) -> SplatSet:
 
 
 def _too_large(scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool) -> MemoryFull:
-    """Add the memory of the Gaussians, and ways to need less, to a memory error."""
+    """Add the memory that the Gaussians take, and ways to need less, to an out-of-memory error."""
     sets = list(dict.fromkeys(splat_set.data for splat_set in scene.sets))
     now, less = (
         sum(bytes_of(splat_set, compact=is_compact) for splat_set in sets)

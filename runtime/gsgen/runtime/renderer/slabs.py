@@ -1,4 +1,4 @@
-"""Divides a scene whose splats exceed a GPU binding into slabs of depth, drawn nearest first."""
+"""Divides a scene of too many splats for a GPU binding into depth slabs, drawn nearest first."""
 
 __all__ = ["KEY_STAGES", "Slabs", "most_splats", "slab_ranges"]
 
@@ -33,21 +33,21 @@ Tally = Callable[[int, int], np.ndarray]
 
 
 class Run(Protocol):
-    """Runs stages of a frame plan, and returns its counters, and its images if none continues."""
+    """Runs GPU stages of a frame, and returns the counters, and the images after the last."""
 
     def __call__(self, only: Sequence[str], *, resumes: bool, continues: bool) -> Drawing:
-        """Run the stages ``only``; see ``Plan.submit`` for the others."""
+        """Run some GPU stages of a frame; see ``Plan.submit`` for the arguments."""
         ...
 
 
 def most_splats(device: Device, kernels: Kernels) -> int:
-    """Return how many splats a device can sort, list and bind at once."""
+    """Return how many splats a GPU can sort, list and bind at once."""
     most_walked = MOST_GROUPS * WALK_THREADS * kernels.cut.walk
     return int(min(device.largest_binding // VEC4, most_walked))
 
 
 def slab_ranges(tally: Tally, capacity: int) -> list[tuple[int, int]]:
-    """Divide all sort keys into ranges that each hold at most ``capacity`` splats.
+    """Divide all depth sort keys into ranges of at most ``capacity`` splats each.
 
     Args:
         tally: Counts the keys of the frame.
@@ -71,7 +71,7 @@ def slab_ranges(tally: Tally, capacity: int) -> list[tuple[int, int]]:
 def _bins(
     tally: Tally, low: int, shift: int, capacity: int, *, bins: int = BINS
 ) -> Iterator[tuple[int, int]]:
-    """Yield the first key and the splats of each bin, in parts if a bin exceeds ``capacity``."""
+    """Yield first key and splat count of each histogram bin, in parts if above ``capacity``."""
     amounts = tally(low, shift)[:bins]
     for number in np.flatnonzero(amounts).tolist():
         start, amount = low + (number << shift), int(amounts[number])
@@ -91,7 +91,7 @@ def _bins(
 
 
 def _total(earlier: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Add up the counters of slabs."""
+    """Add up the GPU counters of all depth slabs."""
     total = counts.copy()
     total[_SUMMED] += earlier[_SUMMED]
     total[Counts.WANTED_PAIRS] = max(counts[Counts.WANTED_PAIRS], earlier[Counts.WANTED_PAIRS])
@@ -100,7 +100,7 @@ def _total(earlier: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 @final
 class Slabs:
-    """The GPU buffers and steps that draw a scene in slabs of depth.
+    """The GPU buffers and dispatches that draw a scene in slabs of depth.
 
     The keys of all Gaussians are computed once a frame. Each slab then projects its own Gaussians
     into arrays of ``capacity`` splats, in the order of their rows, so that a slab is sorted and
@@ -163,11 +163,11 @@ class Slabs:
         return buffer
 
     def _choose(self, low: int, high: int, shift: int = 0) -> None:
-        """Set the range of keys that the next steps count or draw."""
+        """Set the range of depth sort keys that the next dispatches count or draw."""
         self._device.write(self._range, np.array([low, high, shift, 0], np.uint32))
 
     def draw(self, stages: Sequence[str], run: Run) -> Drawing:
-        """Draw all slabs, and return the summed counters and the images.
+        """Draw all depth slabs, and return the summed GPU counters and the images.
 
         Args:
             stages: Names of the stages that draw one slab.
@@ -197,7 +197,7 @@ class Slabs:
     def key_steps(
         self, outputs: tuple[Buffer, ...], uniform: Buffer, *, panorama: bool
     ) -> list[Step]:
-        """Return the dispatches that compute the keys of all Gaussians.
+        """Return the dispatches that compute the depth sort keys of all Gaussians.
 
         Args:
             outputs: The outputs of the projection, in order.
@@ -212,7 +212,7 @@ class Slabs:
         ]
 
     def tally_steps(self, uniform: Buffer) -> list[Step]:
-        """Return the dispatches that count the keys of the chosen range."""
+        """Return the dispatches that count the depth sort keys in the chosen range."""
         kernel = self._kernels.tally()
         return [
             kernel.step(self._range, keys, self.tally, uniform, slot, page)
@@ -229,7 +229,7 @@ class Slabs:
         panorama: bool,
         records: bool,
     ) -> list[Step]:
-        """Return the dispatches that project the Gaussians of the chosen range.
+        """Return the dispatches that project the Gaussians in the chosen range of depths.
 
         Args:
             outputs: The outputs of the projection, in order.

@@ -255,7 +255,7 @@ class WeightedPart:
         return kernel.step(self._tiles, (frame, *resources, self.images[name]))
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
-        """Write the uniforms of a frame for the GPU pages of weighted splat sets and for cells."""
+        """Write the uniform buffers of a frame for weighted-sum rendering of splat sets."""
         slots, base = np.zeros(len(placed), PAGE), 0
         cell_slots, cell_base, number = np.zeros(len(placed), PAGE), 0, 0
         for slot, (splat_set, page) in enumerate(placed):
@@ -275,7 +275,7 @@ class WeightedPart:
 
 
 def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, Page]]:
-    """Yield each splat set of weighted-sum rendering with its first GPU page."""
+    """Yield each splat set drawn by weighted sums, with its first GPU page (buffer range)."""
     return ((splat_set, page) for splat_set, page in placed if page.first == 0)
 
 
@@ -285,7 +285,7 @@ def _cells(page: Page) -> int:
 
 
 def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
-    """Fill a GPU page's uniform with a splat set's weighting parameters, and return it."""
+    """Fill a GPU page's uniform data with a splat set's weighting parameters, and return it."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None
     uniform["per_cell"] = splat_set.data.per_cell

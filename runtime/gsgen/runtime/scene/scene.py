@@ -149,7 +149,7 @@ class Scene:
         object.__setattr__(self, "pools", pooled_sets)
 
     def _repr_html_(self) -> str:
-        """Return a picture and the contents as HTML, for notebooks."""
+        """Return a picture and the contents of the scene as HTML, for notebooks."""
         gaussians = sum(splat_set.data.count for splat_set in self.sets)
         rows = [
             ("Gaussians", f"{gaussians:,} in {len(self.sets)} sets"),

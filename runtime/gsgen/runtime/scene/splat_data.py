@@ -182,7 +182,7 @@ def _spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
 def _checked(
     rows: np.ndarray, appearance: np.ndarray, space: Literal["sh", "rgb"], count: int | None
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return validated packed Gaussians and appearance in C order, and the number of live rows."""
+    """Return validated packed Gaussians and colours in C order, and the number of Gaussians."""
     allowed = layout.APPEARANCE_CHANNELS[space]
     if rows.ndim != 2 or rows.shape[1] != layout.ROW or rows.dtype not in _HALVES:
         raise SceneInvalid(

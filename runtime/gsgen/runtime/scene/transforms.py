@@ -30,14 +30,16 @@ def require_affine(matrix: Float[np.ndarray, "4 4"], where: str = "transform") -
     """
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise SceneInvalid(
-            f"is {matrix.tolist()}, expected 4 rows of 4 finite numbers", where=where
+            f"the matrix is {matrix.tolist()}, expected 4 rows of 4 finite numbers", where=where
         )
     if not np.array_equal(matrix[3], [0, 0, 0, 1]):
-        raise SceneInvalid(f"has the last row {matrix[3].tolist()}, expected 0 0 0 1", where=where)
+        raise SceneInvalid(
+            f"the matrix has the last row {matrix[3].tolist()}, expected 0 0 0 1", where=where
+        )
     sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
     if not sizes[2] * _WORST_CONDITION > sizes[0]:
         raise SceneInvalid(
-            f"is singular: it scales by {', '.join(f'{size:.3g}' for size in sizes)}",
+            f"the matrix is singular: it scales by {', '.join(f'{size:.3g}' for size in sizes)}",
             where=where,
             hint="Use a scale other than zero along every axis.",
         )

@@ -170,7 +170,7 @@ class PlacedSource(Source):
 
 
 def _by_name(source: Source, values: Values, where: str) -> Mapping[str, object]:
-    """Convert names and roles of model inputs to tensor names, the keys of input values."""
+    """Convert names and input roles of model inputs to tensor names, the keys of input values."""
     known = {word for spec in source.inputs for word in (spec.name, spec.role)}
     by_name: dict[str, object] = {}
     for word, value in values.items():

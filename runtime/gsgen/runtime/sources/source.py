@@ -146,7 +146,7 @@ class Source(ABC):
         return next((spec for spec in self.inputs if spec.role == "time"), None)
 
     def named(self, word: str) -> list[Input]:
-        """Return the model inputs with this tensor name, or else with this role."""
+        """Return the model inputs with this tensor name, or else with this input role."""
         return named(self.inputs, word)
 
     @abstractmethod
@@ -179,7 +179,7 @@ class Source(ABC):
 
 
 def named(inputs: Sequence[Input], word: str) -> list[Input]:
-    """Return the model inputs with this tensor name, or else with this role."""
+    """Return the model inputs with this tensor name, or else with this input role."""
     exact = [spec for spec in inputs if spec.name == word]
     return exact or [spec for spec in inputs if spec.role == word]
 

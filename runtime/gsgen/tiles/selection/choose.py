@@ -16,7 +16,7 @@ _STEPS_BEYOND: Final = 64  # steps after the budget's end: each costs a microsec
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """The chosen quality of each tile, and how far the choice can be from the optimum.
+    """The chosen file quality of each tile, and how far the choice can be from the optimum.
 
     Attributes:
         option: Of each tile; −1 for none.
@@ -32,12 +32,12 @@ class Choice:
 
     @property
     def certificate(self) -> float:
-        """An upper bound of the utility that the choice of tiles lacks, relative to the best."""
+        """An upper bound of the utility that the chosen tiles lack, relative to the optimum."""
         return (self.bound - self.utility) / self.bound if self.bound > 0 else 0.0
 
 
 def choose_options(hulls: OptionHulls, weight: Float64[np.ndarray, " n"], budget: float) -> Choice:
-    """Choose a quality for each tile, so that their weighted value is large within a byte budget.
+    """Choose a file quality for each tile, of large total value within a byte budget.
 
     The linear relaxation of the multiple-choice knapsack takes steps of the hulls by falling
     gain for cost (Sinha and Zoltners 1979). Its last, partial step gives the bound; then every

@@ -16,7 +16,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Cut:
-    """The tiles that a camera sees, and the tiles that it needs drawn at its pixel error.
+    """The tiles that a camera sees, and the tiles to draw at the allowed pixel error.
 
     Attributes:
         seen: Tiles that meet the frustum and whose parents are all refined; from the root down.

@@ -1,4 +1,4 @@
-"""Improves a choice of drawn tiles by exchanges: one change pays for another.
+"""Improves a choice of drawn tiles by exchanges: one tile's change pays for another's.
 
 A greedy choice leaves a part of the budget that no single step fits. Each round, in this order:
 
@@ -38,7 +38,7 @@ class _Kind(IntEnum):
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Changes:
-    """Changes of a choice, each of one tile, or of one tile and its children.
+    """Possible changes of a choice of tiles, each of one tile, or of a tile and its children.
 
     Attributes:
         kind: As ``_Kind``.
@@ -55,7 +55,7 @@ class _Changes:
     utility: Amounts
 
     def core(self, price: float) -> "_Changes":
-        """Return the changes that lose least at a price of a byte."""
+        """Return the changes of tiles that lose least at a given price per byte."""
         loss = price * self.cost - self.utility
         rows = np.argpartition(loss, _CORE)[:_CORE] if len(loss) > _CORE else np.arange(len(loss))
         return _Changes(
@@ -93,7 +93,7 @@ def exchange_tiles(
 
 @final
 class _Exchange:
-    """A choice of tiles that changes, and what does not change of its problem."""
+    """A choice of tiles to be improved by exchanges, and the constants of the problem."""
 
     def __init__(self, options: CutOptions, option: Int64[np.ndarray, " n"], price: float) -> None:
         self.option = option.copy()
@@ -113,19 +113,19 @@ class _Exchange:
         self._split_utility = self._below(self._utility[rows, self._best])
 
     def _below(self, values: np.ndarray) -> Float64[np.ndarray, " n"]:
-        """Return the sum of each tile's children's values."""
+        """Return the sum of a value over the children of each tile."""
         is_child = self._parent >= 0
         sums = np.bincount(self._parent[is_child], values[is_child], len(self._parent))
         return np.asarray(sums, np.float64)
 
     def totals(self) -> tuple[float, float]:
-        """Return cost and utility of the choice."""
+        """Return the total cost and utility of the chosen tiles."""
         rows = np.flatnonzero(self.option >= 0)
         columns = self.option[rows]
         return float(self._cost[rows, columns].sum()), float(self._utility[rows, columns].sum())
 
     def improve(self, left: float, least_gain: float) -> bool:
-        """Make the change or the pair of changes that gains most; return whether there is one."""
+        """Make the change or pair of changes that gains most; return whether one exists."""
         changes = self._changes().core(self._price)
         if not len(changes.node):
             return False
@@ -191,7 +191,7 @@ class _Exchange:
         return _Changes(kind=kind, node=node, option=option, cost=cost, utility=utility)
 
     def _are_apart(self, changes: _Changes) -> Bool[np.ndarray, "m m"]:
-        """Return which pairs of changes touch no tile in common."""
+        """Return which pairs of changes touch different tiles only."""
         node, is_merge = changes.node, changes.kind == _Kind.MERGE
         family = np.where(is_merge, node, self._parent[node])
         shares_family = (family[:, None] == family) & (is_merge[:, None] | is_merge)

@@ -27,7 +27,7 @@ MAX_DEPTH: Final = 128
 
 
 def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
-    """Return a choice of tiles within a cost budget, with at least the utility of ``choice``.
+    """Improve a choice of tiles greedily within a cost budget, without losing utility.
 
     A node takes its best option that fits, or the steps of its children by falling gain for cost,
     whichever is worth more; a child whose next step does not fit is solved the same way, with
@@ -44,7 +44,7 @@ def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
 
 
 def _refined(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
-    """Return a choice that spends the rest of the budget in subtrees, if that is worth more."""
+    """Return a choice of tiles that spends the rest of the budget in subtrees, if better."""
     solver = _SubtreeSolver(frontier, TOLERANCE * choice.bound)
     solution = solver.solve(0, 0, budget)
     if solution is None or solution.utility <= choice.utility:
@@ -63,7 +63,7 @@ def _refined(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """Chosen tiles of a subtree: cost, utility, and pairs of a tile and its quality."""
+    """Chosen tiles of a subtree: cost, utility, and each tile with its chosen file quality."""
 
     cost: float
     utility: float
@@ -89,7 +89,7 @@ class _SubtreeSolver:
         self._children = [self._children_of(depth) for depth in range(len(self._levels) - 1)]
 
     def _children_of(self, depth: int) -> list[Int64[np.ndarray, " m"]]:
-        """Return the children of each tile-tree node at a depth, as positions at the next depth."""
+        """Return the children of all tile-tree nodes at a depth, as positions at the next depth."""
         level, below = self._levels[depth], self._levels[depth + 1]
         owner = np.searchsorted(level.nodes, self._options.parent[below.nodes])
         order = np.argsort(owner, kind="stable")
@@ -163,7 +163,7 @@ class _SubtreeSolver:
         return (values[row + 1] - values[row]) * left / (costs[row + 1] - costs[row])
 
     def _at_point(self, depth: int, position: int, row: int) -> _Solution:
-        """Return the tiles chosen at one point of a tree node's frontier of cost and utility."""
+        """Return the tiles chosen at one point of a tree node's curve of utility over cost."""
         level = self._levels[depth]
         cost, value = self._costs[depth][row], self._values[depth][row]
         if level.option[row] >= 0:

@@ -18,7 +18,7 @@ _TOLERANCE = 1e-9  # of the utility: sums in another order differ by less
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Front:
-    """The Pareto points (cost, utility) of a tile tree's node, by ascending cost.
+    """The Pareto-optimal choices (cost, utility) of a tile-tree node, by ascending cost.
 
     Attributes:
         cost: Of each point.
@@ -50,7 +50,7 @@ class _FrontMerger:
     def rows(
         self, cost: Float64[np.ndarray, " p"], utility: Float64[np.ndarray, " p"]
     ) -> Int64[np.ndarray, " m"]:
-        """Return the Pareto-optimal points (cost, utility), by ascending cost."""
+        """Return the Pareto-optimal choices (cost, utility), by ascending cost."""
         if not len(cost):
             return np.zeros(0, np.int64)
         priced = utility - self._price * cost
@@ -108,7 +108,7 @@ def _children(parent: Int64[np.ndarray, " n"]) -> list[list[int]]:
 def _front(
     options: CutOptions, node: int, below: list[_Front | None], merger: _FrontMerger
 ) -> _Front:
-    """Return the Pareto front of a tree node from its options and its children's fronts."""
+    """Return the Pareto front of a tree node from its file qualities and its children's fronts."""
     own = np.flatnonzero(np.isfinite(options.cost[node]))
     cost, utility = options.cost[node, own], options.utility[node, own]
     option, source = own, np.full(len(own), -1)
@@ -138,7 +138,7 @@ def _front(
 def _trace(
     options: CutOptions, fronts: list[_Front | None], children: list[list[int]]
 ) -> Int64[np.ndarray, " n"]:
-    """Return the chosen quality of each tile at the root's Pareto point of most utility."""
+    """Return the chosen file quality of each tile at the root's choice of most utility."""
     root = int(np.flatnonzero(options.parent < 0)[0])
     chosen = np.full(len(fronts), -1, np.int64)
     last = fronts[root]
@@ -178,7 +178,7 @@ class DeadlineTile:
 
 
 def choose_until_deadlines(tiles: list[DeadlineTile]) -> Choice:
-    """Choose at most one quality per tile that arrives by its deadline, by dynamic programming.
+    """Choose at most one file quality per tile that arrives by its deadline, exactly.
 
     U(i,t) = max(U(i−1,t), U(i,t−1), max_j U(i−1,t−d_ij) + u_ij for t ≤ deadline_i), where
     U(i,t) is the best of the first i tiles when the link is free again at slot t.

@@ -24,7 +24,7 @@ MOST_CELLS: Final = 1 << 27
 @final
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The best choice of tiles for a tile choice problem.
+    """The best choice of tiles for a tile choice problem, with cost and utility.
 
     Attributes:
         utility: Of all chosen options together.
@@ -39,7 +39,7 @@ class Plan:
 
     @classmethod
     def of_choice(cls, choice: Choice) -> "Plan":
-        """Convert chosen tile qualities to a plan: tiles, cost and utility."""
+        """Convert chosen file qualities of tiles to a plan: tiles, cost and utility."""
         picked = np.flatnonzero(choice.option >= 0).tolist()
         chosen = tuple((index, int(choice.option[index])) for index in picked)
         return cls(choice.utility, chosen, choice.bound)
@@ -99,7 +99,7 @@ def _solve_cut(problem: JsonObject) -> Choice:
 
 
 def _read_nodes(problem: JsonObject) -> CutOptions:
-    """Read the tile tree of a byte-budget problem; it has one root, and leaves have a quality."""
+    """Read the tile tree of a byte-budget problem: one root, and leaves with a file quality."""
     nodes = list(problem.objects("nodes"))
     if not nodes:
         problem.refuse("nodes", "one node at least")
@@ -136,7 +136,7 @@ def _reaches_root(parent: np.ndarray) -> bool:
 def _read_options(
     entry: JsonObject, costs: str
 ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-    """Read the cost and the utility of each quality of a tile."""
+    """Read the cost and the utility of each file quality of a tile."""
     sizes, values = entry.values.get(costs), entry.values.get("utility")
     if not isinstance(sizes, list):
         entry.refuse(costs, "an array of numbers")
@@ -149,7 +149,7 @@ def _read_options(
 
 
 def _read_loaded(problem: JsonObject) -> Iterator[tuple[int, int]]:
-    """Yield the tiles and qualities that a byte-budget problem declares as loaded."""
+    """Yield the tiles and file qualities that a byte-budget problem declares as loaded."""
     loaded = problem.values.get("loaded", [])
     if not isinstance(loaded, list):
         problem.refuse("loaded", "an array of [node, quality]")

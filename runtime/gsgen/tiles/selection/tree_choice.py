@@ -23,7 +23,7 @@ Rows = Int64[np.ndarray, " m"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class CutOptions:
-    """The costs and utilities of each tile's qualities in a tile tree, and each tile's parent.
+    """Costs and utilities of each tile's file qualities in a tile tree, and each tile's parent.
 
     Attributes:
         parent: Index of the node above; −1 for the root, which is alone.
@@ -56,7 +56,7 @@ def _no_values() -> Points:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Level:
-    """The concave frontiers (cost, utility) of all tree nodes at one depth, concatenated.
+    """The concave curves of utility over cost of all tree nodes at one depth, concatenated.
 
     Attributes:
         nodes: The nodes, ascending.
@@ -79,14 +79,14 @@ class _Level:
     step_child: Rows = field(default_factory=_no_rows)
 
     def starts(self) -> Rows:
-        """Return the position of each tree node's first point on its concave frontier."""
+        """Return where each tree node's points begin in the concatenated curves of a tree level."""
         return np.searchsorted(self.owner, np.arange(len(self.nodes)))
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeFrontier:
-    """The concave frontiers (cost, utility) of all nodes of a tile tree, the root's first.
+    """The concave curves of utility over cost of all tile-tree nodes, the root's curve first.
 
     Attributes:
         levels: By depth.
@@ -98,7 +98,7 @@ class TreeFrontier:
 
     @classmethod
     def of_options(cls, options: CutOptions) -> "TreeFrontier":
-        """Build the frontiers of a tile tree level by level, from the leaves up."""
+        """Build the curves of utility over cost for a tile tree, level by level from the leaves."""
         depth = options.depths()
         order, on_hull = upper_hulls(options.cost, options.utility)
         levels: list[_Level] = []
@@ -113,15 +113,15 @@ class TreeFrontier:
 
     @property
     def costs(self) -> Points:
-        """The total costs at the points of a tile tree's concave frontier, ascending."""
+        """The total costs at the points of a tile tree's curve of utility over cost, ascending."""
         return self.levels[0].cost
 
     def bound(self, budget: float) -> float:
-        """Return an upper bound of the utility within a budget: that of the linear relaxation."""
+        """Return an upper bound of the tiles' utility in a budget, by linear relaxation."""
         return float(np.interp(budget, self.costs, self.levels[0].value))
 
     def price(self, budget: float) -> float:
-        """Return the utility of one more byte at a budget: the slope of the tree's frontier."""
+        """Return the utility of one more byte at a budget: the slope of the utility curve."""
         after = int(np.searchsorted(self.costs, budget, side="right"))
         if not 0 < after < len(self.costs):
             return 0.0
@@ -129,7 +129,7 @@ class TreeFrontier:
         return float((value[after] - value[after - 1]) / (cost[after] - cost[after - 1]))
 
     def options_at(self, point: int) -> Int64[np.ndarray, " n"]:
-        """Return each tile's chosen quality at a point of the tree's frontier; −1 for none."""
+        """Return each tile's chosen file quality at a point of the tree's curve; −1 for none."""
         chosen = np.full(len(self.options.parent), -1, np.int64)
         points = np.array([point])
         for level, below in zip(self.levels, [*self.levels[1:], None], strict=True):
@@ -147,7 +147,7 @@ class TreeFrontier:
 
 
 def choose_cut(frontier: TreeFrontier, budget: float) -> Choice | None:
-    """Choose tiles and qualities by the last point of the tree's frontier within a budget.
+    """Choose tiles and file qualities at the last point within a budget of the tree's curve.
 
     Returns:
         The choice; None where every cut costs more than ``budget``.
@@ -167,7 +167,7 @@ def _owners(options: CutOptions, level: _Level, below: _Level) -> Rows:
 
 
 def _points_below(level: _Level, below: _Level, prefix: Rows) -> Rows:
-    """Return each child's frontier point after some steps along the parent node's frontier."""
+    """Return each child's point on its utility curve, after steps along the parent's curve."""
     first = np.searchsorted(level.step_owner, np.arange(len(level.nodes)))
     rank = np.arange(len(level.step_owner)) - first[level.step_owner]
     is_taken = rank < prefix[level.step_owner]
@@ -181,7 +181,7 @@ def _build_level(
     position: Rows,
     hulls: tuple[Int64[np.ndarray, "n q"], Bool[np.ndarray, "n q"]],
 ) -> _Level:
-    """Return tree nodes' frontiers from the nodes' qualities and the children's frontiers."""
+    """Return tree nodes' utility curves from their file qualities and their children's curves."""
     level = _Level(nodes=nodes)
     if below is not None:
         _merge_children(level, below, position[options.parent[below.nodes]])
@@ -198,7 +198,7 @@ def _build_level(
 
 
 def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
-    """Set the frontier points of one tree level to the merged points of the level below."""
+    """Set the utility curves of one tree level to the merged curves of the level below."""
     is_first = np.r_[True, below.owner[1:] != below.owner[:-1]]
     steps = np.flatnonzero(~is_first)
     cost = below.cost[steps] - below.cost[steps - 1]
@@ -222,14 +222,14 @@ def _merge_children(level: _Level, below: _Level, parent: Rows) -> None:
 
 
 def _running(values: Points, owner: Rows) -> Points:
-    """Return cumulative sums that restart at each tree node."""
+    """Return cumulative sums of values that restart at each tree node."""
     total = np.cumsum(values)
     first = np.searchsorted(owner, owner)
     return np.asarray(total - (total - values)[first])
 
 
 def _insert(level: _Level, owner: Rows, cost: Points, value: Points, option: Rows) -> None:
-    """Add a point to the frontiers of some tree nodes, and drop dominated points.
+    """Add a point to the utility curves of some tree nodes, and drop dominated points.
 
     Frontiers stay strictly concave and ascending: the tangents from the new point on both
     sides end at the first points that remain.

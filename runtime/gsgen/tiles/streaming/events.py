@@ -198,10 +198,10 @@ class ReplayLink:
         self._requested.add(tile)
 
     def queue(self, tiles: Iterable[int]) -> None:
-        """Do nothing: the log says which queued tiles were requested."""
+        """Do nothing: the replayed event log says which queued tiles were requested."""
 
     def take_started(self) -> list[int]:
-        """Return the tiles that the link of the logged session requested by itself."""
+        """Return the tiles that the logged streaming session requested from its queue."""
         assert self._events is not None
         self._requested |= set(self._events.started)
         self._requested -= {*self._events.received, *(tile for tile, *_ in self._events.failed)}

@@ -57,7 +57,7 @@ class GeneratorOpener:
         return worker, len(data)
 
     def _require_promises(self, tile: int, neural: NeuralTile, path: Path) -> None:
-        """Raise if a tile's generator breaks the contract or the tile's declaration."""
+        """Raise if a tile's ONNX generator breaks a validation rule or the tile's declaration."""
         entry, box = self._tree.tiles[tile], self._tree.box(tile)
         bounds = TileBounds(box, entry.transform)
         _raise_first(list(check_neural_model(path, entry, neural, "model", bounds=bounds)))

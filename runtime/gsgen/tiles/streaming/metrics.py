@@ -82,11 +82,11 @@ class MetricsRecorder:
         return int(self._size[self._unseen].sum()) + self._wasted
 
     def request(self) -> None:
-        """Count one request of a tile."""
+        """Count one request of a streamed tile."""
         self.requests += 1
 
     def arrive(self, tile: int, time: float) -> None:
-        """Record that a tile was received completely at ``time``."""
+        """Record that a streamed tile was received completely at ``time``."""
         self.bytes += int(self._size[tile])
         if self._unseen[tile]:
             self._wasted += int(self._size[tile])  # dropped unseen, and asked for again

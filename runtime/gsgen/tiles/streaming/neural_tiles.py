@@ -1,4 +1,4 @@
-"""Runs the ONNX generators of neural tiles, whose Gaussians replace the tiles' splats.
+"""Runs ONNX generators that tiles hold, whose Gaussians replace the tiles' stored splats.
 
 Of the drawn neural tiles, the largest ones in view have a generator, at most as many as there are
 sessions. Each frame, in this order:
@@ -40,7 +40,7 @@ from gsgen.tiles.streaming.session_frame import TileArrival
 
 
 class _RunInputs(NamedTuple):
-    """The inputs of a generator's run that vary, comparable with those of another run.
+    """The varying inputs of an ONNX generator's run, comparable with those of another run.
 
     Attributes:
         camera: View matrix and intrinsics; None for a generator without a camera.
@@ -98,7 +98,7 @@ class _Generator:
 
 @final
 class NeuralTiles:
-    """The ONNX generators of a tileset's neural tiles, run within time and upload budgets.
+    """The ONNX generators that tiles of a tileset hold, run within time and upload budgets.
 
     Attributes:
         time_range: First and last time of all neural tiles; None without an input ``time``.
@@ -161,7 +161,7 @@ class NeuralTiles:
 
     @property
     def tiles(self) -> tuple[int, ...]:
-        """The keys of the neural tiles whose ONNX generators may run."""
+        """The keys of the tiles whose ONNX generators may run."""
         return tuple(self._neural)
 
     def splats_max(self, tile: int) -> int:
@@ -175,7 +175,7 @@ class NeuralTiles:
 
     @property
     def unsettled(self) -> tuple[int, ...]:
-        """The neural tiles that do not show their Gaussians for the last frame's inputs yet."""
+        """The tiles whose ONNX generators have not yet computed the last frame's inputs."""
         return self._unsettled
 
     def arrive(self, arrival: TileArrival) -> None:
@@ -326,7 +326,7 @@ class NeuralTiles:
     # ---- 2. and 3. Which generators are open
 
     def _largest(self, camera: Camera, tiles: Sequence[int], time: float) -> list[int]:
-        """Return the neural tiles whose ONNX generators should be open: the largest in view."""
+        """Return the tiles in view whose ONNX generators are to be open: the largest ones."""
         centers, axes = self._tree.center, self._tree.half_axes
         size = {
             tile: float(
@@ -353,7 +353,7 @@ class NeuralTiles:
             self._release(tile)
 
     def _load(self, tiles: Sequence[int]) -> None:
-        """Begin to open the ONNX generator of the largest neural tile that has none open."""
+        """Begin to open the ONNX generator of the largest tile whose model is not open."""
         for tile in tiles:
             has_room = len(self._open) < self._options.sessions
             if tile not in self._open and not self._loading and has_room:

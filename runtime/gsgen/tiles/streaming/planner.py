@@ -106,7 +106,7 @@ class RequestPlanner:
                     del self._in_flight[tile]
 
     def prioritise(self, tiles: Bool[np.ndarray, " n"]) -> None:
-        """Request some of the needed tiles before the others, each group in its order."""
+        """Request some of the needed tiles before all others, each group in the given order."""
         self._demand = self._demand[np.argsort(~tiles[self._demand], kind="stable")]
 
     def arrive(self, tile: int, time: float) -> None:
@@ -121,7 +121,7 @@ class RequestPlanner:
         self._in_flight.pop(tile, None)
 
     def fill(self, loaded: Bool[np.ndarray, " n"]) -> list[int]:
-        """Request tiles while connections are free; return the requested tiles."""
+        """Request tiles while network connections are free; return the requested tiles."""
         requests: list[int] = []
         while self._link.free > 0:
             tile, is_prefetch = self._next(loaded)
@@ -132,13 +132,13 @@ class RequestPlanner:
         return requests
 
     def request(self, tile: int, *, is_prefetch: bool = False) -> None:
-        """Request a tile now, over a free connection."""
+        """Request a tile now, over a free network connection."""
         self._in_flight[tile] = _InFlight(is_prefetch=is_prefetch)
         self._recorder.request()
         self._link.request(tile)
 
     def begin(self, tile: int) -> None:
-        """Record a request of a needed tile that the link began by itself."""
+        """Record a request of a needed tile that the network link began from the queue."""
         self._in_flight[tile] = _InFlight(is_prefetch=False)
         self._recorder.request()
 

@@ -41,7 +41,7 @@ class ResidentTiles:
         needed: Bool[np.ndarray, " n"],
         expected: Bool[np.ndarray, " n"] | None = None,
     ) -> None:
-        """Record the tiles that a frame needs, which are evicted last.
+        """Record the tiles that a frame needs, which are evicted from GPU memory last.
 
         Args:
             time: In seconds.
@@ -53,7 +53,7 @@ class ResidentTiles:
         self._expected = np.zeros_like(needed) if expected is None else expected
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Add the root and all ancestors of some tiles to the mask of these tiles."""
+        """Return a mask of tiles with the root and all ancestors of these tiles added."""
         marked = self._tree.with_ancestors(tiles)
         marked[0] = True
         return marked
@@ -78,7 +78,7 @@ class ResidentTiles:
         return evicted
 
     def protect(self, tile: int) -> None:
-        """Keep a resident tile until the next frame, whatever else is admitted."""
+        """Keep a tile in GPU memory until the next frame, regardless of other tiles."""
         self._protected[tile] = True
 
     def remove(self, tile: int) -> None:

@@ -110,7 +110,7 @@ class ArrivalLink(Link, Protocol):
         ...
 
     def close(self) -> None:
-        """Cancel all tile requests."""
+        """Cancel all tile requests of the network link."""
         ...
 
 
@@ -260,7 +260,7 @@ class TilesetSession:
         )
 
     def _reserved_rows(self) -> Int64[np.ndarray, " n"]:
-        """Return the most splat-pool rows that each tile's ONNX generator fills; 0 without one."""
+        """Return the most Gaussians that each tile's ONNX generator may output; 0 without one."""
         reserved = np.zeros(len(self.tree), np.int64)
         if self.neural:
             for tile in self.neural.tiles:
@@ -394,7 +394,7 @@ class TilesetSession:
         return tuple(evicted), tuple(arrivals)
 
     def _admit(self, arrival: TileArrival, time: float) -> tuple[int, ...] | None:
-        """Make a tile resident for this frame; return the tiles that leave, None without room."""
+        """Make a tile resident for this frame; return the tiles that leave, or None if full."""
         tile = arrival.tile
         if not arrival.is_upgrade:
             # The metadata of foreign tilesets do not count splats: the estimate may be too low.

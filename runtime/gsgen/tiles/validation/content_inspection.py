@@ -86,7 +86,7 @@ def inspect_content_file(
 @final
 @dataclass(slots=True, kw_only=True)
 class _FileResult:
-    """The result of reading a content file once, for one of its tiles.
+    """The result of reading a tile's content file once, for one of the tiles that name it.
 
     Attributes:
         header: None where the file cannot be read.
@@ -111,7 +111,7 @@ def _read_contents(
     deadline: float,
     progress: Progress,
 ) -> None:
-    """Read the contents of tiles, and record them and their faults in order.
+    """Read the contents of tiles on threads, and record contents and faults in order.
 
     A file that several tiles share is decoded for each, and its faults are recorded once.
     """
@@ -164,7 +164,7 @@ def _in_order(
     read: Callable[[Tile | None, Content], _FileResult],
     pairs: Iterable[tuple[Tile | None, Content]],
 ) -> Iterator[_FileResult]:
-    """Yield the results of reading contents in their order; few are held in memory at a time."""
+    """Yield the results of reading tile contents in order, with few of them in memory."""
     remaining = iter(pairs)
     pending: deque[Future[_FileResult]] = deque()
     while True:
@@ -177,13 +177,13 @@ def _in_order(
 
 @final
 class _ContentReader:
-    """Reads, decodes and measures content files; safe to use from many threads."""
+    """Reads, decodes and measures content files of tiles; safe to use from many threads."""
 
     def __init__(self, inspected: InspectedTileset, *, decode: bool, deadline: float) -> None:
         self._inspected, self._decode, self._deadline = inspected, decode, deadline
 
     def read(self, tile: Tile | None, content: Content) -> _FileResult:
-        """Read a tile's content; its splats are decoded until the deadline."""
+        """Read a tile's content; splats are decoded unless the time limit has passed."""
         result = _FileResult(is_late=self._decode and time.monotonic() > self._deadline)
         record = self._inspected.record
         try:

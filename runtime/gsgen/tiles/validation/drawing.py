@@ -146,7 +146,7 @@ class _TileRenderer:
         self.skipped: dict[str, str] = {}
 
     def count(self, cut: list[tuple[Tile, Content]]) -> int:
-        """Return the number of splats in some tile contents."""
+        """Return the number of splats in the content files of tiles."""
         return sum(self._counts.get(content.uri, 0) for _, content in cut)
 
     def draw(self, tile: Tile) -> DrawnTile | None:

@@ -228,7 +228,7 @@ def _require_shapes(names: tuple[str, ...], tensors: list[TensorReference]) -> N
 
 
 def _setting(path: Path, line: str) -> bool:
-    """Return whether the settings file beside a checkpoint contains a given line."""
+    """Return whether the settings file beside a training checkpoint contains a given line."""
     if not path.is_file():
         return False
     text = path.read_text("utf-8", errors="replace")

@@ -69,7 +69,7 @@ class ParsedEdit:
 
 
 def none_left(edits: str, count: int) -> ValueInvalid:
-    """Return the error of edits that remove all of ``count`` splats."""
+    """Return the error for splat edits that remove all of ``count`` splats."""
     return ValueInvalid(f"{edits} leaves none of {count} splats", expected="at least one splat")
 
 

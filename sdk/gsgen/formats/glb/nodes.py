@@ -112,7 +112,7 @@ def moved(splats: Splats, matrix: Matrix) -> Splats:
 def _turned(
     rotation: Float32[np.ndarray, "n 4"], turn: Float64[np.ndarray, "3 3"]
 ) -> Float32[np.ndarray, "n 4"]:
-    """Rotate quaternions by a rotation matrix; their largest component becomes positive."""
+    """Rotate quaternions by a rotation matrix, and make their largest component positive."""
     w, x, y, z = rotations(turn[None])[0].astype(np.float64)
     a, b, c, d = unit(rotation).T.astype(np.float64)
     turned = np.stack(

@@ -1,4 +1,4 @@
-"""Decomposes covariances of many Gaussians into scales and rotations, in elementwise operations."""
+"""Decomposes covariances of many Gaussians into scales and rotations, by NumPy on all at once."""
 
 __all__ = ["scales_and_quaternions"]
 
@@ -49,7 +49,7 @@ def scales_and_quaternions(
 def _eigenvalues(
     upper: Float64[np.ndarray, "6 n"],
 ) -> tuple[Float64[np.ndarray, "3 n"], Float64[np.ndarray, "4 n"]]:
-    """Return ascending eigenvalues, and the quaternions that turn the axes to the eigenvectors.
+    """Return ascending eigenvalues of covariances, and the rotations to their eigenvectors.
 
     Jacobi's method (1846): each turn about an own axis makes the entry of the other two axes zero.
     """
@@ -86,7 +86,7 @@ def _eigenvalues(
 
 
 def _turn_about(turn: Float64[np.ndarray, "4 n"], axis: int, cosine: Column, sine: Column) -> None:
-    """Multiply quaternions from the right by the turn about an axis, of half the angle given."""
+    """Multiply quaternions from the right by a rotation about an axis, given its half angle."""
     w, r, p, q = turn[[0, 1 + axis, 1 + (axis + 1) % 3, 1 + (axis + 2) % 3]]
     turn[0] = cosine * w - sine * r
     turn[1 + axis] = cosine * r + sine * w
@@ -95,7 +95,7 @@ def _turn_about(turn: Float64[np.ndarray, "4 n"], axis: int, cosine: Column, sin
 
 
 def _smallest_turn(turn: Float64[np.ndarray, "4 n"]) -> Float64[np.ndarray, "4 n"]:
-    """Make the largest component of quaternions w, by half turns about own axes, and positive."""
+    """Rotate the axes of ellipsoids by half turns until w is the quaternions' largest component."""
     largest = np.abs(turn).argmax(axis=0)
     result = np.take_along_axis(turn, _COMPONENTS[:, largest], axis=0) * _SIGNS.T[:, largest]
     return np.asarray(np.where(result[0] < 0, -result, result))

@@ -42,7 +42,7 @@ Rows = UInt32[np.ndarray, " m"]
 
 
 class SplatParts(Protocol):
-    """Splats that are read in parts; each iteration yields the same ones again."""
+    """Splats that are read in parts; each iteration yields the same parts again."""
 
     @property
     def antialiased(self) -> bool:
@@ -161,7 +161,7 @@ class _Images:
 def _column(
     splats: SplatParts, select: Callable[[Splats], Float32[np.ndarray, "m ..."]]
 ) -> Float32[np.ndarray, "n ..."]:
-    """Return one array of all splats, which ``select`` returns of each part."""
+    """Return one array of all splats, by a function that returns the array of each part."""
     table = np.empty(0, np.float32)
     end = 0
     for part in splats:
@@ -311,7 +311,7 @@ def _add_palette(splats: SplatParts, images: _Images) -> dict[str, Any]:
 
 
 def _training_rows(splats: SplatParts) -> Float32[np.ndarray, "m d"]:
-    """Return the SH coefficients above degree 0 of the evenly spaced splats of the palette."""
+    """Return the SH coefficients above degree 0 of evenly spaced splats, to train the palette."""
     step = training_step(len(splats))
     first, samples = 0, []  # the next row of the sample, counted from the start of the batch
     for rows in _higher_batches(splats):
@@ -321,16 +321,17 @@ def _training_rows(splats: SplatParts) -> Float32[np.ndarray, "m d"]:
 
 
 def _labels(splats: SplatParts, palette: Float32[np.ndarray, "p d"]) -> UInt16[np.ndarray, " n"]:
-    """Return the palette entry of each splat."""
+    """Return the SH palette entry of each splat."""
     batches = _higher_batches(splats)
     return np.concatenate([nearest_entries(rows, palette).astype(np.uint16) for rows in batches])
 
 
 def _palette_size(count: int) -> int:
-    """Return the number of SH palette entries: one per splat if few, else a power of two."""
+    """Return the number of SH palette entries: one per splat if few, else half to all of them."""
     if count <= _SMALL:
         return count
-    return min(MOST_PALETTE, 1 << (count.bit_length() - 1))
+    size = 1 << (count.bit_length() - 1)
+    return min(MOST_PALETTE, count, size + size // 16)  # rows of 64 stay full
 
 
 def _numbers(book: Float32[np.ndarray, "256"]) -> list[float]:

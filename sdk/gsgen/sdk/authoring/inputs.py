@@ -1,4 +1,4 @@
-"""Functions that declare frame inputs by role; each returns an entry of the manifest.
+"""Functions that declare frame inputs by input role; each returns an entry of the manifest.
 
 The Visionary viewer binds the default names to the correct role.
 """

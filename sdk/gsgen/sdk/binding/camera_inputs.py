@@ -74,7 +74,7 @@ Camera = CameraLike | Pinhole | Sequence[Matrix]
 
 
 def camera_values(camera: Camera) -> dict[str, np.ndarray]:
-    """Return the values of a model's camera inputs by role: view, projection, centre, viewport.
+    """Return a camera's values by input role: view, projection, camera centre, viewport.
 
     ``camera`` has both matrices, or a view and intrinsics, or is the pair (view, projection).
     """
@@ -98,9 +98,9 @@ def _matrices(camera: Camera) -> tuple[Matrix, Matrix]:
     try:
         view, projection = camera
     except (TypeError, ValueError) as error:
-        actual = f"is a {type(camera).__name__}"
-        expected = "expected .view and .projection, .view and intrinsics, or the pair of matrices"
-        raise InputInvalid(f"the camera {actual}, {expected}", where="camera") from error
+        expected = ".view and .projection, .view and intrinsics, or the pair of matrices"
+        message = f"the camera is a {type(camera).__name__}, expected {expected}"
+        raise InputInvalid(message, where="camera") from error
     return view, projection
 
 

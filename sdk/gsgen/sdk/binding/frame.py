@@ -76,7 +76,7 @@ class Frame:
 
     @property
     def count(self) -> int:
-        """The number of live rows of the frame: the count output if declared, else all rows.
+        """The number of live Gaussians of the frame: the count output if declared, else all rows.
 
         Raises:
             LayoutMismatch: The manifest declares no packed rows.

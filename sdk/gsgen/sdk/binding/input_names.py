@@ -12,7 +12,7 @@ from gsgen.sdk.binding.providers.errors import InputInvalid
 
 @dataclass(frozen=True, slots=True)
 class InputNames:
-    """The names and roles of the inputs of one model."""
+    """The tensor names and the input roles of the inputs of one model."""
 
     tensors: frozenset[str]  # names of the input tensors
     roles: dict[str, tuple[str, ...]]  # role → names of the tensors that have it
@@ -20,7 +20,7 @@ class InputNames:
 
     @classmethod
     def of(cls, ports: Iterable[InputBinding], where: str) -> "InputNames":
-        """Collect the names and roles of a model's inputs."""
+        """Collect the tensor names and the input roles of a model's inputs."""
         entries = list(ports)
         roles = {port.role for port in entries if port.role}
         return cls(
@@ -30,7 +30,7 @@ class InputNames:
         )
 
     def find(self, word: str) -> str:
-        """Return the model input that a tensor name or a role refers to; names take precedence.
+        """Return the model input with a tensor name, or else with an input role such as ``view``.
 
         Raises :class:`InputInvalid` if several inputs have the role.
         """

@@ -141,7 +141,7 @@ class FrameSession:
 
     @property
     def inputs(self) -> Mapping[str, InputBinding]:
-        """The inputs of the model by name: dtype, shape and role."""
+        """The inputs of the model by name: dtype, shape and input role."""
         return MappingProxyType(self._require_open().ports)
 
     @property
@@ -162,7 +162,7 @@ class FrameSession:
         camera: Camera | None = None,
         copy: bool = False,
     ) -> Frame:
-        """Set given inputs of the model, and compute a frame.
+        """Set values of some inputs of the model, and compute a frame.
 
         Args:
             values: As in :meth:`update`.

@@ -76,14 +76,14 @@ def _hint(suspects: Suspects, references: EagerRuns) -> str:
 
 def _is_stable(generator: GaussianGenerator, references: EagerRuns) -> bool | None:
     """Return whether a torch generator agrees in float32 and float64; None if float64 fails."""
-    wide = deepcopy(generator).double()
+    float64_generator = deepcopy(generator).double()
     for reference in references:
         inputs = {
             name: array.astype(np.float64) if array.dtype.kind == "f" else array
             for name, array in reference.probe.inputs.items()
         }
         try:
-            exact = run_eager(wide, replace(reference.probe, inputs=inputs))
+            exact = run_eager(float64_generator, replace(reference.probe, inputs=inputs))
         except GsgenError:
             return None  # a dtype is written out in forward
         if not references_equal(reference, exact, _STABLE):

@@ -98,7 +98,7 @@ class _Measure:
         self._expected = [self._output_image(probe, (), self.stored) for probe in self._probes]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the largest relative image error of storing given weights as float16."""
+        """Return the largest relative image error of storing the given weights as float16."""
         largest = max(float(np.abs(image).max()) for image in self._expected)
         return self._error((), stored, largest), "image"
 

@@ -33,7 +33,7 @@ class _OutputRepair(_Repair):
 
 
 class CastCount(_OutputRepair):
-    """Cast the row count output to int32 [1]: runtimes bind four bytes to it (rule GO011).
+    """Cast the row count output to int32 [1], of which runtimes bind four bytes (rule GO011).
 
     ::
 
@@ -41,7 +41,7 @@ class CastCount(_OutputRepair):
     """
 
     def repair(self, model: ir.Model) -> bool:
-        """Reshape and cast the row count; Cast comes last because graph capture records it."""
+        """Reshape and cast the row count to int32 [1]; Cast last, which graph capture records."""
         graph, count = model.graph, _output(model, self.name)
         flat = count.shape is not None and list(count.shape) == [1]
         if flat and count.dtype == ir.DataType.INT32:

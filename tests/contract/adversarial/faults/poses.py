@@ -6,18 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from contract.adversarial.avatars import avatar_model, skinned
 from contract.adversarial.case import Draft, Sentence, fault
-from contract.adversarial.drafts import declare, generator
-from contract.adversarial.dynamic import (
-    POSE_INPUT,
-    packed_by_parts,
-    posed,
-    reach,
-    rodrigues,
-    turned_covariance,
-)
+from contract.adversarial.dynamic import POSE_INPUT, posed, rodrigues, turned_covariance
 from contract.adversarial.graph_builder import GraphBuilder
-from contract.adversarial.scenes import rows, scene, sh_columns
+from contract.adversarial.scenes import rows, scene
 
 FAMILY = "time and pose"
 
@@ -39,11 +32,7 @@ def _avatar(
     graph = GraphBuilder()
     for entry, shape in zip(entries, shapes, strict=True):
         graph.input(entry["name"], shape)
-    where, upper = body(graph, source)
-    packed = packed_by_parts(graph, where, graph.constant(source.opacity[:, None]), upper)
-    low, high = reach(source, room)
-    manifest = declare(source.count, low, high, inputs=entries)
-    return generator(graph, packed, graph.constant(sh_columns(source, 3)), manifest)
+    return avatar_model(graph, source, body(graph, source), entries, room=room)
 
 
 def _positions_alone(graph: GraphBuilder, source: Any) -> tuple[str, str]:
@@ -52,8 +41,7 @@ def _positions_alone(graph: GraphBuilder, source: Any) -> tuple[str, str]:
 
 
 def _skinned(graph: GraphBuilder, source: Any) -> tuple[str, str]:
-    where, turn = posed(graph, source, rodrigues(graph, "pose"))
-    return where, turned_covariance(graph, turn, source)
+    return skinned(graph, source, "pose")
 
 
 def _covariance_turned_back(graph: GraphBuilder, source: Any) -> tuple[str, str]:
@@ -64,8 +52,7 @@ def _covariance_turned_back(graph: GraphBuilder, source: Any) -> tuple[str, str]
 
 def _degrees(graph: GraphBuilder, source: Any) -> tuple[str, str]:
     radians = graph.op("Mul", "pose", graph.constant(np.pi / 180))
-    where, turn = posed(graph, source, rodrigues(graph, radians))
-    return where, turned_covariance(graph, turn, source)
+    return skinned(graph, source, radians)
 
 
 def _unsafe_axis(graph: GraphBuilder, source: Any) -> tuple[str, str]:
@@ -74,14 +61,12 @@ def _unsafe_axis(graph: GraphBuilder, source: Any) -> tuple[str, str]:
     total = graph.op("ReduceSum", square, graph.constant([1], "int64"), keepdims=1)
     axis = graph.op("Div", "pose", graph.op("Sqrt", total))
     same = graph.op("Mul", axis, graph.op("Sqrt", total))
-    where, turn = posed(graph, source, rodrigues(graph, same))
-    return where, turned_covariance(graph, turn, source)
+    return skinned(graph, source, same)
 
 
 def _unused_pose(graph: GraphBuilder, source: Any) -> tuple[str, str]:
     zeros = graph.op("Mul", "pose", graph.constant(0.0))
-    where, turn = posed(graph, source, rodrigues(graph, zeros))
-    return where, turned_covariance(graph, turn, source)
+    return skinned(graph, source, zeros)
 
 
 fault(

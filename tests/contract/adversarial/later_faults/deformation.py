@@ -6,16 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from contract.adversarial.avatars import avatar_model, skinned
 from contract.adversarial.case import Draft, Sentence, fault
 from contract.adversarial.drafts import declare, generator
-from contract.adversarial.dynamic import (
-    POSE_INPUT,
-    packed_by_parts,
-    posed,
-    reach,
-    rodrigues,
-    turned_covariance,
-)
+from contract.adversarial.dynamic import POSE_INPUT, packed_by_parts, rodrigues, turned_covariance
 from contract.adversarial.graph_builder import GraphBuilder
 from contract.adversarial.scenes import Scene, rows, scene, sh_columns
 
@@ -212,12 +206,8 @@ def _avatar(body: Callable[[GraphBuilder, Scene], str], entry: dict[str, Any]) -
     source = scene("avatar", seed=36, n=N)
     graph = GraphBuilder()
     graph.input("pose", entry["shape"])
-    where, turn = posed(graph, source, rodrigues(graph, body(graph, source)))
-    upper = turned_covariance(graph, turn, source)
-    packed = packed_by_parts(graph, where, graph.constant(source.opacity[:, None]), upper)
-    low, high = reach(source)
-    manifest = declare(N, low, high, inputs=[entry])
-    return generator(graph, packed, graph.constant(sh_columns(source, 3)), manifest)
+    parts = skinned(graph, source, body(graph, source))
+    return avatar_model(graph, source, parts, [entry])
 
 
 TURN_WORDS = (

@@ -163,7 +163,7 @@ def _in_cone(
     needs=("GV025", "GO010", "GO011", "GV016"),
 )
 def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
-    """No camera that sees the declared bounds gets a row count of 0 if other cameras do not.
+    """No camera that sees the declared bounds gets 0 Gaussians if other cameras get some.
 
     Why:
         These probes look at the middle of the bounds. A count of zero for some of them is culling

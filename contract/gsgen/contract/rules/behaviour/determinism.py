@@ -101,7 +101,7 @@ def _inputs_of(subject: InspectedModel, key: str) -> list[Input]:
 
 
 def _depends(behaviour: Behaviour, key: str) -> bool:
-    """Return whether the model's outputs may change with any input of a role."""
+    """Return whether the model's outputs may change with any input of an input role."""
     generator = behaviour.subject.generator
     entries = _inputs_of(behaviour.subject, key)
     return generator is None or any(map(generator.depends, entries))
@@ -116,7 +116,7 @@ def _location(key: str) -> str:
 
 
 def _zero_changes(behaviour: Behaviour, role: str) -> bool:
-    """Return whether an output changes if all inputs of a role are set to zero."""
+    """Return whether an output changes if all inputs of an input role are set to zero."""
     zero_runs = [
         run
         for run in behaviour.visits("edges")
@@ -140,7 +140,7 @@ def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
     needs=REPRODUCIBLE,
 )
 def denied_dependence(behaviour: Behaviour) -> Iterator[Violation]:
-    """If `depends_on` declares that a role changes nothing, no output changes with this input.
+    """If `depends_on` declares that an input role changes nothing, no output changes with it.
 
     Why:
         A runtime keeps the result while only such an input changes: the scene stands still, or

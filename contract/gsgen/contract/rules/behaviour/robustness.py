@@ -182,7 +182,7 @@ def _input_bytes(probe: Probe) -> tuple[bytes, ...]:
     needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003"),
 )
 def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
-    """With an exact row count, most rows before the count are not fully transparent.
+    """With an exact row count, most Gaussians before the count are not fully transparent.
 
     Why:
         A renderer sorts and visits all rows before an exact count. If most are inert, the live ones

@@ -92,7 +92,7 @@ def time_is_1(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def input_dtype(subject: InspectedModel) -> Iterator[Violation]:
-    """Every input has the dtype of its role: float32, or int32 for indices.
+    """Every input has the dtype of its input role: float32, or int32 for indices.
 
     Why:
         Runtimes feed 32-bit buffers. WebGPU has no 64-bit types, so an int64 index cannot be
@@ -118,7 +118,7 @@ def input_dtype(subject: InspectedModel) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def inputs_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """Every graph input is declared with a role, so that any runtime can feed it.
+    """Every graph input is declared with an input role, so that any runtime can feed it.
 
     Why:
         An input that no role explains is never fed, and the first frame fails with "Required

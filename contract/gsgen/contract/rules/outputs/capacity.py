@@ -33,7 +33,7 @@ def _wasteful(most: int, capacity: int) -> bool:
     needs=COUNTED_ROWS[:-1],
 )
 def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]:
-    """A constant row count equals the capacity, up to rounding to whole workgroups.
+    """A constant row count equals the number of packed rows, rounded to whole workgroups.
 
     Why:
         Rows behind a constant count are never used, but computed, bound and often drawn: the
@@ -61,7 +61,7 @@ def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]
     needs=COUNTED_ROWS,
 )
 def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
-    """At some probe (set of test inputs), the row count reaches half of the capacity.
+    """At some probe (set of test inputs), the row count reaches half of the packed rows.
 
     Why:
         Every row of the capacity is computed, kept in memory and visited every frame, regardless of

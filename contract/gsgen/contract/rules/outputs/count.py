@@ -1,4 +1,4 @@
-"""Rules of the row count (GO): the output with the number of live rows."""
+"""Rules of the row count (GO): the output with the number of Gaussians in use."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ from gsgen.contract.validation.rule import rule
 
 @rule("GO010", "count-declared", Severity.ERROR, over="model", fixture="no_count", needs=DECLARED)
 def count_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """The manifest declares an output that holds the number of live rows.
+    """The manifest declares an output that holds the number of live Gaussians (rows in use).
 
     Why:
         Runtimes fetch it every frame; without it the fetch fails ("Invalid output name").
@@ -32,7 +32,7 @@ def count_declared(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GO010",),
 )
 def count_is_int32(subject: InspectedModel) -> Iterator[Violation]:
-    """The row count output is int32 with the static shape [1].
+    """The output with the row count (number of Gaussians) is int32 with the static shape [1].
 
     Why:
         Runtimes bind four bytes to it. An int64 count is refused ("Unexpected output data type"),

@@ -1,4 +1,4 @@
-"""GV rules of colour: SH of degree 0 that were converted wrongly, and colours not loaded."""
+"""GV rules of colour: SH of degree 0 and RGB that were converted wrongly; colours not loaded."""
 
 from collections.abc import Iterator
 
@@ -168,3 +168,58 @@ def _roughness(sample: DrawnSample, color: Float[np.ndarray, "n 3"]) -> float:
     variance = color.var(axis=0).sum()
     nearest = color[sample.neighbours[:, 0]] - color[sample.inner]
     return float(np.square(nearest).sum(axis=1).mean() / (2 * variance)) if variance > 0 else 0.0
+
+
+# sigmoid(0) and sigmoid(1): what a sigmoid makes of colours; and a range that is wide for them.
+_SIGMOID_TWICE, _WIDE = (0.5, 0.7311), 0.15
+# Colours without their offset are exactly 0 in this share of all channels, and hardly above 0.5.
+_AT_ZERO, _WITHOUT_OFFSET, _MOST_BELOW = 0.15, 0.55, 99
+# Scenes of a few chosen colours say nothing: they may well have zeros, and none above a half.
+_FEWEST_COLORS = 32
+_DARKEST = 1.02 / 255
+
+
+@rule(
+    "GV063",
+    "rgb-converted-once",
+    Severity.WARNING,
+    over="sample",
+    fixture="rgb_of_two_sigmoids",
+    needs=(*VALID_ROWS, *COLORED_ROWS, "GV012", "GV046"),
+)
+def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
+    """Raw RGB look like the result of one conversion: not of two, and not of one without offset.
+
+    Why:
+        A sigmoid of a colour lies between 0.5 and 0.7311: everything is pale. A division by 255 of
+        colours from 0 to 1 leaves black. 0.2821 · f_dc without the 0.5 is negative for every colour
+        darker than grey, and black after clamping.
+
+    Hint:
+        Apply the sigmoid or the division once, and add 0.5 to 0.2821 · f_dc. If the scene has such
+        colours, ignore this rule.
+    """
+    if sample.emission.is_sh or sample.even_color is None:
+        return
+    rgb = sample.even_color[:, :3]
+    mistake = _rgb_mistake(rgb)
+    if mistake:
+        actual = f"RGB from {rgb.min():.3g} to {rgb.max():.3g}, as if {mistake}"
+        location = Location(sample.emission.color_place)
+        expected = "colours that reach both halves of 0 to 1"
+        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+
+
+def _rgb_mistake(rgb: Float[np.ndarray, "e 3"]) -> str:
+    """Return the wrong conversion that raw RGB look like; empty if none."""
+    low, high = float(rgb.min()), float(rgb.max())
+    if 0 < high <= _DARKEST:
+        return "they were divided by 255 twice"
+    start, end = _SIGMOID_TWICE
+    if start - _ROUNDING <= low and high <= end + _ROUNDING and high - low >= _WIDE:
+        return "the sigmoid was applied twice"
+    zeros = float((rgb == 0).mean())
+    is_dark = np.percentile(rgb, _MOST_BELOW) <= _WITHOUT_OFFSET
+    if zeros >= _AT_ZERO and is_dark and len(np.unique(rgb)) > _FEWEST_COLORS:
+        return "0.5 had not been added to 0.2821 · f_dc"
+    return ""

@@ -59,10 +59,10 @@ def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
         expected = "opacities also below 0.5 or above 0.7311"
         yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
         return
-    zero, one = _shares_at_ends(sample)
-    if zero >= _AT_ZERO and one >= _AT_ONE and 1 - zero - one >= _BETWEEN:
+    zeros, ones = _shares_at_ends(sample)
+    if zeros >= _AT_ZERO and ones >= _AT_ONE and 1 - zeros - ones >= _BETWEEN:
         actual = (
-            f"opacities are exactly 0 in {zero:.0%} and exactly 1 in {one:.0%} of the live rows, "
+            f"opacities are exactly 0 in {zeros:.0%} and exactly 1 in {ones:.0%} of the live rows, "
             "as if logits were clamped and had no sigmoid"
         )
         expected = "opacities between 0 and 1, as a sigmoid gives them"

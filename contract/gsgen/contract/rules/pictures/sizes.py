@@ -33,6 +33,10 @@ _ROUND = 0.83
 # exp(exp(x)) is never below 1, and hardly above where scales are small.
 _EXP_TWICE = (0.999, 1.05)
 
+# The blur that renderers add to variances on the screen, in pixels²: in a scene, it is a floor of
+# the shortest axis that most discs and needles stand on.
+_SCREEN_BLUR, _FLOOR_SHARE = (0.2999, 0.301), 0.5
+
 Sigma = Float[np.ndarray, "m 3"]
 
 
@@ -102,6 +106,10 @@ def _mistake(sample: DrawnSample, ratio: float) -> str:
     sigma, spacing = sample.sigma, sample.spacing
     if _EXP_TWICE[0] <= sigma.min() <= _EXP_TWICE[1] and ratio > _USUAL[1]:
         return "exp was applied twice: no standard deviation is below 1"
+    variances = np.square(sigma[:, 0])
+    is_blurred = (variances >= _SCREEN_BLUR[0]) & (variances <= _SCREEN_BLUR[1])
+    if variances.min() >= _SCREEN_BLUR[0] and is_blurred.mean() >= _FLOOR_SHARE:
+        return "0.3, the blur of renderers in pixels², were added to variances of the scene"
     largest = _DENSE if ratio < _SPARSE and _follows_neighbours(sample) else _USUAL[1]
     for mistake, (low, high), undo in _MISTAKES:
         undone = float(np.median(undo(sigma).max(axis=1) / spacing))

@@ -19,7 +19,7 @@ _SH_CHANNELS = 48
 
 
 def bound_role(name: str) -> str:
-    """Return the role that the Visionary viewer feeds to an input called ``name``, or ""."""
+    """Return the input role that the Visionary viewer feeds to an input ``name``, or ""."""
     lower = name.lower()
     if any(word in lower for word in ("camera", "view", "matrix")):
         return "view"
@@ -98,7 +98,7 @@ def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
     needs=("GM004", "GI005"),
 )
 def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
-    """The Visionary viewer feeds every input, with the data of the input's role.
+    """The Visionary viewer feeds every input, with the data of the input's declared role.
 
     Why:
         The viewer tests for `camera`, `view` and `matrix` before `proj`: an input called

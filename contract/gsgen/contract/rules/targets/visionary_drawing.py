@@ -59,7 +59,7 @@ def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
     needs=("GO010",),
 )
 def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
-    """The row count is constant, because the Visionary viewer draws all rows regardless of it.
+    """The row count is constant, because Visionary draws all rows regardless of the count.
 
     Why:
         The test of the count is commented out in the viewer's shader. Rows behind it are drawn as

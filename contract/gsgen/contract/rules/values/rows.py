@@ -88,7 +88,7 @@ def padding_finite(rows: Rows) -> Iterator[Violation]:
     needs=ORDERED_ROWS,
 )
 def opacity_range(rows: Rows) -> Iterator[Violation]:
-    """Opacity lies in [0, 1] in every live row.
+    """Opacity lies in [0, 1] in every live row (before the row count).
 
     Why:
         Blending multiplies by it unclamped: an opacity of 1.7 subtracts light behind it. Values
@@ -123,7 +123,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
     needs=(*ORDERED_ROWS, "GV054"),
 )
 def mostly_visible(rows: Rows) -> Iterator[Violation]:
-    """Most live rows are opaque enough to change a pixel.
+    """Most live Gaussians (rows before the row count) are opaque enough to change a pixel.
 
     Why:
         A Gaussian below 1/255 is never drawn, but it is decoded, uploaded and sorted every frame.
@@ -184,7 +184,7 @@ def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Viola
     needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
 )
 def count_range(emission: ModelOutputs) -> Iterator[Violation]:
-    """The row count lies between 0 and the capacity, for all test inputs (at every probe).
+    """The row count lies between 0 and the number of packed rows, at every probe (test inputs).
 
     Why:
         A renderer that believes a count above the capacity reads beyond the buffer.

@@ -1,4 +1,4 @@
-"""Gives the Gaussians of a range of depths consecutive indices, in the order of their rows."""
+"""Gives the Gaussians of a depth range consecutive indices, in the order of their rows."""
 
 __all__ = ["PAGE_BYTES", "PLACE_BLOCK", "PlaceSplats", "place_reference"]
 
@@ -25,7 +25,7 @@ PAGE_BYTES: Final = 256
 
 @final
 class PlaceSplats:
-    """The kernels of ``place_splats.wgsl``, which number the splats of a slab.
+    """The kernels of ``place_splats.wgsl``, which number the splats of a depth range (slab).
 
     Args:
         device: Device of the kernels.
@@ -51,7 +51,7 @@ class PlaceSplats:
     def steps(
         self, resources: tuple[Buffer, ...], ends: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> list[Step]:
-        """Return the dispatches that number the splats of a GPU page.
+        """Return the dispatches that number the splats of one GPU page (range of Gaussians).
 
         Args:
             resources: Resources of bind group 0 of the shader without ``ends``, in order.
@@ -79,6 +79,6 @@ class PlaceSplats:
 def place_reference(
     keys: UInt32[np.ndarray, " n"], low: int, high: int, before: int
 ) -> UInt32[np.ndarray, " n"]:
-    """Return the index of each row's splat, or ABSENT: the reference of ``place_splats.wgsl``."""
+    """Return each Gaussian's splat index, or ABSENT: the reference of ``place_splats.wgsl``."""
     is_in_slab = (keys >= low) & (keys < high)
     return np.where(is_in_slab, before + np.cumsum(is_in_slab) - 1, ABSENT).astype(np.uint32)

@@ -1,4 +1,4 @@
-"""Counts the sort keys of Gaussians by their leading bits."""
+"""Counts the depth sort keys of Gaussians by their leading bits."""
 
 __all__ = ["BINS", "TallyKeys", "tally_reference"]
 
@@ -19,7 +19,7 @@ BINS: Final = 1 << 12
 
 @final
 class TallyKeys:
-    """The kernel ``tally_keys.wgsl``, which counts sort keys by their leading bits."""
+    """The kernel ``tally_keys.wgsl``, which counts depth sort keys by their leading bits."""
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(device, "tally_keys", "tally_keys", ("urw", "u"), THREADS=THREADS)
@@ -27,7 +27,7 @@ class TallyKeys:
     def step(
         self, slab: Buffer, keys: Buffer, tally: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> Step:
-        """Return the dispatch that adds the keys of a GPU page to a tally.
+        """Return the dispatch that adds the sort keys of a GPU page to a histogram of keys.
 
         Args:
             slab: Uniform of the counted range of keys.
@@ -47,6 +47,6 @@ class TallyKeys:
 def tally_reference(
     keys: UInt32[np.ndarray, " n"], low: int, high: int, shift: int
 ) -> Int64[np.ndarray, " m"]:
-    """Count keys from ``low`` to before ``high``: the reference of ``tally_keys.wgsl``."""
+    """Count sort keys from ``low`` to before ``high``: the reference of ``tally_keys.wgsl``."""
     counted = keys[(keys >= low) & (keys < high)]
     return np.bincount((counted - np.uint32(low)) >> np.uint32(shift), minlength=BINS)

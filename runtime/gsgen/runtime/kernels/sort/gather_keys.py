@@ -29,7 +29,7 @@ class GatherKeys:
         )
 
     def step(self, counts: Buffer, keys: Buffer, order: Buffer, keys_out: Buffer) -> Step:
-        """Return the dispatch that writes the second key of each visible splat, in sorted order."""
+        """Return the dispatch that writes the second sort key of each visible splat, in order."""
         bind = self.kernel.bind(counts, keys, order, keys_out)
         return Step(self.kernel, (bind,), (counts, 4 * Counts.SORT_VISIBLE_GROUPS))
 

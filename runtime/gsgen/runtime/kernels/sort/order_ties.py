@@ -20,7 +20,7 @@ MOST_TIED: Final = 64
 
 @final
 class OrderTies:
-    """The kernel ``order_ties.wgsl``, which sorts splats of equal keys.
+    """The kernel ``order_ties.wgsl``, which sorts splats of equal depth keys exactly.
 
     Args:
         device: Device of the kernel.

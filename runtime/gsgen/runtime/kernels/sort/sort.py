@@ -48,7 +48,7 @@ class SortConfig:
 
     @property
     def block(self) -> int:
-        """The number of keys per workgroup of the radix sort."""
+        """The number of sort keys that a workgroup of the GPU radix sort processes."""
         return self.threads * self.run
 
     @property
@@ -84,13 +84,13 @@ class RadixSort:
         ]
 
     def histogram(self, capacity: int) -> Buffer:
-        """Return a new histogram buffer for sorting up to ``capacity`` keys."""
+        """Return a new GPU buffer for the digit histograms of a radix sort of ``capacity`` keys."""
         tables = 2 if self._cut.staged else 1
         size = 4 * tables * (1 << self._cut.digit_bits) * self.blocks(capacity)
         return self._device.storage("histogram", size)
 
     def blocks(self, capacity: int) -> int:
-        """Return the number of workgroups that sort ``capacity`` keys."""
+        """Return the number of GPU workgroups that a radix sort of ``capacity`` keys takes."""
         return at_least(-(-capacity // self._cut.block), 1)
 
     def steps(
@@ -105,7 +105,7 @@ class RadixSort:
         compacting: int | None = None,
         first_keys: Buffer | None = None,
     ) -> tuple[list[Step], int]:
-        """Return the dispatches of a radix sort, and the index of the buffers with the result.
+        """Return the dispatches of a GPU radix sort, and the index of the buffers with the result.
 
         Args:
             counts: The frame's counts.
@@ -160,7 +160,7 @@ class RadixSort:
 
 
 def sort_reference(keys: UInt32[np.ndarray, " n"], bits: int) -> UInt32[np.ndarray, " m"]:
-    """Return the indices of keys other than ABSENT, sorted by key: the test oracle of GPU sorts."""
+    """Return the indices of keys other than ABSENT, sorted by key: the reference of GPU sorts."""
     present = np.flatnonzero(keys != ABSENT)
     order = np.argsort(keys[present] & ((1 << bits) - 1), kind="stable")
     return present[order].astype(np.uint32)

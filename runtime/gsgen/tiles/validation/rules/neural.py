@@ -69,7 +69,7 @@ def _check(inspected: InspectedTileset, tile: Tile, neural: NeuralTile) -> Itera
 
 
 def _bounds(inspected: InspectedTileset, tile: Tile) -> TileBounds:
-    """Return a tile's volume: a region is in the frame of the globe, others in the tile's own."""
+    """Return a tile's volume: a globe region in the globe's frame, others in the tile's frame."""
     if isinstance(tile.volume, Region) and inspected.tileset is not None:
         return TileBounds(tile.volume, inspected.tileset.transform @ tile.transform)
     return TileBounds(tile.volume, np.eye(4))

@@ -23,7 +23,7 @@ _registered = False
 
 
 class AdapterMissing(Exception):
-    """The WebGPU provider or a device for it is missing on this machine.
+    """Raised if ONNX Runtime's WebGPU provider or a device for it is missing.
 
     Attributes:
         message: The missing part.

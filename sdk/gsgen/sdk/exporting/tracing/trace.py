@@ -104,8 +104,8 @@ def _widen_indices(model: ir.Model) -> None:
         indices = node.inputs[1]
         if indices is not None and indices.dtype == ir.DataType.INT32:
             write = InsertionPoint(node)
-            wide = ir.DataType.INT64
-            cast = write.op("Cast", indices, dtype=wide, shape=indices.shape, to=int(wide))
+            int64 = ir.DataType.INT64
+            cast = write.op("Cast", indices, dtype=int64, shape=indices.shape, to=int(int64))
             node.replace_input_with(1, cast)
 
 

@@ -45,7 +45,7 @@ class CautiousNodeRewrite(CautiousRewrite, NodeRewrite):
     """A graph rewrite that replaces single nodes, unless a node has an obstacle."""
 
     def rewrite(self, model: ir.Model) -> None:
-        """Replace every matching node, those of subgraphs included; refuse it with its obstacle."""
+        """Replace every matching node, also in subgraphs; record an obstacle where one exists."""
         for node in [node for node in every_node(model) if self.matches(node)]:
             obstacle = self.obstacle(node)
             if obstacle:

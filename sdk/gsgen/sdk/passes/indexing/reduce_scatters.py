@@ -55,7 +55,7 @@ class ReduceScatters(CautiousNodeRewrite):
         return ""
 
     def replace(self, node: ir.Node) -> None:
-        """Replace a scatter by the reduction of each old row with its updates."""
+        """Replace a scatter by a reduction of each old row with the row's updates."""
         targets = scatter_targets(node)
         _replace(node, targets, _groups(targets), _reduction(node))
 

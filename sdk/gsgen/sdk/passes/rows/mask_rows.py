@@ -282,7 +282,7 @@ class _Attempt:
         return replacements
 
     def _count_output(self, fact: Linear, value: ir.Value) -> ir.Value:
-        """Create a row count output computed by an Add, an operator that graph capture records."""
+        """Create an output with the row count, computed by an Add, which graph capture records."""
         zero = self.draft.constant(0, numpy_dtype(value))
         return self.draft.op(
             "Add", self.draft.number(fact, value), zero, shape=list(fact.constant.shape)
