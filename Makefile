@@ -66,7 +66,7 @@ modules: setup drivers
 # minutes, and ten times as long for SIZE=1280x720.
 SIZE ?= 640x360
 exactness: setup drivers
-	$(BIN)/python tests/bench/exactness.py --size $(SIZE)
+	PYTHONPATH=tests $(BIN)/python tests/bench/exactness.py --size $(SIZE)
 
 # The whole adversarial set: the share of faults that are refused with the right cause first, and
 # false alarms on right models. Tests measure every fourth model.

@@ -44,7 +44,7 @@ _FRAMES: Final = 7
 _WORTH: Final = 0.8  # quads must be this much faster: tiles are more exact, and stop early
 _TILED: Final = ("bin", "group", "blend")  # the stages that quads replace
 _NOTHING: Final = np.zeros(3)
-_VERSION: Final = 3  # of the measurement; a new version invalidates cached timings
+_PROBE: Final = 3  # of the measurement; a new version invalidates cached timings
 _MOST_BYTES: Final = 1 << 16  # of the cache file
 
 
@@ -220,7 +220,7 @@ def _key(device: Device) -> str:
     """Return the cache key of an adapter with its driver."""
     info = device.raw.adapter.info
     words = ("vendor", "device", "description", "backend_type")
-    return " | ".join([*(str(info.get(word, "")) for word in words), f"probe {_VERSION}"])
+    return " | ".join([*(str(info.get(word, "")) for word in words), f"probe {_PROBE}"])
 
 
 def _file() -> Path | None:
