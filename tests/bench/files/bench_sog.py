@@ -1,7 +1,7 @@
 """SOG files of gsgen beside those of splat-transform: bytes and errors on three scenes.
 
     scripts/splat_transform.sh
-    python -m pytest tests/bench/bench_sog.py -o python_files='bench_*.py' \
+    python -m pytest tests/bench/files/bench_sog.py -o python_files='bench_*.py' \
         -o python_functions='bench_*' -s -q
 
 Each program also reads the other's file.
@@ -24,7 +24,7 @@ from support.measures import print_figure
 from support.splat_files import FIELDS, scene
 from support.tiles.level_scenes import SHARED, garden, knot
 
-TOOL = Path(__file__).parents[2] / ".venv/splat-transform/node_modules/.bin/splat-transform"
+TOOL = Path(__file__).parents[3] / ".venv/splat-transform/node_modules/.bin/splat-transform"
 BYTES_BAR = 1.05
 _EQUAL = 1e-9  # errors that differ by less come from the sums
 
