@@ -22,8 +22,8 @@ $(READY): pyproject.toml constraints.txt
 	$(PIP) -e '.[all]' --group dev
 	@touch $@
 
-# The software Vulkan driver that tests and `gsgen doctor` use where there is no GPU, and another
-# one that tests compare it with.
+# The software Vulkan driver that tests and `gsgen doctor` use where there is no GPU, another one
+# that tests compare it with, and what loads tilesets and checks the browser client.
 drivers:
 	scripts/drivers.sh
 	scripts/swiftshader.sh
@@ -66,7 +66,7 @@ modules: setup drivers
 # minutes, and ten times as long for SIZE=1280x720.
 SIZE ?= 640x360
 exactness: setup drivers
-	$(BIN)/python tests/bench/exactness.py --size $(SIZE)
+	PYTHONPATH=tests $(BIN)/python tests/bench/exactness.py --size $(SIZE)
 
 # The whole adversarial set: the share of faults that are refused with the right cause first, and
 # false alarms on right models. Tests measure every fourth model.
@@ -118,11 +118,12 @@ docs: setup
 wheel: setup
 	$(BIN)/python -m build --wheel --outdir dist
 
-# Mutants of the code, drawn over all rooms, each against the tests that name its module.
+# Mutants of the code, drawn over all rooms, each against the tests nearest to its module, in forks of
+# one process. A run that was stopped goes on where it was.
 MUTANTS ?= 300
 mutants: setup
 	$(PIP) --group mutants
-	$(BIN)/python scripts/mutants.py --count $(MUTANTS) --seed $(SEED) --minutes $(MINUTES)
+	nice -n 15 $(BIN)/python scripts/mutants.py --count $(MUTANTS) --seed $(SEED) --minutes $(MINUTES)
 
 # All of a release but the upload: RELEASING.md explains each step.
 release: setup

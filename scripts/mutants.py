@@ -2,15 +2,16 @@
 
 cosmic-ray writes the mutants; a copy of the working tree holds them. A mutant is killed if a test
 fails or exceeds the time limit. Prints each survivor as a diff, and exits 1 if fewer mutants than
-the bar are killed. A run that was stopped goes on where it was: outcomes are kept in a file.
+the bar are killed. A run that was stopped goes on where it was: outcomes are kept in a file, those
+of survivors until a test of theirs changes.
 
     .venv/bin/python scripts/mutants.py --count 300 --seed 0 --minutes 90
 """
 
 import argparse
 import difflib
+import hashlib
 import json
-import os
 import random
 import re
 import shutil
@@ -18,23 +19,25 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
+from forked_tests import preload, run_forked
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("contract", "sdk", "runtime", "reference_plugins")
 BAR = 0.9
 MOST_TEST_FILES = 6
-SECONDS = 180
+SECONDS = 120
 EQUIVALENT = {"", "@final"}
 """Lines that do nothing when the program runs, so that no test can miss them."""
-SKIPPED_OPERATORS = ("BitOr",)
-"""Parts of names: most `|` join types in annotations, where every mutant fails at import."""
+SKIPPED_OPERATORS = ("BitOr", "ExceptionReplacer")
+"""Parts of names. Most `|` join types in annotations, where every mutant fails at import; the
+replacer of exceptions fails on names with dots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +67,15 @@ def main() -> int:
     known = read_outcomes(options.results)
     with tempfile.TemporaryDirectory(prefix="gsgen-mutants-") as name:
         copy = copy_of_tree(Path(name))
+        for package in PACKAGES:
+            preload(package)
         for _ in range(options.count):
             if time.monotonic() > deadline:
                 break
             mutant = draw(generator, copy)
             key = f"{mutant.path} {mutant.operator} {mutant.diff}"
-            tests = tuple(tests_of(mutant.path, copy))
+            tests = tests_of(mutant.path, copy)
+            key += f" {_digest(tests, copy)}"
             if key not in known:
                 known[key] = evaluate(mutant, tests, copy) if tests else "without tests"
                 with options.results.open("a", encoding="utf-8") as file:
@@ -96,14 +102,16 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def read_outcomes(path: Path) -> dict[str, str]:
-    """Return the code mutants that earlier test runs killed; create the result file's folder.
-
-    The others run again, since there may be a new test; a mutant of code that has changed since
-    has another diff.
-    """
+    """Return the outcomes of earlier runs by mutant; create the result file's folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = path.read_text("utf-8").splitlines() if path.exists() else []
-    return {key: outcome for key, outcome in map(json.loads, lines) if outcome == "killed"}
+    return dict(map(json.loads, lines))
+
+
+def _digest(tests: Sequence[str], root: Path) -> str:
+    """Return a digest of test files, which changes with their names and contents."""
+    content = "".join(name + (root / name).read_text("utf-8") for name in tests)
+    return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
 def copy_of_tree(folder: Path) -> Path:
@@ -178,40 +186,28 @@ def _words(path: Path) -> set[str]:
     }
 
 
-def evaluate(mutant: Mutant, tests: tuple[str, ...], copy: Path) -> str:
+def evaluate(mutant: Mutant, tests: Sequence[str], copy: Path) -> str:
     """Run ``tests`` on a mutant in the copy of the tree, and return the outcome.
 
-    A mutant counts as killed only if the same tests pass on the original.
+    Test files run one after the other, the nearest to the module first. A mutant counts as killed
+    only if the test that failed passes on the original.
     """
     target = copy / mutant.path
     original = target.read_text("utf-8")
     target.write_text(mutant.code, "utf-8")
     try:
-        if passes(tests, copy):
-            return "survived"
+        failed = next(filter(None, (_failure(file, copy) for file in tests)), None)
     finally:
         target.write_text(original, "utf-8")
-    return "killed" if original_passes(tests, copy) else "tests fail"
+    if failed is None:
+        return "survived"
+    return "killed" if run_forked([failed], copy, PACKAGES, SECONDS).passed else "tests fail"
 
 
-@cache
-def original_passes(tests: tuple[str, ...], copy: Path) -> bool:
-    """Return whether the tests pass on the original code, without a mutation."""
-    return passes(tests, copy)
-
-
-def passes(tests: tuple[str, ...], copy: Path) -> bool:
-    """Return whether the tests pass in the copy of the tree, within the time limit."""
-    roots = os.pathsep.join(str(copy / package) for package in PACKAGES)
-    environment = os.environ | {"PYTHONPATH": roots, "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
-    try:
-        result = subprocess.run(
-            command, cwd=copy, env=environment, capture_output=True, timeout=SECONDS
-        )
-    except subprocess.TimeoutExpired:
-        return False
-    return result.returncode == 0
+def _failure(file: str, copy: Path) -> str | None:
+    """Return the node id of the first test of a file that fails; None if all pass."""
+    result = run_forked([file], copy, PACKAGES, SECONDS)
+    return None if result.passed else result.failure or file
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from gsgen.contract.spec.manifest import (
     Space,
 )
 from gsgen.sdk.binding import FrameSession
+from support.measures import print_figure
 from support.models.small_models import good_rows, model, save, save_moving, weight
 
 GAUSSIANS, FEATURES, HIDDEN = 100_000, 32, 32
@@ -69,10 +70,6 @@ def decoder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_moving(tmp_path_factory.mktemp("tiny") / "tiny.onnx", good_rows(5))
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
 
 
 def alternating(actions: list[Callable[[], object]], times: int) -> np.ndarray:
@@ -152,9 +149,13 @@ def bench_overhead_on_a_decoder(decoder: Path) -> None:
             frame[:] = time.perf_counter() - began, inside.seconds
     whole, bare = frames.T
     more = np.median((whole - bare) / bare)
-    say(f"100 k Gaussians decoded on the CPU: {1e3 * np.median(bare):.2f} ms a frame, ")
-    say(f"of which {1e6 * np.median(whole - bare):.1f} µs are ours, {100 * more:+.3f} % (bar +3 %)")
-    say(f"taking turns: {1e3 * ours:.2f} ms against {1e3 * one:.2f} and {1e3 * again:.2f} bare")
+    print_figure(f"100 k Gaussians decoded on the CPU: {1e3 * np.median(bare):.2f} ms a frame, ")
+    print_figure(
+        f"of which {1e6 * np.median(whole - bare):.1f} µs are ours, {100 * more:+.3f} % (bar +3 %)"
+    )
+    print_figure(
+        f"taking turns: {1e3 * ours:.2f} ms against {1e3 * one:.2f} and {1e3 * again:.2f} bare"
+    )
     assert more <= 0.03
 
 
@@ -163,8 +164,10 @@ def bench_overhead_on_a_tiny_model(tiny: Path, provider: str) -> None:
     with FrameSession(tiny, provider=provider, threads=1) as session:
         actions = [bare_frame(session), lambda: session.run({"time": 0.3})]
         alone, ours = 1e6 * np.median(alternating(actions, 2000), axis=0)
-    say(f"5 Gaussians, {provider}: update and run bare {alone:.1f} µs, FrameSession {ours:.1f} µs")
-    say(f"so {ours - alone:.1f} µs a frame are ours")
+    print_figure(
+        f"5 Gaussians, {provider}: update and run bare {alone:.1f} µs, FrameSession {ours:.1f} µs"
+    )
+    print_figure(f"so {ours - alone:.1f} µs a frame are ours")
 
 
 def bench_first_frame(decoder: Path) -> None:
@@ -176,8 +179,10 @@ def bench_first_frame(decoder: Path) -> None:
             session.run()
 
     baseline, taken = np.median(alternating([create, ours], 5), axis=0)
-    say(f"first frame, from the file: bare {1e3 * baseline:.0f} ms, ")
-    say(f"FrameSession {1e3 * taken:.0f} ms with its warm-up, ratio {taken / baseline:.2f}")
+    print_figure(f"first frame, from the file: bare {1e3 * baseline:.0f} ms, ")
+    print_figure(
+        f"FrameSession {1e3 * taken:.0f} ms with its warm-up, ratio {taken / baseline:.2f}"
+    )
 
 
 # In a process of its own: a child of a large process would begin with its parent's peak.
@@ -209,6 +214,8 @@ def bench_memory_over_ten_thousand_frames(tiny: Path, provider: str) -> None:
         text=True,
     )
     before, after = map(int, done.stdout.split())
-    say(f"{provider}: resident {before / 1000:.1f} MB, and {after - before} kB more after ")
-    say(f"{FRAMES:,} frames (bar 1000 kB)")
+    print_figure(
+        f"{provider}: resident {before / 1000:.1f} MB, and {after - before} kB more after "
+    )
+    print_figure(f"{FRAMES:,} frames (bar 1000 kB)")
     assert after - before <= 1000

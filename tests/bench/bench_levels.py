@@ -25,16 +25,13 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation import engine
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
+from support.measures import print_figure
 
 NODES = 500
 _ROUNDS = 20
 # From so many megabytes of weights on, and from networks so wide on, there is a bar.
 _BAR_FROM = 64
 _WIDE, _SHARE = 128, 0.7
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
 
 
 def long_chain(nodes: int) -> ModelSpec:
@@ -131,16 +128,16 @@ def bench_static_beside_the_checker(tmp_path: Path, megabytes: int) -> None:
     times = compared(path, settings)
     best = {name: 1000 * min(values) for name, values in times.items()}
     middle = {name: statistics.median(values) for name, values in times.items()}
-    say(f"static on {NODES} nodes and {megabytes} MB of weights: {best['ours']:.1f} ms")
+    print_figure(f"static on {NODES} nodes and {megabytes} MB of weights: {best['ours']:.1f} ms")
     for name, words in (
         ("theirs", "onnx.load and check_model"),
         ("inferred", "the same with shape inference (full_check), which ours does, too"),
         ("parsed", "check_model of what was parsed before"),
     ):
         ratio, usual = best["ours"] / best[name], middle["ours"] / middle[name]
-        say(f"  {ratio:.2f} × (of medians {usual:.2f} ×) {best[name]:.1f} ms, {words}")
+        print_figure(f"  {ratio:.2f} × (of medians {usual:.2f} ×) {best[name]:.1f} ms, {words}")
     if megabytes >= _BAR_FROM:
-        say("  bar 1.3 × onnx.load and check_model")
+        print_figure("  bar 1.3 × onnx.load and check_model")
         assert best["ours"] <= 1.3 * best["theirs"]
 
 
@@ -168,12 +165,12 @@ def bench_share_of_onnx_runtime_in_behaviour(
     assert report.verdict == "conforms", [str(one) for one in report.findings]
     inside, child = seen[-1].inside, report.runtime_seconds
     start = empty_child_seconds()
-    say(
+    print_figure(
         f"behaviour, {rows} rows moved by a network of width {width}: {report.seconds:.2f} s, "
         f"{len(seen[-1].runs)} runs; ONNX Runtime {inside:.2f} s, its process {child:.2f} s"
     )
     bar = f" (bar {_SHARE:.0%})" if width >= _WIDE else ""
-    say(
+    print_figure(
         f"  share of ONNX Runtime {inside / report.seconds:.0%}; "
         f"{inside / (report.seconds - start):.0%} without the {start:.2f} s that a process takes to start{bar}"
     )

@@ -4,7 +4,6 @@ CPU milliseconds of one thread, the least of many frames; a frame is small, so t
 nothing to do. Ratios are to submitting a command buffer that does nothing but copy the image.
 """
 
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -22,14 +21,11 @@ from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.generator_worker import _OutputBuffer
 from gsgen.sdk.binding import FrameSession
+from support.measures import print_figure
 
 FRAMES = 200
 GOALS = {1: 1.0, 32: 2.0}  # milliseconds
 NOTHING_BEHIND = np.zeros(3)
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
 
 
 def least(action: Callable[[], object], after: Callable[[], object]) -> float:
@@ -82,12 +78,14 @@ def bench_encoding(renderer: Renderer, count: int) -> None:
     uniforms = least(lambda: frame(()), plan.collect) - bare
     steps = sum(map(len, plan.stages.values()))
     goal = f" (goal {GOALS[count]:g})" if count in GOALS else ""
-    say(f"{count:3} models, {steps} dispatches: {whole:.2f} ms{goal}, {whole / bare:.1f} times an")
-    say(
+    print_figure(
+        f"{count:3} models, {steps} dispatches: {whole:.2f} ms{goal}, {whole / bare:.1f} times an"
+    )
+    print_figure(
         f"    empty one's {bare:.2f}; uniforms {uniforms:.2f}, dispatches {whole - uniforms - bare:.2f}"
     )
     placing = least(lambda: renderer.placed(scene), lambda: None)
-    say(f"    finding what changed {placing:.3f} ms")
+    print_figure(f"    finding what changed {placing:.3f} ms")
 
 
 def bench_what_stays(renderer: Renderer) -> None:
@@ -122,8 +120,8 @@ def bench_what_stays(renderer: Renderer) -> None:
 
     compare()
     same, changed, uploaded = cpu(compare), cpu(copy), cpu(upload)
-    say(f"1 M Gaussians, degree 3: uploading takes {uploaded:.0f} CPU-ms; ")
-    say(
+    print_figure(f"1 M Gaussians, degree 3: uploading takes {uploaded:.0f} CPU-ms; ")
+    print_figure(
         f"noticing that nothing changed {same / uploaded:.2f} of that, copying {changed / uploaded:.2f}"
     )
 
@@ -162,7 +160,7 @@ def bench_overlap(renderer: Renderer, tmp_path: Path, monkeypatch: pytest.Monkey
 
     played = shared(lambda player: list(player.play(camera, times=times)))
     alone = shared(lambda player: [player.render(camera, time=at) for at in times])
-    say(
+    print_figure(
         f"200,000 moving Gaussians: {100 * played:.0f} % of inference passes while a frame is drawn, "
     )
-    say(f"{100 * alone:.0f} % where frames are rendered one by one")
+    print_figure(f"{100 * alone:.0f} % where frames are rendered one by one")

@@ -5,7 +5,6 @@ the machine counts less; the least of several frames is printed. The floor is wh
 and operations of the same frame would take on the same cores, by rates measured in the same run.
 """
 
-import sys
 import time
 from collections.abc import Callable
 
@@ -27,15 +26,12 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
+from support.measures import print_figure
 
 MILLION = 1_000_000
 SIZES = {(1280, 720): 0.40, (640, 360): 0.30}  # CPU seconds to aim at
 GOAL_BYTES = 48  # per Gaussian without harmonics
 NOTHING_BEHIND = np.zeros(3)
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
 
 
 def cpu(action: Callable[[], object], times: int = 5) -> float:
@@ -137,8 +133,10 @@ def bench_a_million(device: Device, scene: Scene, size: tuple[int, int], compact
     counts = renderer.device.read(plan.buffers["counts"], np.uint32, 4)
     visible = int(counts[Counts.VISIBLE])
     kind = "float16" if compact else "float32"
-    say(f"1 M Gaussians, degree 3 in {kind}, {size[0]}×{size[1]}, {renderer.device.name}: ")
-    say(f"{visible:,} visible, {pairs:,} pairs")
+    print_figure(
+        f"1 M Gaussians, degree 3 in {kind}, {size[0]}×{size[1]}, {renderer.device.name}: "
+    )
+    print_figure(f"{visible:,} visible, {pairs:,} pairs")
     rate = copy_rate()
     stays = (32, 96) if compact else (40, 192)  # bytes of a row, and of its harmonics
     least = floor(MILLION, visible, pairs, size[0] * size[1], *stays)
@@ -148,17 +146,19 @@ def bench_a_million(device: Device, scene: Scene, size: tuple[int, int], compact
     sums = [idle, *(cpu(lambda n=n: frame(*names[: n + 1])) for n in range(len(names)))]
     for number, name in enumerate(names):
         bytes_ = least[name]
-        say(
+        print_figure(
             f"{name:8} {sums[number + 1] - sums[number]:.3f} CPU-s; "
             f"{bytes_ / 1e6:5.0f} MB, at one core's copying rate {bytes_ / rate:.3f} s"
         )
     work = 14 * pairs * TILE**2  # of a tile's pixels with a splat, each takes about 14 operations
-    say(f"blend at most {work / 1e9:.1f} G operations, one core's rate {work / flops():.3f} s")
-    say(f"uniforms and reading back {idle:.3f} CPU-s")
-    say(f"frame {sums[-1]:.3f} CPU-s (goal {SIZES[size]})")
+    print_figure(
+        f"blend at most {work / 1e9:.1f} G operations, one core's rate {work / flops():.3f} s"
+    )
+    print_figure(f"uniforms and reading back {idle:.3f} CPU-s")
+    print_figure(f"frame {sums[-1]:.3f} CPU-s (goal {SIZES[size]})")
     began = time.perf_counter()
     frame()
-    say(f"frame {time.perf_counter() - began:.3f} s of wall clock")
+    print_figure(f"frame {time.perf_counter() - began:.3f} s of wall clock")
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -167,7 +167,7 @@ def bench_what_changes(
 ) -> None:
     """Frames of new values, in memory that is mapped and arranged, and by copies in own order."""
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])
-    say(f"1 M Gaussians, degree 3 in float32, {size[0]}×{size[1]}: ")
+    print_figure(f"1 M Gaussians, degree 3 in float32, {size[0]}×{size[1]}: ")
     drawn = []
     for maps in dict.fromkeys((False, device.maps)):
         monkeypatch.setattr(device, "maps", maps)
@@ -186,14 +186,14 @@ def bench_what_changes(
 
         frame(rows)
         drawn.append(frame(rows))
-        say("mapped: " if maps else "copied: ")
+        print_figure("mapped: " if maps else "copied: ")
         for name, values in (
             ("rows", (rows, None)),
             ("harmonics", (None, appearance)),
             ("both", (rows, appearance)),
             ("nothing", ()),
         ):
-            say(f"  {name:9} new {cpu(lambda v=values: frame(*v)):.3f} CPU-s")
+            print_figure(f"  {name:9} new {cpu(lambda v=values: frame(*v)):.3f} CPU-s")
     assert all(np.array_equal(one, drawn[0]) for one in drawn)
 
 
@@ -206,8 +206,8 @@ def bench_quads(device: Device, scene: Scene, size: tuple[int, int]) -> None:
         one = Renderer(device, rasteriser=rasteriser)
         one.render(scene, camera)
         taken[rasteriser] = cpu(lambda one=one: one.render(scene, camera), 3)
-    say(f"{size[0]}×{size[1]}, frame by tiles {taken['tiles']:.3f} CPU-s, ")
-    say(f"by quads {taken['quads']:.3f}")
+    print_figure(f"{size[0]}×{size[1]}, frame by tiles {taken['tiles']:.3f} CPU-s, ")
+    print_figure(f"by quads {taken['quads']:.3f}")
 
 
 def bench_panorama(device: Device, scene: Scene) -> None:
@@ -232,8 +232,8 @@ def bench_panorama(device: Device, scene: Scene) -> None:
             cpu(lambda: frame("project")),
             cpu(frame),
         )
-        say(f"{name:8} 1024×512: {visible:,} visible, {pairs:,} pairs, ")
-        say(f"  project {projected - idle:.3f} CPU-s, frame {all_:.3f}")
+        print_figure(f"{name:8} 1024×512: {visible:,} visible, {pairs:,} pairs, ")
+        print_figure(f"  project {projected - idle:.3f} CPU-s, frame {all_:.3f}")
 
 
 def bench_encoding(renderer: Renderer) -> None:
@@ -258,7 +258,7 @@ def bench_encoding(renderer: Renderer) -> None:
     encode()
     both()
     steps = sum(map(len, plan.stages.values()))
-    say(f"encode and submit {steps} dispatches: {1000 * min(taken):.2f} ms of one thread")
+    print_figure(f"encode and submit {steps} dispatches: {1000 * min(taken):.2f} ms of one thread")
 
 
 def bench_memory(device: Device, scene: Scene) -> None:
@@ -272,9 +272,11 @@ def bench_memory(device: Device, scene: Scene) -> None:
             some = SplatData(data.rows, data.appearance[:, : 3 * (degree + 1) ** 2], "sh")
             pages = [page for _, page in renderer.placed(Scene([some]))]
             stay.append(sum(page.rows.size + page.appearance.size for page in pages))
-        say("compact: " if compact else "exact: ")
-        say("  ".join(f"degree {d} {size / MILLION:.0f}" for d, size in enumerate(stay)))
-        say(f"bytes stay per Gaussian (goal {GOAL_BYTES} at degree 0, and what is above it)")
+        print_figure("compact: " if compact else "exact: ")
+        print_figure("  ".join(f"degree {d} {size / MILLION:.0f}" for d, size in enumerate(stay)))
+        print_figure(
+            f"bytes stay per Gaussian (goal {GOAL_BYTES} at degree 0, and what is above it)"
+        )
     plan, _, pairs = planned(renderer, scene, camera)
     of_gaussians = ("keys of G", "values of G", "lows", "shapes", "weights", "colors")
     of_gaussians += ("origins",)
@@ -282,10 +284,10 @@ def bench_memory(device: Device, scene: Scene) -> None:
         buffer.size for name, buffer in plan.buffers.items() if name.startswith(of_gaussians)
     )
     rest = sum(buffer.size for buffer in plan.buffers.values()) - splats
-    say(f"the plan of a frame takes {splats / MILLION:.0f} bytes per Gaussian, and ")
-    say(f"{rest / 1e6:.0f} MB for {pairs / MILLION:.1f} million pairs and the image")
-    say(f"largest binding: {max(b.size for b in plan.buffers.values()) / 2**20:.0f} MiB, ")
-    say(f"a page of {PAGE_ROWS:,} rows {PAGE_ROWS * 192 / 2**20:.0f} MiB")
+    print_figure(f"the plan of a frame takes {splats / MILLION:.0f} bytes per Gaussian, and ")
+    print_figure(f"{rest / 1e6:.0f} MB for {pairs / MILLION:.1f} million pairs and the image")
+    print_figure(f"largest binding: {max(b.size for b in plan.buffers.values()) / 2**20:.0f} MiB, ")
+    print_figure(f"a page of {PAGE_ROWS:,} rows {PAGE_ROWS * 192 / 2**20:.0f} MiB")
 
 
 def bench_sorting_four_million(renderer: Renderer) -> None:
@@ -320,7 +322,7 @@ def bench_sorting_four_million(renderer: Renderer) -> None:
     wanted = sort_reference(keys, 32)
     np.testing.assert_array_equal(device.read(columns[at].values, np.uint32, n), wanted)
     numpys = cpu(lambda: np.argsort(keys, kind="stable"), 2)
-    say(f"sort of 4 M keys: {seconds:.3f} CPU-s, numpy's stable argsort {numpys:.3f}")
+    print_figure(f"sort of 4 M keys: {seconds:.3f} CPU-s, numpy's stable argsort {numpys:.3f}")
 
 
 def bench_two_hundred_still_frames(renderer: Renderer, scene: Scene) -> None:
@@ -334,5 +336,5 @@ def bench_two_hundred_still_frames(renderer: Renderer, scene: Scene) -> None:
     for _ in range(200):
         renderer.render(small, camera)
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    say(f"200 frames: peak memory grew by {grown / 1024:.1f} MiB")
+    print_figure(f"200 frames: peak memory grew by {grown / 1024:.1f} MiB")
     assert grown < 20 * 1024

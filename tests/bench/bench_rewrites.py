@@ -7,7 +7,6 @@ measured in the same run.
 """
 
 import copy
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,6 +27,7 @@ from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
 from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.rewriting.rewrite import graph_stats
+from support.measures import print_figure
 from support.models.reference_models import Avatar, HexPlane, ScaffoldDecoder
 from support.models.traced import traced
 
@@ -40,10 +40,6 @@ CASES: dict[str, tuple[Callable[[], GaussianGenerator], int, int | None]] = {
     # 60,000 Gaussians, six planes of 32 channels and 64 cells a side, five heads.
     "hexplane": (lambda: HexPlane(60_000, 32, 64), 60_000, 3),
 }
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
 
 
 @dataclass(frozen=True)
@@ -68,7 +64,7 @@ def built(name: str, folder: Path) -> Case:
     plain = copy.copy(ir.load(before))
     began = time.process_time()
     rewrite_and_embed(model, made.manifest, load_target("core"))
-    say(f"{name}: rewritten in {time.process_time() - began:.1f} s of CPU time")
+    print_figure(f"{name}: rewritten in {time.process_time() - began:.1f} s of CPU time")
     save_model(model, after)
     inputs = [torch.from_numpy(np.array(one)) for one in probes[3].inputs.values()]
     return Case(made.module, inputs, list(probes[3].inputs), before, after, plain)
@@ -150,11 +146,11 @@ def bench_rewritten_graph_on_the_cpu(name: str, tmp_path: Path) -> None:
     floor = operations / rate + size / bandwidth
     said = ", ".join(f"{name} {1000 * taken:.0f} ms" for name, taken in seconds.items())
     to_plain, to_eager = (seconds["ours"] / seconds[one] for one in ("plain", "eager"))
-    say(f"{name}, one core: {said}")
-    say(
+    print_figure(f"{name}, one core: {said}")
+    print_figure(
         f"ours / plain {to_plain:.2f} (bar {BAR_PLAIN}), ours / eager {to_eager:.2f} (bar {BAR_EAGER})"
     )
-    say(
+    print_figure(
         f"{operations / 1e9:.2f} GFLOP at {rate / 1e9:.0f} GFLOP/s and {size / 1e6:.0f} MB at "
         f"{bandwidth / 1e9:.1f} GB/s: floor {1000 * floor:.0f} ms, ours {seconds['ours'] / floor:.1f} × that"
     )
@@ -171,10 +167,10 @@ def bench_assignment(make: Callable[[], GaussianGenerator], tmp_path: Path) -> N
         path = tmp_path / f"{rewrite}.onnx"
         export(make(), path, rewrite=rewrite, settings=static)
         seen = graph_stats(path, goal)
-        say(
+        print_figure(
             f"{make.__name__}, {'rewritten' if rewrite else 'as torch exports it'}: {seen.nodes} nodes, "
         )
-        say(f"  not captured by some release: {len(seen.uncaptured)}")
+        print_figure(f"  not captured by some release: {len(seen.uncaptured)}")
         for line in seen.uncaptured:
-            say(f"    {line}")
+            print_figure(f"    {line}")
     assert seen.uncaptured == ()

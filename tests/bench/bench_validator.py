@@ -22,6 +22,7 @@ from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.formats import PackedRows
 from gsgen.reference_plugins.static.static import from_content
+from support.measures import print_figure
 from support.models.static_scenes import write_scene
 from support.processor_time import cpu_seconds
 
@@ -37,10 +38,6 @@ def best(action: Callable[[], object], times: int = 5) -> float:
         action()
         taken.append(time.perf_counter() - began)
     return min(taken)
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
 
 
 def million(dtype: type, degree: int) -> PackedRows:
@@ -79,7 +76,7 @@ def bench_cold_start(words: tuple[str, ...], tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gsgen.cli", *words]
     command += [str(path)] if words[0] == "validate" else []
     seconds = best(lambda: subprocess.run(command, check=True, capture_output=True), 7)
-    say(f"cold start, gsgen {' '.join(words)}: {seconds:.2f} s (bar 0.6)")
+    print_figure(f"cold start, gsgen {' '.join(words)}: {seconds:.2f} s (bar 0.6)")
     assert seconds <= 0.6
 
 
@@ -103,8 +100,10 @@ def bench_start_of_static_beside_the_import_of_onnx(
     ]
     baseline, ours = (min(times) for times in zip(*pairs, strict=True))
     words = "with bytecode" if compiled else "without bytecode"
-    say(f"processor time of validate --level static, {words}: {ours / baseline:.2f} × import onnx")
-    say(f"  bar {bar}")
+    print_figure(
+        f"processor time of validate --level static, {words}: {ours / baseline:.2f} × import onnx"
+    )
+    print_figure(f"  bar {bar}")
     assert ours <= bar * baseline
 
 
@@ -114,8 +113,10 @@ def bench_static_on_a_large_model(large: Path) -> None:
     ours = best(lambda: validate(large, settings))
     load = best(lambda: onnx.load(large), 3)
     size = large.stat().st_size / MEBIBYTE
-    say(f"static on {size:.0f} MiB: {1000 * ours:.1f} ms, onnx.load {1000 * load:.0f} ms, ")
-    say(f"ratio {ours / load:.4f} (bar 0.3)")
+    print_figure(
+        f"static on {size:.0f} MiB: {1000 * ours:.1f} ms, onnx.load {1000 * load:.0f} ms, "
+    )
+    print_figure(f"ratio {ours / load:.4f} (bar 0.3)")
     assert ours <= 0.3 * load
 
 
@@ -131,7 +132,7 @@ def bench_memory_of_static_on_a_large_model(large: Path) -> None:
         [sys.executable, "-c", launch, *command], check=True, capture_output=True, text=True
     )
     peak = int(done.stdout) * 1024 / 1e6
-    say(f"peak memory of the whole process, 232 MB model: {peak:.0f} MB (bar 150)")
+    print_figure(f"peak memory of the whole process, 232 MB model: {peak:.0f} MB (bar 150)")
     assert peak <= 150
 
 
@@ -148,9 +149,11 @@ def bench_values_of_a_million_and_a_million_broken(half: Path, tmp_path: Path) -
     clean, _ = values_seconds(half)
     bytes_checked = MILLION * (10 + 48) * 2
     rate = bytes_checked / clean / 1e6
-    say(f"values of 1 M Gaussians, SH3 float16: {1000 * clean:.0f} ms, {rate:.0f} MB/s (bar 500)")
+    print_figure(
+        f"values of 1 M Gaussians, SH3 float16: {1000 * clean:.0f} ms, {rate:.0f} MB/s (bar 500)"
+    )
     baseline = best(lambda: np.isfinite(np.ones((MILLION, 58), np.float16)).all(), 3)
-    say(f"for scale, one np.isfinite over as many values: {1000 * baseline:.0f} ms")
+    print_figure(f"for scale, one np.isfinite over as many values: {1000 * baseline:.0f} ms")
     content = million(np.float16, 3)
     content.gaussians[:, 3] = 5  # GV003
     content.gaussians[:, 4] = -1  # GV005
@@ -159,8 +162,10 @@ def bench_values_of_a_million_and_a_million_broken(half: Path, tmp_path: Path) -
     broken, text = values_seconds(tmp_path / "broken.onnx")
     findings = json.loads(text)["findings"]
     counted = {finding["rule"]: finding["stats"]["count"] for finding in findings}
-    say(f"a million broken rows: {1000 * broken:.0f} ms, {broken / clean:.2f} × clean (bar 3)")
-    say(f"findings {counted}, report {len(text) / 1000:.1f} kB (bar 20)")
+    print_figure(
+        f"a million broken rows: {1000 * broken:.0f} ms, {broken / clean:.2f} × clean (bar 3)"
+    )
+    print_figure(f"findings {counted}, report {len(text) / 1000:.1f} kB (bar 20)")
     assert rate >= 500
     assert broken <= 3 * clean
     assert len(text) < 20_000

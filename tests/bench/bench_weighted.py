@@ -4,7 +4,6 @@ CPU seconds are those of the whole process, the driver's threads included; the l
 frames is printed.
 """
 
-import sys
 import time
 
 import numpy as np
@@ -17,15 +16,12 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
+from support.measures import print_figure
 
 CELLS, PER_CELL, FRAMES = 50_000, 5, 5
 PAIR_BYTES = 16  # two columns of a key and a value
 SORTED = ("keys of Gaussians", "values of Gaussians", "lows", "histogram")
 CELLED = ("keys of cells", "values of cells", "lows", "keys of weighted", "circles", "spans")
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +65,7 @@ def bench_sums_beside_sorting(device: Device, data: SplatData, size: tuple[int, 
         height=height,
     )
     weighted = WeightedSum(background=0.15, depth_range=20.0)
-    say(f"{len(data):,} Gaussians in {CELLS:,} cells at {width}×{height}")
+    print_figure(f"{len(data):,} Gaussians in {CELLS:,} cells at {width}×{height}")
     taken = {}
     for name, one, columns in (
         ("sorted", SplatSet(data), SORTED),
@@ -86,8 +82,8 @@ def bench_sums_beside_sorting(device: Device, data: SplatData, size: tuple[int, 
         sizes = renderer._plan.buffers.items()
         own = sum(held.size for label, held in sizes if label.startswith(columns))
         own += PAIR_BYTES * frame.pairs
-        say(
+        print_figure(
             f"{name:7} {min(seconds):6.3f} CPU-s  {frame.pairs:9,} pairs  "
             f"{own / len(data):5.1f} bytes a Gaussian to bring them into order"
         )
-    say(f"summing takes {taken['summed'] / taken['sorted']:.2f} of sorting")
+    print_figure(f"summing takes {taken['summed'] / taken['sorted']:.2f} of sorting")

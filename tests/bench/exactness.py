@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from bench_renderer import NOTHING_BEHIND, room, say
+from bench_renderer import NOTHING_BEHIND, room
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared.shader import ABSENT
@@ -23,6 +23,7 @@ from gsgen.runtime.oracle.projection import ellipses
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
+from support.measures import print_figure
 
 BAR_PSNR: Final = 80.0
 BAR_ERROR: Final = 1e-3
@@ -84,9 +85,15 @@ def describe(made: Splats) -> None:
     )
     swapped = (np.diff(key) < 0) | ((np.diff(key) == 0) & (np.diff(low) < 0))
     swapped &= np.diff(made.depth[order]) > _TIE * made.depth[order][1:]
-    say(f"of {len(order):,} splats, {int((np.diff(naive) < 0).sum()):,} stand before one that is ")
-    say(f"nearer if depths are worked out in float32; {int((np.diff(key) == 0).sum()):,} have the ")
-    say(f"rounded depth of the next; by both floats of a depth {int(swapped.sum()):,} are swapped")
+    print_figure(
+        f"of {len(order):,} splats, {int((np.diff(naive) < 0).sum()):,} stand before one that is "
+    )
+    print_figure(
+        f"nearer if depths are worked out in float32; {int((np.diff(key) == 0).sum()):,} have the "
+    )
+    print_figure(
+        f"rounded depth of the next; by both floats of a depth {int(swapped.sum()):,} are swapped"
+    )
 
 
 def reason(made: Splats, x: int, y: int) -> str:
@@ -130,12 +137,16 @@ def main() -> int:
     error = np.abs(seen - wanted.rgba)
     worst = error.max(axis=-1)
     undeclared = float(worst[~wanted.fragile].max())
-    say(f"{width}×{height}, {renderer.device.name}: {psnr(error):.1f} dB over all pixels; ")
-    say(f"largest error {worst.max():.1e}, away from declared discontinuities {undeclared:.1e} ")
-    say(f"({100 * wanted.fragile.mean():.1f} % of the pixels have one)")
+    print_figure(
+        f"{width}×{height}, {renderer.device.name}: {psnr(error):.1f} dB over all pixels; "
+    )
+    print_figure(
+        f"largest error {worst.max():.1e}, away from declared discontinuities {undeclared:.1e} "
+    )
+    print_figure(f"({100 * wanted.fragile.mean():.1f} % of the pixels have one)")
     for place in np.argsort(worst.ravel())[::-1][:_WORST]:
         y, x = divmod(int(place), width)
-        say(f"  pixel {x:4}, {y:4}: {worst[y, x]:.1e}: {reason(made, x, y)}")
+        print_figure(f"  pixel {x:4}, {y:4}: {worst[y, x]:.1e}: {reason(made, x, y)}")
     sys.stdout.write("\n")
     return int(not (psnr(error) >= BAR_PSNR and undeclared <= BAR_ERROR))
 

@@ -14,7 +14,9 @@ It makes a deterministic crowd of Gaussians of which three quarters are in the i
   the least milliseconds by bytes and by operations at the rates of a copy and of a loop of fused
   multiplications on the same device; the error of a crop of the image beside the float64 oracle;
   keys sorted in a second; what the rasteriser's probe measured and chose; which kernels the device
-  gets; bytes, dispatches and reads of keys of a frame of 6.06 M, counted from its plan;
+  gets; gsplat's CUDA rasteriser on the same scene, where it is installed with torch (that part was
+  written by gsplat's documentation, and has never run); bytes, dispatches and reads of keys of a
+  frame of 6.06 M, counted from its plan;
 - ``gpu_MODE.png``: the pictures, and ``gpu_crop_oracle.png``: the crop by the oracle
 
 into ``$OUT``, or ``out/gpu`` of the checkout. It exits 0 if everything was measured, and every part
@@ -57,6 +59,7 @@ from gsgen.runtime.scene.camera import Camera  # noqa: E402
 from gsgen.runtime.scene.scene import Scene  # noqa: E402
 from gsgen.runtime.scene.splat_data import SplatData  # noqa: E402
 from support.rendering import frame_traffic  # noqa: E402
+from support.rendering.gsplat_timing import gsplat_milliseconds  # noqa: E402
 
 MODES: Final = {
     "tiles": {"rasteriser": "tiles"},
@@ -472,6 +475,9 @@ def main() -> int:
             "beside the oracle": exactness.of(renderer, whole),
         }
 
+    report.part(
+        "gsplat, ms", lambda: gsplat_milliseconds(scene.sets[0].data, camera, WARM, words.frames)
+    )
     for mode in modes:
         report.part(mode, lambda mode=mode: measured(mode))
     return 1 if report.failed else 0

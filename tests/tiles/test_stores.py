@@ -18,6 +18,7 @@ from gsgen.tiles.stores.archive_writing import write_archive
 from gsgen.tiles.stores.folder_store import FolderStore
 from gsgen.tiles.stores.http_store import HttpStore
 from gsgen.tiles.stores.opening import open_store
+from gsgen.tiles.stores.ranged_file import RangedFile
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.stores.zip_store import INDEX_NAME, ZipStore
 from gsgen.tiles.validation.sketches import explicit_sketch, implicit_sketch
@@ -81,6 +82,25 @@ def test_any_range_is_that_of_the_bytes(store: Store) -> None:
     assert store.read("t/a b.glb", start=99_990) == BODY[99_990:]
     assert store.read("t/a b.glb", size=0) == b""
     assert store.read("empty.bin") == b""
+
+
+def test_a_read_at_the_end_of_a_file_asks_the_store_for_nothing(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = FolderStore(folder)
+    file = RangedFile(store, "t/a b.glb")
+    size = len(BODY)
+    requests: list[int] = []
+    read = FolderStore.read
+
+    def counted(self: FolderStore, path: str, *, start: int, size: int) -> bytes:
+        requests.append(size)
+        return read(self, path, start=start, size=size)
+
+    monkeypatch.setattr(FolderStore, "read", counted)
+    assert file.read_at(size - 3, 10) == BODY[-3:]
+    assert [file.read_at(size, 10), file.read_at(size + 9, 10), file.read_at(0, 0)] == [b""] * 3
+    assert requests == [3]
 
 
 def test_what_is_missing_or_too_large_is_named(store: Store) -> None:

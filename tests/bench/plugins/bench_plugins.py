@@ -4,9 +4,7 @@ One thread for both. The floor is the time in which the frame's outputs can be w
 multiplications of its networks be done, both measured in the same run. Run by ``make bench``.
 """
 
-import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
@@ -60,22 +58,12 @@ from gsgen.reference_plugins.synthetic import (
 )
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
+from support.measures import print_figure, process_seconds
 from support.models import needed_tensors
 
 # Half of the tables, and the graph and small tables as they are.
 BAR, SIZE_BAR, HALF_BAR = 1.0, 1.05, 0.53
 ROUNDS = 7
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
-
-
-def taken(action: Callable[[], object]) -> float:
-    """Return seconds of the processor: others may be at work on the machine."""
-    began = time.process_time()
-    action()
-    return time.process_time() - began
 
 
 def measure(
@@ -115,16 +103,18 @@ def _measure(
         session.run(None, feeds)
         eager, graph = [], []
         for _ in range(ROUNDS):  # by turns, so that both meet the same machine
-            eager.append(taken(lambda: packed(*tensors)))
-            graph.append(taken(lambda: session.run(None, feeds)))
+            eager.append(process_seconds(lambda: packed(*tensors)))
+            graph.append(process_seconds(lambda: session.run(None, feeds)))
     outputs = session.run(None, feeds)
     ratio, each = min(graph) / min(eager), 1e9 / rows
     floor = _floor(path, sum(value.nbytes for value in outputs))
     size, weights = path.stat().st_size, _weights(path)
-    say(f"{rows:,} Gaussians: graph {1e3 * min(graph):.1f} ms, eager {1e3 * min(eager):.1f} ms, ")
-    say(f"ratio {ratio:.2f} (bar {BAR}); {min(graph) * each:.0f} ns a Gaussian, ")
-    say(f"{min(graph) / floor:.1f} × the floor of {floor * each:.0f} ns")
-    say(f"file {size / 1e6:.1f} MB, {size / weights:.3f} × its weights (bar 1.05)")
+    print_figure(
+        f"{rows:,} Gaussians: graph {1e3 * min(graph):.1f} ms, eager {1e3 * min(eager):.1f} ms, "
+    )
+    print_figure(f"ratio {ratio:.2f} (bar {BAR}); {min(graph) * each:.0f} ns a Gaussian, ")
+    print_figure(f"{min(graph) / floor:.1f} × the floor of {floor * each:.0f} ns")
+    print_figure(f"file {size / 1e6:.1f} MB, {size / weights:.3f} × its weights (bar 1.05)")
     assert ratio <= BAR
     assert size <= 1.05 * weights
 
@@ -142,7 +132,7 @@ def _floor(path: Path, written: int) -> float:
         dims = value.type.tensor_type.shape.dim
         shapes.setdefault(value.name, [dim.dim_value for dim in dims])
     target = np.empty(written // 4, np.float32)
-    total = min(taken(lambda: target.fill(1)) for _ in range(ROUNDS))
+    total = min(process_seconds(lambda: target.fill(1)) for _ in range(ROUNDS))
     for node in model.graph.node:
         if node.op_type not in ("MatMul", "Gemm"):
             continue
@@ -151,7 +141,9 @@ def _floor(path: Path, written: int) -> float:
             continue
         left, right = torch.rand(a), torch.rand(b)
         out = torch.empty(a[0], b[1])
-        total += min(taken(lambda x=left, y=right, z=out: torch.mm(x, y, out=z)) for _ in range(3))
+        total += min(
+            process_seconds(lambda x=left, y=right, z=out: torch.mm(x, y, out=z)) for _ in range(3)
+        )
     return total
 
 
@@ -239,8 +231,8 @@ def bench_sizes(tmp_path: Path) -> None:
             export(generator, path, dtype=dtype, settings=settings)  # type: ignore[arg-type]
             sizes.append(path.stat().st_size)
         full, half = sizes
-        say(f"{name:14} {full / 1e6:7.2f} MB, {full / needed:.3f} × the tensors needed; ")
-        say(f"{'':14} {half / 1e6:7.2f} MB in float16, {half / full:.3f} × that")
+        print_figure(f"{name:14} {full / 1e6:7.2f} MB, {full / needed:.3f} × the tensors needed; ")
+        print_figure(f"{'':14} {half / 1e6:7.2f} MB in float16, {half / full:.3f} × that")
         assert full <= SIZE_BAR * needed, name
         assert half <= HALF_BAR * full, name
 

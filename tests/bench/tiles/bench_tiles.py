@@ -36,6 +36,7 @@ from gsgen.tiles.build.progress import Silent
 from gsgen.tiles.build.tile import mixture_of, splats_of
 from gsgen.tiles.gltf.encoding import write_content
 from gsgen.tiles.leaves import read_leaves
+from support.measures import print_figure
 from support.reports.pages import DOCS, blocks
 from support.tiles.level_scenes import (
     SHARED,
@@ -63,17 +64,13 @@ REPEATS = 3
 _TIE = 0.002
 
 
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
-
-
 def stored_bytes(splats: Splats) -> int:
     return len(write_content(splats, splats.position.mean(axis=0).astype(np.float64)).data)
 
 
 def row(name: str, splats: Splats, scores: dict[str, float]) -> None:
     values = " ".join(f"{value:.3f}" for value in scores.values())
-    say(f"{name:34s} {len(splats):7,d} {stored_bytes(splats) / 1e3:7.0f} kB   {values}")
+    print_figure(f"{name:34s} {len(splats):7,d} {stored_bytes(splats) / 1e3:7.0f} kB   {values}")
 
 
 def sorted_mixture(splats: Splats) -> tuple[Mixture, float]:
@@ -145,7 +142,7 @@ def compare(renderer: Renderer, splats: Splats, judge: Judge) -> dict[float, dic
     for share, level in levels(splats).items():
         rows = {"gsgen": level, "moments as published": published[share]}
         rows |= baselines(splats, level, extent)
-        say(f"{share:.0%} of {len(splats):,}{'':22s} splats   bytes     near  middle far")
+        print_figure(f"{share:.0%} of {len(splats):,}{'':22s} splats   bytes     near  middle far")
         scores[share] = {name: judge.score(entry) for name, entry in rows.items()}
         for name, entry in rows.items():
             row(name, entry, scores[share][name])
@@ -187,7 +184,7 @@ def bench_stored_leaves(renderer: Renderer, tmp_path: Path) -> None:
             engine=engine,
             progress=Silent(),
         )
-    say("all leaves                          splats   bytes     near  middle far")
+    print_figure("all leaves                          splats   bytes     near  middle far")
     for quality in parameters.qualities:
         leaves = read_leaves(tmp_path / "tiles" / f"tileset-q{quality}.json")
         scores = judge.score(leaves)
@@ -199,7 +196,7 @@ def bench_geometric_error(renderer: Renderer) -> None:
     """SSIM of a level by the pixels of its merge cell: an error of 4 cells is 16 px at 4."""
     splats = knot()
     mixture, side = sorted_mixture(splats)
-    say("knot, cell of 1/128, 1/64, 1/32 of its cube; pixels of a cell: SSIM")
+    print_figure("knot, cell of 1/128, 1/64, 1/32 of its cube; pixels of a cell: SSIM")
     for depth in (7, 6, 5):
         starts = np.flatnonzero(
             np.diff(mixture.code >> np.uint64(3 * (21 - depth)), prepend=~np.uint64(0))
@@ -217,7 +214,7 @@ def bench_geometric_error(renderer: Renderer) -> None:
             score = Judge.of(renderer, splats, moved).score(level)[""]
             words.append(f"{pixels} px {score:.3f}")
             assert pixels > 4 or score >= 0.95
-        say(f"  depth {depth}: {len(level):6,d} splats   " + "   ".join(words))
+        print_figure(f"  depth {depth}: {len(level):6,d} splats   " + "   ".join(words))
 
 
 def _at(camera, distance: float):
@@ -281,10 +278,10 @@ def bench_building(tmp_path: Path) -> None:
     words = [sys.executable, "-c", script.text, str(COUNT)]
     subprocess.run(words, cwd=tmp_path, check=True)
     spent: dict[str, float] = {}
-    say(f"the guide's town of {COUNT:,} splats of degree 0, two workers")
+    print_figure(f"the guide's town of {COUNT:,} splats of degree 0, two workers")
     for engine, (start, whole) in costs(tmp_path).items():
         spent[engine] = whole.seconds - start.seconds
-        say(
+        print_figure(
             f"{engine:10s} {whole.seconds:6.1f} CPU-s, {start.seconds:4.1f} of them to start, "
             f"{whole.seconds / COUNT * 1e6:5.2f} a million, "
             f"{spent[engine] / spent['serial']:.2f} × serial beyond it, "

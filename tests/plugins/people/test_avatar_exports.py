@@ -99,6 +99,42 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     assert stored(path) - sum(retained) <= 0.55 * (stored(case.exported.path) - sum(retained))
 
 
+def test_novel_poses_agree_with_the_method_s_own(tmp_path: Path) -> None:
+    folder = shared("data/checkpoints/r3_zju")
+    generator = r3_avatar_plugin.build(
+        folder / "ckpt", dataset="zju", pose_ids="0-99", novel_poses=True
+    )
+    exported = export(
+        generator, tmp_path / "novel.onnx", target="webgpu", settings=Settings(level=Level.LIVE)
+    )
+    assert_captured(exported.report)
+    golden = np.load(folder / "golden.npz")
+    parts = [entry.name for entry in generator.inputs if entry.role == "frame_index"]
+    for index, pair in enumerate(golden["in_pair_t"]):
+        values = {"pose": golden["in_poses"][index], "root_rotation": golden["in_R"][index]}
+        values |= {"root_translation": golden["in_Th"][index], "shape": golden["in_shapes"][0]}
+        feeds = {
+            entry.name: values[entry.name].astype(np.float32).reshape(entry.shape)
+            for entry in generator.inputs
+            if entry.name in values
+        }
+        feeds |= {
+            part: np.array([number], np.int32) for part, number in zip(parts, pair, strict=True)
+        }
+        rows, _ = run(exported.path, feeds)[:2]
+        fields = (("xyz", rows[:, :3]), ("opacity", rows[:, 3:4]), ("cov6", rows[:, 4:]))
+        for name, actual in fields:
+            target = golden[f"nops{index}_{name}"]
+            allowed = EXPECTED[{"opacity": "op", "cov6": "cov"}.get(name, name)] / MARGIN
+            assert np.abs(actual - target).max() <= allowed * np.abs(target).max(), (index, name)
+
+
+def test_novel_poses_are_inputs_of_one_body(tmp_path: Path) -> None:
+    for words in ({"instances": 2}, {"motion": tmp_path / "walk.npz"}):
+        with pytest.raises(ConfigInvalid, match="cannot be combined with --novel-poses"):
+            r3_avatar_plugin.build(tmp_path, novel_poses=True, **words)
+
+
 def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
     assert_captured(case.exported.report)
 

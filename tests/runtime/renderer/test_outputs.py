@@ -68,6 +68,18 @@ def test_a_disk_shows_its_normal_whichever_way_it_is_turned(renderer: Renderer) 
     assert middle[2] < 0  # towards the camera
 
 
+def test_each_set_has_its_own_normals(renderer: Renderer) -> None:
+    """The uniform of the second page is read at the second place."""
+    away = np.eye(4)
+    away[:3, 3] = 0, 0, -50  # behind the camera
+    turn = turned(0.6, (1, 0, 0))
+    turn[:3, 3] = np.array([0, 0, 3]) - turn[:3, :3] @ [0, 0, 3]
+    disk = single(variance=(0.1, 0.1, 1e-5))
+    scene = Scene([SplatSet(disk, away), SplatSet(disk, turn)])
+    frame = renderer.render(scene, camera(), outputs=("normal",))
+    np.testing.assert_allclose(frame.normal[23, 30], -turn[:3, 2], atol=1e-4)
+
+
 def test_a_needle_shows_which_of_its_short_axes_is_the_shorter(renderer: Renderer) -> None:
     needle = single(variance=(0.1, 3e-4, 2.7e-4))
     for angle in np.linspace(0.1, 1.3, 7):

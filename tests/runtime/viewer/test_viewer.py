@@ -355,20 +355,27 @@ def test_dropped_files_take_its_place(
     assert hand.bare()[..., :3].max() > 60
 
 
-def test_coarse_pictures_follow_a_hand_that_is_faster(
-    still: Hand, painter: SurfaceRenderer
+def test_events_are_told_to_a_program(
+    cloud: SplatData, painter: SurfaceRenderer, tmp_path: Path
 ) -> None:
-    fine = still.bare()
-    painter.seconds = 0.5
-    still.send("pointer_down", x=80, y=60, button=1, modifiers=())
-    still.send("pointer_move", x=81, y=60, button=0, modifiers=())
-    still.look()
-    drawn = painter.drawn
-    assert drawn is not None
-    assert drawn.row == SIZE[0] // 4
-    still.send("pointer_move", x=80, y=60, button=0, modifiers=())
-    still.send("pointer_up", x=80, y=60, button=1, modifiers=())
-    assert np.abs(still.bare() - fine).max() <= 1
+    events: list[dict[str, object]] = []
+    dropped = tmp_path / "again.ply"
+    options = {"folder": tmp_path, "on_event": events.append}
+    options["open_files"] = lambda paths: LivePlayback(sources_of(cloud))
+    hand = Hand(LivePlayback(sources_of(cloud)), painter, **options)
+    hand.look()
+    hand.key("p")
+    hand.viewer.drop([dropped])
+    assert events == [
+        {
+            "event": "picture",
+            "path": str(tmp_path / "view_001.png"),
+            "camera": str(tmp_path / "view_001.json"),
+        },
+        {"event": "opened", "scenes": [str(dropped)]},
+    ]
+    assert json.loads(json.dumps(events)) == events
+    assert hand.said == []
 
 
 def test_files_that_cannot_be_read_say_so(tmp_path: Path) -> None:

@@ -231,12 +231,12 @@ def quaternion_of(m: np.ndarray) -> np.ndarray:
     return np.asarray(quaternion / np.linalg.norm(quaternion))
 
 
-def r3(read: R3Checkpoint, pose_inputs: PoseInputs) -> ExpectedGaussians:
-    """Yifever20002/R3Avatars: `gaussian_renderer` of a pose that training saw."""
+def decoded(read: R3Checkpoint, pose_id: int) -> dict[str, np.ndarray]:
+    """Return what R3-Avatar's decoder says of each Gaussian at the time of a training pose."""
     xyz = read.canonical.position.double()
     low, high = read.aabb.double()
     scaled = (xyz - low) * 2 / (high - low) - 1
-    time = torch.full((len(xyz), 1), pose_inputs.pose_id / read.origin - 1, dtype=torch.float64)
+    time = torch.full((len(xyz), 1), pose_id / read.origin - 1, dtype=torch.float64)
     coordinates = torch.cat([scaled, time], 1)
     features = []
     for planes in read.grids:
@@ -256,8 +256,43 @@ def r3(read: R3Checkpoint, pose_inputs: PoseInputs) -> ExpectedGaussians:
         name: F.linear(h, weight.double(), bias.double()).numpy()
         for name, (weight, bias) in read.heads.items()
     }
-    canonical = xyz.numpy()
-    sigma = covariances(outputs["scaling"] ** 2, outputs["rotation"])
+    return outputs | {"scaling": outputs["scaling"] ** 2}
+
+
+def r3(read: R3Checkpoint, pose_inputs: PoseInputs) -> ExpectedGaussians:
+    """Yifever20002/R3Avatars: `gaussian_renderer` of a pose that training saw."""
+    return r3_posed(read, pose_inputs, decoded(read, pose_inputs.pose_id))
+
+
+def r3_novel(read: R3Checkpoint, pose_inputs: PoseInputs, pose_ids: list[int]) -> ExpectedGaussians:
+    """Yifever20002/R3Avatars: `render_nops`, with a training pose for each part of the body."""
+    looks = [decoded(read, pose_id) for pose_id in pose_ids]
+    canonical = read.canonical.position.double().numpy()
+    transforms = chain(read.body, turns_of(spread(read.body)), np.zeros(0))
+    template = read.body.template + blendshapes(read.body, turns_of(spread(read.body)))
+    vertices = skinned(transforms, read.body.weights, template)
+    vid = nearest(canonical + looks[-1]["warp"], vertices)
+    weights = corrected(read.nets, read.body.weights[vid], canonical)
+    legs = ([1, 4, 7, 10], [2, 5, 8, 11])
+    if read.body.joints == 24:
+        rest = ([0, 3, 6, 9, 12, 15], [13, 16, 18, 20, 22], [14, 17, 19, 21, 23])
+    else:
+        left, right = [13, 16, 18, 20, *range(25, 40)], [14, 17, 19, 21, *range(40, 55)]
+        rest = ([0, 3, 6, 9, 12, 15, 22, 23, 24], left, right)
+    shares = np.stack([weights[:, part].sum(axis=1) for part in (*legs, *rest)], axis=1)
+    mixed = {
+        name: np.einsum("np,pnc->nc", shares, np.stack([look[name] for look in looks]))
+        for name in looks[0]
+    }
+    return r3_posed(read, pose_inputs, mixed)
+
+
+def r3_posed(
+    read: R3Checkpoint, pose_inputs: PoseInputs, outputs: dict[str, np.ndarray]
+) -> ExpectedGaussians:
+    """Move the Gaussians of R3-Avatar, whose attributes are decoded already."""
+    canonical = read.canonical.position.double().numpy()
+    sigma = covariances(outputs["scaling"], outputs["rotation"])
     moved = canonical + outputs["warp"]
     position, covariance = followed(read.body, read.nets, pose_inputs, canonical, moved, sigma)
     opacity = 1 / (1 + np.exp(-outputs["opacity"][:, 0]))

@@ -124,7 +124,7 @@ def probed_shapes(subject: InspectedModel) -> dict[str, tuple[int, ...]]:
 
 
 def probed_dtypes(subject: InspectedModel) -> dict[str, str]:
-    """Return the dtype to feed for each input by name; float32 where the graph does not say."""
+    """Return the dtype to feed for each input by name; float32 if the graph declares none."""
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
     entries = subject.manifest.inputs if subject.manifest else ()
     return {i.name: tensors[i.name].dtype or "float32" for i in entries if i.name in tensors}

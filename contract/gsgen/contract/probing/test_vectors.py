@@ -43,30 +43,30 @@ def probed_seeds(manifest: Manifest, seed: int) -> tuple[int, ...]:
 
 
 def record_input(name: str, array: np.ndarray) -> VectorInput:
-    """Return the record of one input's numbers, to embed in a manifest."""
+    """Return the numbers of one model input as a record to embed in a manifest."""
     return VectorInput(name, array.shape, _shortest(array.reshape(-1)))
 
 
 def record_rows(name: str, array: np.ndarray, rows: Sequence[int]) -> VectorRows:
-    """Return the record of some rows of a model output, to embed in a manifest."""
+    """Return some rows of a model output as a record to embed in a manifest."""
     values = array[list(rows)].reshape(len(rows), -1)
     return VectorRows(name, tuple(rows), tuple(_shortest(row) for row in values))
 
 
 def _shortest(values: np.ndarray) -> tuple[float, ...]:
-    """Return numbers whose decimal form is the shortest that float32 reads back unchanged."""
+    """Return numbers in the shortest decimal form that float32 reads back unchanged."""
     return tuple(float(str(value)) for value in values.astype(np.float32))
 
 
 def recorded_label(vector: TestVector, index: int) -> str:
-    """Return the label of test inputs that a test vector holds itself."""
+    """Return the label of test inputs that a manifest's test vector itself contains."""
     return f"{vector.inputs} of test vector {index}"
 
 
 def recorded_inputs(
     vector: TestVector, shapes: Mapping[str, tuple[int, ...]], dtypes: Mapping[str, str]
 ) -> dict[str, np.ndarray] | None:
-    """Return the test inputs that a test vector holds; None if they do not fit the model's.
+    """Return the test inputs that a test vector contains; None if they do not fit the model.
 
     Args:
         vector: Holds the numbers of each input.
@@ -102,7 +102,7 @@ def vector_probes(
     seed: int,
     count: int,
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield the test inputs of test vectors that hold their own, or have another seed than ``seed``.
+    """Yield test inputs that test vectors contain, or that another seed than ``seed`` gives.
 
     Args:
         manifest: Holds the test vectors.

@@ -14,7 +14,8 @@ from torch import Tensor, nn
 from gsgen.reference_plugins.anchors.anchor_checkpoint import AnchorCloud
 from gsgen.reference_plugins.tensors.baked_constants import Constants
 from gsgen.reference_plugins.tensors.planes import planes_of, rotation_columns
-from gsgen.runtime.kernels.shared.shader import DILATION, TILE
+from gsgen.runtime.kernels.shared.shader import TILE
+from gsgen.runtime.scene.camera import DILATION
 
 _NEAR = 0.2
 # The slope beyond which the projection is linearised at the edge of the image.

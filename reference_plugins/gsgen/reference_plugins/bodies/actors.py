@@ -31,7 +31,8 @@ class Actor:
     # shape coefficients, the same for all bodies; None if they were baked
     shape: Float[Tensor, " s"] | None = None
     expression: Float[Tensor, "k e"] | None = None  # expression coefficients of each body
-    frame: tuple[Int[Tensor, "1"], ...] | None = None  # index of a training frame for each body
+    # index of a training frame for each body, or for each part of the only body
+    frame: tuple[Int[Tensor, "1"], ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +44,8 @@ class ActorInputs:
     shape: int = 0  # number of shape coefficients in the input; 0 for no input
     expression: int = 0  # number of expression coefficients in the input; 0 for no input
     frames: int = 0  # number of training frames; 0 if the avatar does not depend on them
+    # Names of the parts of a single body that have a training frame each; none for a common one.
+    parts: tuple[str, ...] = ()
     # Number of bodies. Those after the first have their own inputs ``pose_1`` and so on, but share
     # the first body's shape.
     bodies: int = 1
@@ -65,7 +68,8 @@ class ActorInputs:
         if self.expression:
             body_inputs.append(inputs.expression(self.expression, f"expression{tail}"))
         if self.frames:
-            body_inputs.append(inputs.frame_index(self.frames, f"frame_index{tail}"))
+            ends = [f"_{part}" for part in self.parts] or [tail]
+            body_inputs += [inputs.frame_index(self.frames, f"frame_index{end}") for end in ends]
         return body_inputs
 
     def actor_from(self, tensors: Sequence[Tensor]) -> Actor:
@@ -80,7 +84,7 @@ class ActorInputs:
             turn = self._rotation(columns.pop(0))
         shift = _stack_rows(columns.pop(0), 3)
         expression = _stack_rows(columns.pop(0), self.expression) if self.expression else None
-        frame = tuple(columns.pop(0)) if self.frames else None
+        frame = tuple(tensor for column in columns for tensor in column) if self.frames else None
         return Actor(
             pose=pose, turn=turn, shift=shift, shape=shape, expression=expression, frame=frame
         )

@@ -4,9 +4,12 @@ Zhan et al. 2025, "R³-Avatar: Record and Retrieve Temporal Codebook for Reconst
 Human Avatars": a frame's time determines offset, scale, rotation and opacity of every Gaussian, and
 linear blend skinning moves it from the big pose. The offset changes the nearest vertex, so a table
 holds the nearest vertex of each Gaussian in each frame.
+
+In a pose that training did not see, each of five parts of the body takes the frame of a training
+pose that is like it. A Gaussian's attributes are means over the parts, weighted by skinning weights.
 """
 
-__all__ = ["R3Avatar"]
+__all__ = ["PARTS", "R3Avatar"]
 
 from collections.abc import Callable, Sequence
 from typing import final
@@ -35,6 +38,14 @@ from gsgen.reference_plugins.people.r3_avatar_checkpoint import R3Checkpoint
 from gsgen.reference_plugins.tensors.planes import rotation_columns
 from gsgen.sdk import GaussianGenerator, Gaussians
 
+PARTS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm")
+# The part of each joint of SMPL, and of the joints that SMPL-X has instead of SMPL's hands.
+_PART_OF_JOINT = (2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 3, 4, 2, 3, 4, 3, 4, 3, 4)
+_HANDS_OF_JOINTS = {24: (3, 4), 55: (2, 2, 2, *([3] * 15), *([4] * 15))}
+
+# Decoded values (offset, root of the scale, rotation, opacity before the sigmoid), scale, vertex.
+_Look = tuple[Float[Tensor, "11 n"], Float[Tensor, "3 n"], Int[Tensor, " n"]]
+
 
 @final
 class R3Avatar(GaussianGenerator):
@@ -49,6 +60,8 @@ class R3Avatar(GaussianGenerator):
     factor: Tensor
     vertex: Tensor
     sh: Tensor
+    parts: Tensor | None
+    rest: Tensor | None
 
     def __init__(
         self,
@@ -59,23 +72,27 @@ class R3Avatar(GaussianGenerator):
         rotation: Rotation = "matrix",
         bodies: int = 1,
         add_hands: bool = False,
+        novel: bool = False,
         progress: Callable[[int], None] | None = None,
     ) -> None:
         """Bake an R3-Avatar checkpoint; find the nearest body vertices in every training frame.
 
-        ``poses`` has the pose id of each frame; other options are as in GauHuman. ``progress`` is
-        called with the number of finished frames.
+        ``poses`` has the pose id of each frame; other options are as in GauHuman. With ``novel``,
+        each part of the only body has a frame of its own. ``progress`` is called with the number of
+        finished frames.
         """
         super().__init__()
         body = read.body
         free = body.shape_dirs.shape[2] if shape is None else 0
         self.actors = ActorInputs(
-            joints=body.joints, rotation=rotation, shape=free, frames=len(poses), bodies=bodies
-        )
+            joints=body.joints, rotation=rotation, shape=free, frames=len(poses), bodies=bodies,
+            parts=PARTS if novel else (),
+        )  # fmt: skip
         self.inputs = self.actors.declared()
         self.appearance = Appearance(read, poses)
         xyz = read.canonical.position
-        vertex = self._nearest(xyz.double().numpy(), read, len(poses), progress)
+        rest = rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0))
+        vertex = self._nearest(xyz.double().numpy(), rest, len(poses), progress)
         used, table_index = np.unique(vertex, return_inverse=True)
         baked = None if shape is None else np.asarray(shape)
         self.limbs = PoseBlendshapes(body, used, baked, read.nets, add_hands=add_hands)
@@ -94,20 +111,24 @@ class R3Avatar(GaussianGenerator):
         numbers = table_index.reshape(vertex.shape).astype(np.int16)
         keep("vertex", torch.from_numpy(numbers))
         keep("sh", read.canonical.sh)
+        joint_parts = np.array([*_PART_OF_JOINT, *_HANDS_OF_JOINTS[body.joints]])
+        one_hot = np.eye(len(PARTS) + 1, dtype=np.float32)[joint_parts]
+        one_hot[:, -1] = 1  # the sum of all weights
+        keep("parts", torch.from_numpy(one_hot) if novel else None)
+        keep("rest", torch.from_numpy(rest[used].astype(np.float32)) if novel else None)
 
     @torch.no_grad()
     def _nearest(
         self,
         xyz: Float[np.ndarray, "n 3"],
-        read: R3Checkpoint,
+        rest: Float[np.ndarray, "v 3"],
         frames: int,
         progress: Callable[[int], None] | None,
     ) -> Int[np.ndarray, "f n"]:
         """Return the body vertex nearest to each Gaussian in each training frame."""
         from scipy.spatial import cKDTree
 
-        body = read.body
-        tree = cKDTree(rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0)))
+        tree = cKDTree(rest)
         vertices = []
         for frame in range(frames):
             shift = self.appearance(torch.tensor([frame], dtype=torch.int32))[:3]
@@ -121,9 +142,14 @@ class R3Avatar(GaussianGenerator):
         actor = self.actors.actor_from(tensors)
         joints, added = self.limbs(actor)
         assert actor.frame is not None
+        looks = (
+            [self._look(frame) for frame in actor.frame]
+            if self.parts is None
+            else [self._mixed_look(actor.frame)]
+        )
         parts = [
-            self._body_gaussians(frame, joints[index], added[index : index + 1])
-            for index, frame in enumerate(actor.frame)
+            self._body_gaussians(*look, joints[index], added[index : index + 1])
+            for index, look in enumerate(looks)
         ]
         position, opacity, spread = (
             body_rows[0] if len(body_rows) == 1 else torch.cat(body_rows)
@@ -136,12 +162,55 @@ class R3Avatar(GaussianGenerator):
             sh=repeat_rows(self.sh, self.actors.bodies),
         )
 
+    def _look(self, frame: Int[Tensor, "1"]) -> _Look:
+        """Return decoded values, scales and nearest vertices of Gaussians in a training frame."""
+        attributes = self.appearance(frame)
+        scale = attributes[3:6] * attributes[3:6]
+        vertex = torch.index_select(self.vertex.to(torch.int32), 0, frame).reshape(-1)
+        return attributes, scale, vertex
+
+    def _mixed_look(self, frames: tuple[Int[Tensor, "1"], ...]) -> _Look:
+        """Return the look of Gaussians where each part of the body has a frame of its own.
+
+        As in the published code, the last part's frame determines the weights of the parts. Of the
+        vertices that are nearest in one of the frames, the one nearest to the mixed offset counts.
+        """
+        assert self.parts is not None
+        assert self.rest is not None
+        looks = [self._look(frame) for frame in frames]
+        weights = torch.index_select(self.near, 0, looks[-1][2]) * self.factor
+        shares = (weights @ self.parts).transpose(0, 1)
+        shares = shares[:-1] / shares[-1:]
+        mixed, mixed_scale = (shares[:1] * table for table in looks[0][:2])
+        for index, (attributes, scale, _) in enumerate(looks[1:], 1):
+            mixed = mixed + shares[index : index + 1] * attributes
+            mixed_scale = mixed_scale + shares[index : index + 1] * scale
+        point = (self.position[0] + mixed[:3]).transpose(0, 1)
+        vertex = looks[0][2]
+        least = self._square(point, vertex)
+        for _, _, candidate in looks[1:]:
+            square = self._square(point, candidate)
+            vertex = torch.where(square < least, candidate, vertex)
+            least = torch.minimum(square, least)
+        return mixed, mixed_scale, vertex
+
+    def _square(
+        self, point: Float[Tensor, "n 3"], vertex: Int[Tensor, " n"]
+    ) -> Float[Tensor, " n"]:
+        """Return the squared distances of points to vertices in the big pose."""
+        assert self.rest is not None
+        offset = point - torch.index_select(self.rest, 0, vertex)
+        return (offset * offset).sum(dim=1)
+
     def _body_gaussians(
-        self, frame: Int[Tensor, "1"], joints: Tensor, added: Float[Tensor, "1 3 u"]
+        self,
+        attributes: Float[Tensor, "11 n"],
+        scale: Float[Tensor, "3 n"],
+        vertex: Int[Tensor, " n"],
+        joints: Tensor,
+        added: Float[Tensor, "1 3 u"],
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return position, opacity and covariance of the Gaussians of one body, as rows."""
-        attributes = self.appearance(frame)
-        vertex = torch.index_select(self.vertex.to(torch.int32), 0, frame).reshape(-1)
         weights = torch.index_select(self.near, 0, vertex) * self.factor
         maps = torch.cat([joints.reshape(-1, 12), self.big], dim=1)
         mixed = (weights @ maps).transpose(0, 1)
@@ -150,7 +219,6 @@ class R3Avatar(GaussianGenerator):
         back = inverse(big)
         position = self.position + attributes[None, :3] - big[:, :, 3]
         position = _rotate_points(back, position) + torch.index_select(added, 2, vertex)
-        scale = attributes[3:6] * attributes[3:6]
         columns = rotation_columns([attributes[index : index + 1] for index in range(6, 10)])
         turn = torch.stack([torch.cat(column) for column in columns], dim=1)
         root = multiply_matrices(posed, multiply_matrices(back, (turn * scale[None])[None]))

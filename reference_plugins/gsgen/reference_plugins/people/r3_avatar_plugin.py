@@ -52,6 +52,13 @@ PoseIds = Annotated[
         show_default="all with a time",
     ),
 ]
+NovelPoses = Annotated[
+    bool,
+    typer.Option(
+        "--novel-poses",
+        help="Give each of five parts of the body a training pose of its own, by inputs.",
+    ),
+]
 
 
 def build(
@@ -69,12 +76,19 @@ def build(
     spacing: Spacing = 1.0,
     *,
     loop: Loop = False,
+    novel_poses: NovelPoses = False,
 ) -> "GaussianGenerator":
     """Read a checkpoint of R3-Avatar, report its contents, and return a Gaussian generator."""
     from gsgen.reference_plugins.bodies.motions import read_motion
     from gsgen.reference_plugins.people.r3_avatar import R3Avatar
     from gsgen.reference_plugins.people.r3_avatar_checkpoint import guess_dataset, read_r3
 
+    for option, is_given in (("--motion", motion is not None), ("--instances", instances > 1)):
+        if novel_poses and is_given:
+            message = (
+                "cannot be combined with --novel-poses: the parts' poses are inputs of one body"
+            )
+            raise ConfigInvalid(message, where=option, hint="Leave out one of both.")
     read = read_r3(checkpoint, iteration, body, dataset)
     report_checkpoint(read.describe(), read.cfg)
     if dataset is None:
@@ -93,6 +107,7 @@ def build(
         rotation="matrix" if recording else root_rotation,
         bodies=instances,
         add_hands=hands == "raw",
+        novel=novel_poses,
         progress=lambda frame: _show_progress(frame, len(poses)),
     )
     return with_motion(

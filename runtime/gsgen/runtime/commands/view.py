@@ -2,11 +2,12 @@
 
 __all__ = ["view"]
 
+import json
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -53,6 +54,12 @@ Port = Annotated[
     int,
     typer.Option(help="Port of the page, with --web; 0 takes one that is free.", min=0, max=65535),
 ]
+AsJson = Annotated[
+    bool,
+    typer.Option(
+        "--json", help="Print events as JSON, one a line: opened, picture, served, closed."
+    ),
+]
 Pictures = Annotated[Path, typer.Option(help="Folder of saved pictures.")]
 
 
@@ -86,14 +93,14 @@ def view(
     web: Web = False,
     ort: options.OrtFolder = None,
     port: Port = 0,
+    as_json: AsJson = False,
     streaming: StreamSettings = StreamSettings(),  # noqa: B008
 ) -> None:
     """Show SCENES in a window: orbit around them, play their time, and save pictures.
 
-    The key H lists all keys; files can be dropped on the window. With --web a browser shows the
-    scenes instead.
+    The key H lists all keys; files can be dropped on the window. --web shows a page instead.
 
-    Exits 0 when the window is closed, 2 for wrong options or no screen, 4 for unreadable scenes.
+    Exits 0 once the window is closed, 2 for wrong options or no screen, 4 for unreadable scenes.
     """
     from gsgen.runtime.commands.opening import open_scenes, read_scene_files
     from gsgen.runtime.playback.live_playback import LivePlayback
@@ -101,7 +108,8 @@ def view(
     from gsgen.runtime.viewer import surface_renderer, viewer
 
     if web:
-        return _serve_page(scenes, _page_view(background, fov, up, time, play=play), ort, port)
+        page = _page_view(background, fov, up, time, play=play)
+        return _serve_page(scenes, page, ort, port, as_json=as_json)
     symbols, width, height = options.split_image_size(size, width, height)
     _require_display(scenes)
     files = list(read_scene_files(scenes).values())
@@ -109,7 +117,6 @@ def view(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )
     _print_notes(viewpoint.notes)
-    color = _background(background, files)
     with open_scenes(
         scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=0)
     ) as (sources, models):
@@ -130,12 +137,17 @@ def view(
             viewpoint,
             renderer=surface_renderer.SurfaceRenderer(rasteriser=rasteriser, compact=compact),
             mode=options.mode_of(mode),
-            background=color,
+            background=_background(background, files),
             folder=pictures,
             print_line=typer.echo,
+            on_event=_print_event if as_json else None,
             open_files=_file_opener(play=play),
         )
-        _open_window(interface, _title(scenes), viewpoint.camera(sources[0], 0, 0.0))
+        _open_window(interface, scenes, viewpoint.camera(sources[0], 0, 0.0), as_json=as_json)
+
+
+def _print_event(event: Mapping[str, Any]) -> None:
+    typer.echo(json.dumps(event, ensure_ascii=False))
 
 
 def _print_notes(notes: Sequence[str]) -> None:
@@ -143,14 +155,20 @@ def _print_notes(notes: Sequence[str]) -> None:
         typer.echo(f"note: {note}", err=True)
 
 
-def _open_window(interface: "Viewer", title: str, home: "Camera") -> None:
+def _open_window(
+    interface: "Viewer", scenes: Sequence[Path], home: "Camera", *, as_json: bool
+) -> None:
     """Show a viewer in a window of its first camera's size, until it is closed."""
     from gsgen.runtime.viewer import window
 
+    if as_json:
+        _print_event({"event": "opened", "scenes": list(map(str, scenes))})
     try:
-        window.open_window(interface, title, (home.width, home.height))
+        window.open_window(interface, _title(scenes), (home.width, home.height))
     finally:
         interface.playback.close()
+    if as_json:
+        _print_event({"event": "closed"})
 
 
 def _page_view(
@@ -164,7 +182,9 @@ def _page_view(
     return ModelView(background=color, fov=fov, up=up, time=time, play=play)
 
 
-def _serve_page(scenes: Sequence[Path], shown: "ModelView", ort: Path | None, port: int) -> None:
+def _serve_page(
+    scenes: Sequence[Path], shown: "ModelView", ort: Path | None, port: int, *, as_json: bool
+) -> None:
     """Serve a web page of the scenes until Ctrl-C, and open the page in the browser."""
     import webbrowser
 
@@ -184,7 +204,10 @@ def _serve_page(scenes: Sequence[Path], shown: "ModelView", ort: Path | None, po
         message = f"cannot listen: {error.strerror}"
         raise ConfigInvalid(message, where=f"127.0.0.1:{port}", hint=hint) from error
     with server:
-        typer.echo(server.address)
+        if as_json:
+            _print_event({"event": "served", "address": server.address})
+        else:
+            typer.echo(server.address)
         typer.echo("the page is served until Ctrl-C", err=True)
         webbrowser.open(server.address)
         server.serve_forever(poll_interval=0.1)

@@ -33,7 +33,6 @@ BAND: Final = 2e-3  # relative distance from a threshold within which float32 ma
 TIE: Final = 1e-12  # relative difference of depths that sums of two floats resolve
 _MARGIN: Final = 0.3
 _POLE: Final = 1e-3
-_DILATION: Final = 0.3
 
 
 @final
@@ -96,7 +95,7 @@ def ellipses(rows: Float[np.ndarray, "n 10"], splat_set: SplatSet, camera: Camer
         both = turn @ linear
         sigma = np.einsum("ij,njk,lk->nil", both, symmetric(rows[:, 4:]), both)
         mean, covariance = _flattened(position, sigma, camera)
-        dilated = covariance + _DILATION * np.eye(2)
+        dilated = covariance + camera.dilation * np.eye(2)
         depth = np.linalg.norm(position, axis=1) if camera.kind == "panorama" else position[:, 2]
         sound = np.isfinite(rows).all(axis=1) & np.isfinite(dilated).all(axis=(1, 2))
         sound &= (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)

@@ -44,7 +44,7 @@ _FRAMES: Final = 7
 _WORTH: Final = 0.8  # quads must be this much faster: tiles are more exact, and stop early
 _TILED: Final = ("bin", "group", "blend")  # the stages that quads replace
 _NOTHING: Final = np.zeros(3)
-_VERSION: Final = 3  # of the measurement; a new version invalidates cached timings
+_PROBE: Final = 3  # of the measurement; a new version invalidates cached timings
 _MOST_BYTES: Final = 1 << 16  # of the cache file
 
 
@@ -103,7 +103,7 @@ def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> 
 
 
 def chosen_cut(device: Device) -> SortConfig:
-    """Return a device's sort settings, with the faster tiles if :func:`choose` measured it."""
+    """Return a device's sort settings, with the tile size that :func:`choose` measured, if any."""
     cut, timings = cut_for(device), _measured.get(_key(device))
     if device.software or timings is None:
         return cut
@@ -132,7 +132,7 @@ def explain(device: Device) -> str:
 def probe(
     device: Device, kernels: Kernels, *, gaussians: int = _GAUSSIANS, size: tuple[int, int] = _SIZE
 ) -> Timings:
-    """Draw a test frame in each way several times, and return the median seconds.
+    """Draw a test frame with each rasteriser several times, and return the median seconds.
 
     The times are GPU timestamps of the stages that differ. If timestamps stand still, they are
     wall-clock times of whole frames, which include the stages that both share.
@@ -220,7 +220,7 @@ def _key(device: Device) -> str:
     """Return the cache key of an adapter with its driver."""
     info = device.raw.adapter.info
     words = ("vendor", "device", "description", "backend_type")
-    return " | ".join([*(str(info.get(word, "")) for word in words), f"probe {_VERSION}"])
+    return " | ".join([*(str(info.get(word, "")) for word in words), f"probe {_PROBE}"])
 
 
 def _file() -> Path | None:

@@ -17,6 +17,8 @@ from gsgen.sdk.binding.camera_inputs import FAR_RATIO, pinhole_projection
 
 DEFAULT_NEAR = 0.01
 """Near plane of a camera without one, in world units."""
+DILATION = 0.3
+"""Variance that the pixel filter adds to each projected Gaussian, in pixels² (Kerbl et al. 2023)."""
 _LARGEST_SIDE = 16_384
 _ROTATION_TOLERANCE = 1e-3
 _UP = (0.0, -1.0, 0.0)  # +y is down in COLMAP's worlds
@@ -47,6 +49,8 @@ class Camera:
         near: Least distance of drawn Gaussians along +z, in world units; in a panorama the least
             distance in any direction.
         kind: ``pinhole``, ``orthographic`` or ``panorama``.
+        dilation: Variance that the pixel filter adds to each projected Gaussian, in pixels². It is
+            smaller for pictures that are enlarged later, and not part of a camera file.
 
     Raises:
         SceneInvalid: A number is not finite or out of range, or ``view`` is not a rigid transform.
@@ -62,6 +66,7 @@ class Camera:
     height: int
     near: float = DEFAULT_NEAR
     kind: Kind = "pinhole"
+    dilation: float = DILATION
 
     def __post_init__(self) -> None:
         view = np.array(self.view, np.float64)
@@ -70,7 +75,7 @@ class Camera:
                 f"is {view.tolist()}, expected 4 rows of 4 finite numbers", where="camera.view"
             )
         object.__setattr__(self, "view", view)
-        for name in ("fx", "fy", "near"):
+        for name in ("fx", "fy", "near", "dilation"):
             _require_number(name, getattr(self, name), positive=True)
         for name in ("cx", "cy"):
             _require_number(name, getattr(self, name))
@@ -265,7 +270,7 @@ class Camera:
         Raises:
             SceneInvalid: A field is missing, unknown or invalid.
         """
-        known = [field.name for field in fields(cls)]
+        known = _stored_fields()
         if not isinstance(document, Mapping):
             raise SceneInvalid(
                 f"is a {type(document).__name__}, expected an object with {', '.join(known)}",
@@ -288,7 +293,7 @@ class Camera:
 
     def to_json(self) -> str:
         """Return the camera as a JSON object."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {name: getattr(self, name) for name in _stored_fields()}
         return json.dumps(values | {"view": self.view.tolist()}, indent=1)
 
     @property
@@ -404,3 +409,8 @@ def _require_side(name: str, value: object) -> None:
         raise SceneInvalid(
             f"is {value!r}, expected an integer from 1 to {_LARGEST_SIDE}", where=f"camera.{name}"
         )
+
+
+def _stored_fields() -> list[str]:
+    """Return the names of the fields that a camera file has."""
+    return [field.name for field in fields(Camera) if field.name != "dilation"]

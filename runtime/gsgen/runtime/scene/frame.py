@@ -20,6 +20,9 @@ NOTHING: Final = -1
 """The id of pixels at which no Gaussian took half of the light."""
 
 
+_CONVERTED: Final = 256  # rows of an image at a time
+
+
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Frame:
@@ -61,7 +64,14 @@ class Frame:
         Raises:
             ValueError: Colours were not requested.
         """
-        return np.asarray(np.rint(self.srgb * 255), np.uint8)
+        rgba = self._colors()
+        image = np.empty(rgba.shape, np.uint8)
+        for first in range(
+            0, len(rgba), _CONVERTED
+        ):  # large images would take five times the memory
+            rows = slice(first, first + _CONVERTED)
+            image[rows] = np.rint(self._encoded(rgba[rows]) * 255)
+        return image
 
     @property
     def srgb(self) -> Float[np.ndarray, "h w 4"]:
@@ -70,10 +80,17 @@ class Frame:
         Raises:
             ValueError: Colours were not requested.
         """
+        return self._encoded(self._colors())
+
+    def _colors(self) -> Float32[np.ndarray, "h w 4"]:
         if self.rgba is None:
             raise ValueError("this frame has no colours: pass 'color' in the outputs of render()")
-        alpha = np.clip(self.rgba[..., 3:], 0, 1)
-        straight = self.rgba[..., :3] / np.where(alpha > 0, alpha, 1)
+        return self.rgba
+
+    def _encoded(self, rgba: Float32[np.ndarray, "h w 4"]) -> Float[np.ndarray, "h w 4"]:
+        """Encode rows of colours as sRGB with straight alpha."""
+        alpha = np.clip(rgba[..., 3:], 0, 1)
+        straight = rgba[..., :3] / np.where(alpha > 0, alpha, 1)
         color = np.clip(straight, 0, 1)
         if self.color_space == "linear":
             color = srgb_of_linear(color)

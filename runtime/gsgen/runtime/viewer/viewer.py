@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Choice = TypeVar("Choice")
 Event: TypeAlias = Mapping[str, Any]
-"""An input event of rendercanvas: its type, and its fields by name."""
+"""Fields of an event by name: of an input event of rendercanvas, or one for a program."""
 
 _MODES: Final[dict[str, Mode]] = dict(zip("12345", MODES, strict=True))
 _BACKGROUNDS: Final = ((1.0, 1.0, 1.0, 1.0), (0.5, 0.5, 0.5, 1.0), (0.0, 0.0, 0.0, 1.0))
@@ -57,6 +57,8 @@ class Viewer:
         background: Red, green, blue and alpha, from 0 to 1.
         folder: Folder of saved pictures.
         print_line: Called with each line for the console.
+        on_event: Called with each event for a program, instead of ``print_line``: JSON values by
+            name, of which ``event`` is the kind.
         open_files: Opens dropped files; None if files cannot be dropped.
         clock: Returns seconds.
 
@@ -78,13 +80,14 @@ class Viewer:
         background: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
         folder: Path = Path(),
         print_line: Callable[[str], None] = lambda _: None,
+        on_event: Callable[[Event], None] | None = None,
         open_files: Callable[[Sequence[Path]], LivePlayback] | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.playback, self.mode, self._view = playback, mode, view
         self._renderer = renderer or SurfaceRenderer()
         self._backgrounds = [tuple(map(float, background)), *_BACKGROUNDS]
-        self._folder, self._print_line = folder, print_line
+        self._folder, self._print_line, self._on_event = folder, print_line, on_event
         self._open_files, self._clock = open_files, clock
         self.message, self.closed = "", False
         self._overlay = Overlay()
@@ -179,7 +182,9 @@ class Viewer:
         camera = self.controls.camera(width, height)
         if coarseness == 1:
             return camera
-        return camera.scaled(max(1, width // coarseness), max(1, height // coarseness))
+        coarse = camera.scaled(max(1, width // coarseness), max(1, height // coarseness))
+        # Splats keep their size on the surface: the filter of its pixels, not of the image's.
+        return replace(coarse, dilation=camera.dilation / coarseness**2)
 
     def _coarseness(self) -> int:
         """Return the side of an image pixel in surface pixels, at which drawing is fast enough."""
@@ -230,6 +235,8 @@ class Viewer:
         except GsgenError as error:
             self.message = str(error)
             return
+        if self._on_event is not None:
+            self._on_event({"event": "opened", "scenes": list(map(str, paths))})
         self.playback.close()
         self.playback, self.message = playback, ""
         self._view = replace(self._view, orbit=None, look_at=None, cameras=())
@@ -346,8 +353,11 @@ class Viewer:
         file = path.with_suffix(".json")
         with atomic_write(file) as draft:
             draft.write_text(camera.to_json() + "\n", "utf-8")
-        self._print_line(camera.to_json())
         self.message = f"Saved {path} and its camera: --camera {file}"
+        if self._on_event is not None:
+            self._on_event({"event": "picture", "path": str(path), "camera": str(file)})
+            return
+        self._print_line(camera.to_json())
         self._print_line(f"{path}: the picture; --camera {file} is its camera")
 
     def _next_degree(self) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from gsgen.contract.commands.progress import clear, progress
 from gsgen.runtime.errors import DisplayUnavailable
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
@@ -29,8 +30,15 @@ _MAX_FPS: Final = 60.0
 _MAX_SIZE: Final = (1920, 1080)  # pixels of a new window; larger cameras are scaled
 
 
-def attach(viewer: Viewer, canvas: "BaseRenderCanvas") -> Callable[[], Exception | None]:
+def attach(
+    viewer: Viewer, canvas: "BaseRenderCanvas", after_draw: Callable[[], None] = lambda: None
+) -> Callable[[], Exception | None]:
     """Show a viewer on a rendercanvas canvas, and pass the canvas's events to the viewer.
+
+    Args:
+        viewer: The viewer.
+        canvas: A window, a widget or an offscreen canvas.
+        after_draw: Called after each picture.
 
     Returns:
         A function that returns the error that ended drawing, or None.
@@ -48,6 +56,7 @@ def attach(viewer: Viewer, canvas: "BaseRenderCanvas") -> Callable[[], Exception
             errors.append(error)
             canvas.request_draw()
             raise
+        after_draw()
         if needs_another or viewer.closed:
             canvas.request_draw()
 
@@ -89,7 +98,8 @@ def open_window(viewer: Viewer, title: str, size: tuple[int, int]) -> None:
     scale = min(1.0, _MAX_SIZE[0] / size[0], _MAX_SIZE[1] / size[1])
     width, height = (max(1, round(side * scale)) for side in size)
     canvas = GlfwRenderCanvas(size=(width, height), title=title, max_fps=_MAX_FPS)
-    failure = attach(viewer, canvas)
+    progress("uploading the scene and compiling shaders")
+    failure = attach(viewer, canvas, after_draw=clear)
     accept_drops(viewer, canvas)
     loop.run()
     if (error := failure()) is not None:

@@ -1,4 +1,4 @@
-"""Chooses tiles and qualities of a tile tree within two limits: bytes and Gaussians."""
+"""Chooses tiles and file qualities of a tile tree within limits on bytes and Gaussians."""
 
 __all__ = ["choose_jointly"]
 
@@ -24,7 +24,7 @@ def choose_jointly(
     byte_budget: float,
     splat_budget: float,
 ) -> Choice | None:
-    """Choose tiles and qualities that are worth the most within bytes and Gaussians.
+    """Choose tiles and file qualities of the most utility within bytes and Gaussians.
 
     The limit on Gaussians becomes a price of each (Lagrangian relaxation): at a price p, the tree's
     frontier maximises utility − p · Gaussians within the bytes. Each price gives an upper bound of
@@ -63,7 +63,7 @@ def choose_jointly(
 
 
 def _is_independent(options: CutOptions) -> bool:
-    """Return whether each leaf may be drawn or not, and no other node has anything to draw."""
+    """Return whether each leaf of a tile tree can be chosen freely, without other nodes."""
     is_parent = np.isin(np.arange(len(options.parent)), options.parent)
     draws = np.isfinite(options.cost) & (options.utility > 0)
     is_nothing = (options.cost[:, -1] == 0) & (options.utility[:, -1] == 0)
@@ -90,7 +90,7 @@ class _Candidate:
 
 @final
 class _PriceSearch:
-    """Choices at prices of a Gaussian: the best within both limits, and the least upper bound."""
+    """Choices of tiles at prices per Gaussian: the best within limits, and an upper bound."""
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class _PriceSearch:
         )
 
     def keeps_limit(self, price: float) -> bool:
-        """Choose at a price of a Gaussian; return whether the choice keeps the limit on them."""
+        """Choose tiles at a price per Gaussian; return whether the number of Gaussians is kept."""
         priced = self._options.utility - price * self._splats
         options = CutOptions(self._options.parent, self._options.cost, priced)
         frontier = TreeFrontier.of_options(options)
@@ -136,12 +136,12 @@ class _PriceSearch:
         return keeps_limit
 
     def first_price(self) -> float:
-        """Return the price at which the choice without a price would be worth nothing."""
+        """Return the price per Gaussian at which the unrestricted choice would be worth nothing."""
         assert self.best is not None
         return max(self.best.utility, 1e-12) / max(self.best.splats, 1)
 
     def choice(self) -> Choice | None:
-        """Return the best choice within both limits, with the least bound."""
+        """Return the best choice of tiles within both limits, with the least upper bound."""
         best = self.best
         if best is None or best.splats > self._splat_budget:
             return None

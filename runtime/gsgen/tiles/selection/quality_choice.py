@@ -20,7 +20,7 @@ _CHOICE_SECONDS: Final = 0.1  # for which a choice holds
 
 @final
 class QualityChooser:
-    """Chooses levels and file qualities of missing tiles as one: a byte buys either.
+    """Chooses levels of detail and file qualities of missing tiles together, by worth per byte.
 
     The budget is the measured rate times the horizon, and the Gaussians in GPU memory. A tile that
     the choice leaves out is fetched last and at the coarsest quality, and so are all tiles until a
@@ -91,7 +91,7 @@ class QualityChooser:
         dead: Bool[np.ndarray, " n"],
         max_splats: int,
     ) -> Bool[np.ndarray, " n"]:
-        """Choose levels and file qualities of the missing tiles that a camera sees.
+        """Choose levels of detail and file qualities of the missing tiles that a camera sees.
 
         A choice holds for a tenth of a second.
 

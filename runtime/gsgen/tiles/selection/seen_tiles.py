@@ -1,4 +1,4 @@
-"""States the choice of levels and qualities for the tiles that a camera sees.
+"""States the choice of levels of detail and file qualities for tiles that a camera sees.
 
 The files of tiles above others are requested before those of finer levels: a finer level costs all
 missing files above it, too. A tile with seen children therefore has one child more in this problem,
@@ -47,7 +47,7 @@ class SeenTiles:
         held: Int64[np.ndarray, " t"],
         dead: Bool[np.ndarray, " t"],
     ) -> "SeenTiles":
-        """State the choice of levels and qualities of the tiles that a camera sees.
+        """State the choice of levels of detail and file qualities for tiles that a camera sees.
 
         Args:
             tree: The tiles.
@@ -96,7 +96,7 @@ class SeenTiles:
 def _file_costs(
     size: Float64[np.ndarray, "m q"], held: Int64[np.ndarray, " m"], dead: Bool[np.ndarray, " m"]
 ) -> Float64[np.ndarray, "m q"]:
-    """Return the bytes that each quality of tiles still costs; infinite for what cannot be had."""
+    """Return the bytes that each file quality of tiles still costs; infinite if unavailable."""
     cost = np.where(((held >= 0) | dead)[:, None], np.inf, size)
     rows = np.flatnonzero(held >= 0)
     cost[rows, held[rows]] = 0
@@ -108,6 +108,6 @@ def _with_nothing(
     utility: Float64[np.ndarray, "m q"],
     splats: Int64[np.ndarray, "m q"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Add the option to draw nothing, which costs nothing."""
+    """Add the option of drawing nothing, without cost, to each tile's file qualities."""
     column = ((0, 0), (0, 1))
     return np.pad(cost, column), np.pad(utility, column), np.pad(splats, column)

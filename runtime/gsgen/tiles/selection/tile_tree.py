@@ -96,7 +96,7 @@ class TileTree:
         return Box(self.center[tile], self.half_axes[tile])
 
     def with_ancestors(self, tiles: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Add all ancestors of some tiles to the mask of these tiles."""
+        """Return the mask of some tiles with all ancestors of these tiles added."""
         marked = tiles.copy()
         for rows in reversed(self.rows_of_level[1:]):
             marked[self.parent[rows[marked[rows]]]] = True

@@ -327,10 +327,11 @@ def _labels(splats: SplatParts, palette: Float32[np.ndarray, "p d"]) -> UInt16[n
 
 
 def _palette_size(count: int) -> int:
-    """Return the number of SH palette entries: one per splat if few, else a power of two."""
+    """Return the number of SH palette entries: one per splat if few, else half to all of them."""
     if count <= _SMALL:
         return count
-    return min(MOST_PALETTE, 1 << (count.bit_length() - 1))
+    size = 1 << (count.bit_length() - 1)
+    return min(MOST_PALETTE, count, size + size // 16)  # rows of 64 stay full
 
 
 def _numbers(book: Float32[np.ndarray, "256"]) -> list[float]:

@@ -98,9 +98,9 @@ def _matrices(camera: Camera) -> tuple[Matrix, Matrix]:
     try:
         view, projection = camera
     except (TypeError, ValueError) as error:
-        actual = f"is a {type(camera).__name__}"
-        expected = "expected .view and .projection, .view and intrinsics, or the pair of matrices"
-        raise InputInvalid(f"the camera {actual}, {expected}", where="camera") from error
+        expected = ".view and .projection, .view and intrinsics, or the pair of matrices"
+        message = f"the camera is a {type(camera).__name__}, expected {expected}"
+        raise InputInvalid(message, where="camera") from error
     return view, projection
 
 

@@ -80,8 +80,8 @@ class InputBinding:
             raise self._invalid(f"the value cannot be converted to an array: {error}") from error
         if array.shape != self.shape:
             if array.ndim or self.shape.count(1) != len(self.shape):
-                actual = f"the value has shape {list(array.shape)}"
-                raise self._invalid(f"{actual}, expected shape {list(self.shape)}")
+                shape, expected = list(array.shape), list(self.shape)
+                raise self._invalid(f"the value has shape {shape}, expected shape {expected}")
             array = array.reshape(self.shape)
         if array.dtype == self.dtype:
             return array

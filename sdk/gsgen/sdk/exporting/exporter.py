@@ -288,7 +288,7 @@ def _export(
 def _in_float16(
     model: ir.Model, described: "_Description", progress: Progress
 ) -> tuple[ir.Model, Float16Result]:
-    """Return a traced model with weights and outputs in float16, where the error allows it."""
+    """Return a traced model with weights and outputs in float16, where the error is allowed."""
     prepare(model)
     stride = max(1, len(described.references) // _HALF_PROBES)
     return to_float16(
@@ -304,7 +304,7 @@ def _in_float16(
 
 
 def _row_recorder(described: "_Description", options: _Options) -> RowRecorder:
-    """Return the recorder of rows at the contract's probes; of none if ``forward`` sorts."""
+    """Return the recorder of the torch module's output rows; none if ``forward`` sorts rows."""
     # Probe 0 is all zeros; those after the compared ones are the SDK's own.
     candidates = range(min(options.compared + 1, len(described.references)))
     is_sorting = any(hazard.kind == "order" for hazard in described.watch.hazards)

@@ -1,4 +1,4 @@
-"""Records rows of the eager module in an exported model's manifest, as test vectors.
+"""Records output rows of the torch module in an exported model's manifest, as test vectors.
 
 Whatever edits the file later, a validator compares the model with the module that it came from,
 without torch and without further files (rule GM037).
@@ -32,7 +32,7 @@ _MOST_NUMBERS = 4096
 
 
 class RowRecorder:
-    """Keeps thinned outputs of an exported model at some of the compared test inputs.
+    """Keeps some output rows of an exported model for some of the compared test inputs.
 
     Args:
         references: The compared test inputs.
@@ -54,7 +54,7 @@ class RowRecorder:
         self.digests: dict[int, str] = {}
 
     def observe(self, index: int, outputs: Mapping[str, np.ndarray]) -> None:
-        """Keep a part of the outputs of one run, and the digest of all, in the manifest's order."""
+        """Keep a part of one run's outputs, and the digest of all, in the manifest's order."""
         if index in self.indices:
             self.outputs[index] = {
                 name: np.array(thinned(array)) for name, array in outputs.items()
@@ -65,7 +65,7 @@ class RowRecorder:
 def add_source_vectors(
     draft: Path, recorder: RowRecorder, tolerances: Tolerances | None
 ) -> tuple[TestVector, ...]:
-    """Record rows of the eager module in the manifest of an exported model.
+    """Record output rows of the torch module in the manifest of an exported model.
 
     Test inputs at which the model agrees only after an allowance, such as for rows at a threshold,
     are left out: another machine would see them as a difference.
@@ -94,7 +94,7 @@ def add_source_vectors(
 def _vector(
     subject: InspectedModel, recorder: RowRecorder, index: int, tolerances: Tolerances | None
 ) -> TestVector | None:
-    """Return one test vector; None if no row is drawn or the model disagrees with its source."""
+    """Return one test vector; None if no row is drawn or the exported model disagrees."""
     manifest, reference = subject.generator, recorder.references[index]
     assert manifest is not None
     assert manifest.outputs.gaussians is not None
@@ -127,7 +127,7 @@ def _vector(
 
 
 def _drawn(packed: np.ndarray, opacity: int, capacity: int) -> list[int]:
-    """Return a few numbers of finite rows that are drawn, among those that a validator keeps."""
+    """Return indices of a few finite rows that are drawn, among those that a validator keeps."""
     step = thinning_step(capacity)
     sample = packed[::step]
     is_drawn = (sample[:, opacity] >= CULL_OPACITY) & np.isfinite(sample).all(axis=1)

@@ -105,7 +105,7 @@ def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
     needs=(*REPRODUCIBLE, *COLORED_ROWS, *FINITE_OUTPUTS, *MANIFEST_PARSED),
 )
 def source_outputs_reproduced(behaviour: Behaviour) -> Iterator[Violation]:
-    """A model gives the rows that its source gave, where test vectors record some of them.
+    """The model reproduces the rows of its original (source) that test vectors record.
 
     Why:
         An export records rows of the torch module. A tool that edits the file later may swap
@@ -154,7 +154,7 @@ def vector_faults(
     outputs: Mapping[str, np.ndarray],
     steps: Mapping[str, int],
 ) -> Iterator[Fault]:
-    """Yield actual and expected for each disagreement of a model with its recorded rows.
+    """Yield actual and expected values where a model differs from its recorded output rows.
 
     Args:
         subject: The model, which declares the meaning of the outputs and the tolerances.
@@ -257,7 +257,7 @@ def _field_faults(
 
 
 def _tolerances(subject: InspectedModel, vector: TestVector) -> tuple[Tolerance, ...]:
-    """Return the tolerances of a vector: the user's, else the vector's, else the manifest's."""
+    """Return tolerances for a test vector: the user's, else the vector's, else the manifest's."""
     own = vector.tolerances
     return tuple(
         tolerance

@@ -49,7 +49,7 @@ class VectorInput:
 
 @dataclass(frozen=True, slots=True)
 class VectorRows:
-    """Some rows of one output, as the source of the model computed them for a test vector."""
+    """Some rows of one output, as the original (torch) model computed them for a test vector."""
 
     output: Name
     rows: Annotated[tuple[RowNumber, ...], Hint(text="Row numbers, along the first axis.")]

@@ -47,7 +47,8 @@ fn flatten(at: vec3f, depth: f32, sigma: mat3x3f) -> Flat {
     let sx = sigma * jx;
     let sy = sigma * jy;
     flat.bare = vec3f(dot(jx, sx), dot(jx, sy), dot(jy, sy));
-    flat.dilated = vec3f(flat.bare.x + DILATION, flat.bare.y, flat.bare.z + DILATION);
+    let dilation = DILATION + frame.extra_dilation;
+    flat.dilated = vec3f(flat.bare.x + dilation, flat.bare.y, flat.bare.z + dilation);
     let most = max(flat.dilated.x, flat.dilated.z);
     flat.unit = bitcast<f32>(bitcast<u32>(most) & 0x7f800000u);
     flat.scaled = flat.dilated / flat.unit;

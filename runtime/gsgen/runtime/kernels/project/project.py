@@ -25,14 +25,8 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import PAGE_SLOTS, Page
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import (
-    DILATION,
-    JACOBIAN_MARGIN,
-    PANORAMA_CONSTANTS,
-    POLE,
-    TILE,
-)
-from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS, POLE, TILE
+from gsgen.runtime.scene.camera import DILATION, Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
@@ -54,7 +48,7 @@ def _bytes(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
 
 
 FRAME: Final = _bytes(
-    80,
+    96,
     {
         "focal": ("2f4", 0),
         "center": ("2f4", 8),
@@ -67,6 +61,7 @@ FRAME: Final = _bytes(
         "resumes": ("u4", 56),
         "continues": ("u4", 60),
         "background": ("4f4", 64),
+        "extra_dilation": ("f4", 80),
     },
 )
 """The bytes of ``struct Frame`` in frame.wgsl."""
@@ -132,6 +127,7 @@ def frame_uniform(
     uniform["period"] = camera.period
     uniform["origin"][1] -= first_row
     uniform["size"][1] = camera.height if rows is None else rows
+    uniform["extra_dilation"] = camera.dilation - DILATION
     uniform["background"][:3] = background
     return uniform
 
@@ -315,7 +311,7 @@ def project_reference(
         )
         jacobian = frame["focal"][:, None] * jacobian
         covariance = jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
-        dilated = covariance + DILATION * np.eye(2)
+        dilated = covariance + (DILATION + frame["extra_dilation"]) * np.eye(2)
         opacity = rows[:, layout.OPACITY] * page["opacity_scale"]
         if data.cells is not None and page["per_cell"]:
             cell = (page["first_row"] + np.arange(len(rows))) // page["per_cell"]

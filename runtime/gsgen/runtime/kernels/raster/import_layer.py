@@ -24,7 +24,7 @@ PICTURE: Final = np.dtype(
 
 @final
 class ImportLayer:
-    """The kernel ``import_layer.wgsl``, which runs once per pixel, in workgroups of a tile."""
+    """The kernel ``import_layer.wgsl``, which copies another renderer's picture and depths."""
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(device, "import_layer", "import_layer", ("urrw", "w"))
@@ -35,7 +35,7 @@ def import_reference(
     halves: Float16[np.ndarray, "h r 4"],
     values: Float32[np.ndarray, "h s"],
 ) -> tuple[Float[np.ndarray, "h w 4"], Float[np.ndarray, "h w"]]:
-    """Return a layer's colours and depths in float64: the reference of ``import_layer.wgsl``.
+    """Return an imported layer's colours and depths in float64, as ``import_layer.wgsl`` does.
 
     Args:
         picture: A :data:`PICTURE`.

@@ -2,7 +2,8 @@
 //
 // One triangle covers the surface. The meaning of an image's four words depends on the mode; they
 // are as blend_tiles.wgsl writes them. Depths are grey: near is bright, and pixels without a depth
-// are black. Normals are shown as (n + 1) / 2 in world space.
+// are black. Normals are shown as (n + 1) / 2 in world space. A coarse image is enlarged smoothly:
+// the colours of the four nearest pixels are blended.
 
 //!include srgb
 //!include surface
@@ -28,7 +29,20 @@ fn corner_of(@builtin(vertex_index) corner: u32) -> @builtin(position) vec4f {
 
 @fragment
 fn color_at(@builtin(position) place: vec4f) -> @location(0) vec4f {
-    let at = vec2u(clamp(floor(place.xy * showing.scale), vec2f(0.0), showing.size - 1.0));
+    let at = place.xy * showing.scale;
+    if (all(showing.scale >= vec2f(1.0))) {
+        return pixel_color(floor(at));
+    }
+    let corner = floor(at - 0.5);
+    let share = at - 0.5 - corner;
+    let upper = mix(pixel_color(corner), pixel_color(corner + vec2f(1.0, 0.0)), share.x);
+    let lower = mix(pixel_color(corner + vec2f(0.0, 1.0)), pixel_color(corner + 1.0), share.x);
+    return mix(upper, lower, share.y);
+}
+
+// Return what the surface shows of a pixel of the image, or of the nearest one.
+fn pixel_color(column_row: vec2f) -> vec4f {
+    let at = vec2u(clamp(column_row, vec2f(0.0), showing.size - 1.0));
     let pixel = image[at.y * showing.row + at.x];
     switch showing.mode {
         case MODE_DEPTH: {

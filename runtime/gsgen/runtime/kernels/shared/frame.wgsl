@@ -12,6 +12,7 @@ struct Frame {
     resumes: u32,        // 1: the image holds the state of pixels after nearer splats
     continues: u32,      // 1: it keeps their state for farther splats
     background: vec4f,   // red, green, blue; alpha stays that of the splats
+    extra_dilation: f32, // pixels², beyond DILATION; negative for pictures that are enlarged
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

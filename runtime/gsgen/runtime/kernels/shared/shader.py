@@ -8,6 +8,7 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 
 from gsgen.contract.spec import layout
+from gsgen.runtime.scene.camera import DILATION
 
 _INCLUDE = re.compile(r"^//!include (\w+)\n", re.MULTILINE)
 _REPEAT = re.compile(  # without another inside
@@ -15,8 +16,6 @@ _REPEAT = re.compile(  # without another inside
 )
 
 # Constants that every kernel may use.
-DILATION = 0.3
-"""Variance that is added to every splat, in pixels² (Kerbl et al. 2023)."""
 MAX_ALPHA = 0.99
 """The largest opacity of one splat at a pixel (Kerbl et al. 2023)."""
 MIN_TRANSMITTANCE = 1e-4

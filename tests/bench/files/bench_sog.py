@@ -1,7 +1,7 @@
 """SOG files of gsgen beside those of splat-transform: bytes and errors on three scenes.
 
     scripts/splat_transform.sh
-    python -m pytest tests/bench/bench_sog.py -o python_files='bench_*.py' \
+    python -m pytest tests/bench/files/bench_sog.py -o python_files='bench_*.py' \
         -o python_functions='bench_*' -s -q
 
 Each program also reads the other's file.
@@ -9,7 +9,6 @@ Each program also reads the other's file.
 
 import math
 import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,16 +20,13 @@ from scipy.spatial import cKDTree
 from gsgen.formats import Splats, differences, read_ply, read_sog, write_ply, write_sog
 from gsgen.formats.shared.quantities import SH_C0, sigmoid, unit
 from gsgen.formats.sog.write import sog_order
+from support.measures import print_figure
 from support.splat_files import FIELDS, scene
 from support.tiles.level_scenes import SHARED, garden, knot
 
-TOOL = Path(__file__).parents[2] / ".venv/splat-transform/node_modules/.bin/splat-transform"
+TOOL = Path(__file__).parents[3] / ".venv/splat-transform/node_modules/.bin/splat-transform"
 BYTES_BAR = 1.05
 _EQUAL = 1e-9  # errors that differ by less come from the sums
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
 
 
 def transform(source: Path, target: Path) -> None:
@@ -83,7 +79,7 @@ def bench_bytes_and_errors(tmp_path: Path) -> None:
         transform(source, files["theirs"])
         sizes = {program: file.stat().st_size for program, file in files.items()}
         ratio = sizes["ours"] / sizes["theirs"]
-        say(
+        print_figure(
             f"{name}: {len(splats):,} splats of degree {splats.degree}: {sizes['ours']:,} bytes, "
             f"splat-transform {sizes['theirs']:,}, {ratio:.3f} × (bar {BYTES_BAR})"
         )
@@ -95,7 +91,7 @@ def bench_bytes_and_errors(tmp_path: Path) -> None:
             errors[program] = {entry.name: entry.typical for entry in entries}
         for quantity, theirs in errors["theirs"].items():
             ours = errors["ours"][quantity]
-            say(f"  {quantity:10s} rms error {ours:.3g}, splat-transform {theirs:.3g}")
+            print_figure(f"  {quantity:10s} rms error {ours:.3g}, splat-transform {theirs:.3g}")
             assert ours <= theirs + _EQUAL, (name, quantity)
         assert ratio <= BYTES_BAR
         decoded_there = tmp_path / "decoded.ply"
@@ -103,7 +99,7 @@ def bench_bytes_and_errors(tmp_path: Path) -> None:
         here, there = read_sog(files["ours"]), read_ply(decoded_there)
         for entry in differences(here, there):
             assert entry.largest <= (0.1 if entry.name == "rotation" else 1e-3), (name, entry)
-        say(f"  splat-transform reads gsgen's file alike, to {_worst(here, there):.1e}")
+        print_figure(f"  splat-transform reads gsgen's file alike, to {_worst(here, there):.1e}")
 
 
 def _worst(here: Splats, there: Splats) -> float:

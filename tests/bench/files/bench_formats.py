@@ -6,7 +6,6 @@ less; ratios are against a baseline of the same run.
 
 import os
 import statistics
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +23,7 @@ from gsgen.formats import (
     write_splat,
     write_spz,
 )
+from support.measures import print_figure
 from support.splat_files import ksplat, scene, sog_files, zipped
 
 COUNT = int(os.environ.get("GSGEN_BENCH_SPLATS", 1_000_000))
@@ -31,10 +31,6 @@ SMALL = 100_000
 BAR = 1.2
 _ROUNDS = 5
 _IN_MEMORY = 236  # bytes of a splat of degree 3
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
 
 
 def seconds(run: Callable[[], object], rounds: int = _ROUNDS) -> float:
@@ -73,7 +69,7 @@ def bench_ply_beside_reading_its_bytes(tmp_path: Path) -> None:
 
     bare, loading = seconds(baseline), seconds(lambda: read_ply(file))
     size = file.stat().st_size / 1e6
-    say(
+    print_figure(
         f"read_ply of {COUNT:,} splats, {size:.0f} MB: {loading:.3f} s, "
         f"{loading / bare:.2f} × of reading its bytes and one copy ({bare:.3f} s; bar {BAR})"
     )
@@ -94,13 +90,13 @@ def bench_all_codecs(tmp_path: Path) -> None:
         "GLB": lambda file: write_glb(file, splats),
         "SOG": lambda file: write_sog(file, splats),
     }
-    say(f"{SMALL:,} splats of degree 3, {whole:.0f} MB in memory")
+    print_figure(f"{SMALL:,} splats of degree 3, {whole:.0f} MB in memory")
     for name, write in writers.items():
         file = tmp_path / "bench"
         writing = seconds(lambda: write(file), 2)  # noqa: B023 -- called at once
         reading = seconds(lambda: open_splats(file), 3)  # noqa: B023
         size = file.stat().st_size / 1e6
-        say(
+        print_figure(
             f"{name:<15} writes {whole / writing:6.0f} MB/s, reads {whole / reading:6.0f} MB/s, "
             f"{size:5.1f} MB"
         )
@@ -112,4 +108,4 @@ def bench_all_codecs(tmp_path: Path) -> None:
         file.write_bytes(content)
         reading = seconds(lambda: open_splats(file), 3)  # noqa: B023
         held = _IN_MEMORY * count / 1e6
-        say(f"{name:<15} reads {held / reading:6.0f} MB/s ({count:,} splats)")
+        print_figure(f"{name:<15} reads {held / reading:6.0f} MB/s ({count:,} splats)")

@@ -3,9 +3,6 @@
 One thread for both, bodies of the size of SMPL and SMPL-X. Run by ``make bench``.
 """
 
-import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,22 +21,13 @@ from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
 from gsgen.reference_plugins.synthetic import PersonOptions, write_gauhuman, write_lhm, write_r3
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
+from support.measures import print_figure, process_seconds
 from support.models import needed_tensors
 
 BAR = 1.0
 SIZE_BAR = 1.05
 ROUNDS = 31
 SMPL, SMPLX = 6_890, 10_475
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
-
-
-def taken(action: Callable[[], object]) -> float:
-    began = time.process_time()
-    action()
-    return time.process_time() - began
 
 
 def feeds(generator: GaussianGenerator) -> dict[str, np.ndarray]:
@@ -86,19 +74,23 @@ def measure(
             session.run(None, given)
             eager, graph = [], []
             for _ in range(ROUNDS):  # by turns, so that both meet the same machine
-                eager.append(taken(lambda: packed(*tensors)))
-                graph.append(taken(lambda: session.run(None, given)))
+                eager.append(process_seconds(lambda: packed(*tensors)))
+                graph.append(process_seconds(lambda: session.run(None, given)))
     finally:
         torch.set_num_threads(threads)
     outputs = session.run(None, given)
     target = np.empty(sum(one.nbytes for one in outputs) // 4, np.float32)
-    floor = min(taken(lambda: target.fill(1)) for _ in range(ROUNDS))
+    floor = min(process_seconds(lambda: target.fill(1)) for _ in range(ROUNDS))
     weights = sum(len(one.raw_data) for one in onnx.load(path).graph.initializer)
     ratio, size = min(graph) / min(eager), path.stat().st_size
-    say(f"{rows:,} Gaussians: graph {1e3 * min(graph):.2f} ms, eager {1e3 * min(eager):.2f} ms, ")
-    say(f"ratio {ratio:.2f} (bar {BAR}); {min(graph) / floor:.1f} × writing the outputs, ")
-    say(f"{1e9 * min(graph) / rows:.0f} ns a Gaussian; file {size / 1e6:.1f} MB, ")
-    say(f"{size / needed:.3f} × the tensors that it needs (bar {SIZE_BAR}), {weights} B stored")
+    print_figure(
+        f"{rows:,} Gaussians: graph {1e3 * min(graph):.2f} ms, eager {1e3 * min(eager):.2f} ms, "
+    )
+    print_figure(f"ratio {ratio:.2f} (bar {BAR}); {min(graph) / floor:.1f} × writing the outputs, ")
+    print_figure(f"{1e9 * min(graph) / rows:.0f} ns a Gaussian; file {size / 1e6:.1f} MB, ")
+    print_figure(
+        f"{size / needed:.3f} × the tensors that it needs (bar {SIZE_BAR}), {weights} B stored"
+    )
     assert ratio <= BAR
     assert size <= SIZE_BAR * needed
     return min(graph)
@@ -112,7 +104,7 @@ def bench_gauhuman(tmp_path: Path) -> None:
     one = measure(GauHuman(*parts), tmp_path, needed, GauHuman(*parts, bake="always"))
     baked = GauHuman(*parts, bodies=5, bake="always")
     few = measure(GauHuman(*parts, bodies=5), tmp_path, needed, baked)
-    say(f"5 instances cost {few / one:.2f} × one")
+    print_figure(f"5 instances cost {few / one:.2f} × one")
 
 
 def bench_lhm(tmp_path: Path) -> None:

@@ -1,0 +1,83 @@
+"""What a frame that exceeds a binding costs: CPU seconds, and the peak of the process's memory.
+
+    .venv/bin/python tests/bench/devices/large_frames.py                     # 40 million Gaussians
+    .venv/bin/python tests/bench/devices/large_frames.py --gaussians 1000000 --panorama 16384
+
+Gaussians of degree 0 fill a box around or before the camera. The first frame also uploads them; the
+second one also brings them into spatial order, and is drawn with ``--frames 2``.
+"""
+
+import argparse
+import resource
+import sys
+import time
+
+import numpy as np
+
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.scene.splat_data import SplatData
+
+SIGMA = 0.004  # of forty million Gaussians; fewer are larger
+
+
+def say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def peak() -> float:
+    """Return the greatest memory of this process so far, in GiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+
+def box(n: int, *, is_around: bool) -> SplatData:
+    rng = np.random.default_rng(0)
+    rows = np.zeros((n, 10), np.float32)
+    depths = (-10, 10) if is_around else (2, 22)
+    for column, (low, high) in enumerate(((-10, 10), (-6, 6), depths)):
+        rows[:, column] = rng.uniform(low, high, n)
+    rows[:, 3] = rng.uniform(0.1, 0.9, n)
+    rows[:, [4, 7, 9]] = (SIGMA * np.cbrt(40e6 / n)) ** 2
+    return SplatData(rows, rng.random((n, 3), np.float32), "rgb")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--gaussians", type=int, default=40_000_000)
+    parser.add_argument("--size", default="1280x720", help="WIDTHxHEIGHT")
+    parser.add_argument("--panorama", type=int, metavar="WIDTH", help="In place of --size.")
+    parser.add_argument("--frames", type=int, default=1)
+    words = parser.parse_args()
+    if words.panorama:
+        camera = Camera.panorama((0, 0, 0), width=words.panorama)
+    else:
+        width, height = map(int, words.size.split("x"))
+        camera = Camera(
+            np.eye(4),
+            fx=0.8 * width,
+            fy=0.8 * width,
+            cx=width / 2,
+            cy=height / 2,
+            width=width,
+            height=height,
+        )
+    renderer = Renderer(rasteriser="tiles")
+    scene = Scene([box(words.gaussians, is_around=bool(words.panorama))])
+    say(f"{renderer.device.name}: {words.gaussians:,} Gaussians, {camera.width}×{camera.height}")
+    say(f"  {peak():.2f} GiB before the first frame")
+    for _ in range(words.frames):
+        began, cpu_began = time.perf_counter(), time.process_time()
+        frame = renderer.render(scene, camera)
+        seconds, cpu = time.perf_counter() - began, time.process_time() - cpu_began
+        assert frame.rgba is not None
+        covered = frame.alpha.mean(dtype=np.float64)
+        say(
+            f"  {cpu:.1f} CPU-s, {seconds:.1f} s, peak {peak():.2f} GiB; {frame.visible:,} splats, "
+            f"{frame.pairs:,} pairs, {100 * covered:.1f} % covered"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,19 @@
+"""What benches share: how they print a figure, and how they time an action."""
+
+__all__ = ["print_figure", "process_seconds"]
+
+import sys
+import time
+from collections.abc import Callable
+
+
+def print_figure(text: str) -> None:
+    """Print a line among pytest's own output."""
+    sys.stdout.write(f"\n  {text}")
+
+
+def process_seconds(action: Callable[[], object]) -> float:
+    """Return seconds of the processor: others may be at work on the machine."""
+    began = time.process_time()
+    action()
+    return time.process_time() - began
