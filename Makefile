@@ -22,8 +22,8 @@ $(READY): pyproject.toml constraints.txt
 	$(PIP) -e '.[all]' --group dev
 	@touch $@
 
-# The software Vulkan driver that tests and `gsgen doctor` use where there is no GPU, and another
-# one that tests compare it with.
+# The software Vulkan driver that tests and `gsgen doctor` use where there is no GPU, another one
+# that tests compare it with, and what loads tilesets and checks the browser client.
 drivers:
 	scripts/drivers.sh
 	scripts/swiftshader.sh

@@ -59,6 +59,7 @@ from gsgen.runtime.scene.camera import Camera  # noqa: E402
 from gsgen.runtime.scene.scene import Scene  # noqa: E402
 from gsgen.runtime.scene.splat_data import SplatData  # noqa: E402
 from support.rendering import frame_traffic  # noqa: E402
+from support.rendering.gsplat_timing import gsplat_milliseconds  # noqa: E402
 
 MODES: Final = {
     "tiles": {"rasteriser": "tiles"},
@@ -378,49 +379,6 @@ def sorting(device: Device, n: int) -> dict[str, Any]:
     return {"keys": n, "ms": 1e3 * taken, "million keys a second": n / taken / 1e6}
 
 
-def gsplat_milliseconds(data: SplatData, camera: Camera, frames: int) -> dict[str, Any]:
-    """Return the milliseconds of gsplat's CUDA rasteriser, or why there are none."""
-    try:
-        import gsplat
-        import torch
-    except ImportError as error:
-        return {"not measured": str(error)}
-    if not torch.cuda.is_available():
-        return {"not measured": "torch finds no CUDA device"}
-    rows, n = torch.from_numpy(np.ascontiguousarray(data.rows)).cuda(), len(data)
-    upper = rows[:, 4:]
-    scene = {
-        "means": rows[:, :3].contiguous(),
-        "quats": torch.zeros(n, 4, device="cuda"),
-        "scales": torch.zeros(n, 3, device="cuda"),
-        "opacities": rows[:, 3].contiguous(),
-        "colors": torch.from_numpy(data.appearance).cuda().reshape(n, -1, 3),
-        "covars": upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(n, 3, 3).contiguous(),
-        "viewmats": torch.from_numpy(camera.view[None].astype(np.float32)).cuda(),
-        "Ks": torch.tensor(
-            [[[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]], device="cuda"
-        ),
-        "sh_degree": data.degree,
-        "width": camera.width,
-        "height": camera.height,
-    }
-    milliseconds = []
-    for number in range(frames + WARM):
-        began, ended = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-        began.record()
-        with torch.no_grad():
-            gsplat.rasterization(**scene)
-        ended.record()
-        torch.cuda.synchronize()
-        if number >= WARM:
-            milliseconds.append(began.elapsed_time(ended))
-    return {
-        "version": gsplat.__version__,
-        "p50": float(np.median(milliseconds)),
-        "p95": float(np.percentile(milliseconds, 95)),
-    }
-
-
 def save(path: Path, rgba: np.ndarray) -> None:
     from PIL import Image
 
@@ -517,7 +475,9 @@ def main() -> int:
             "beside the oracle": exactness.of(renderer, whole),
         }
 
-    report.part("gsplat, ms", lambda: gsplat_milliseconds(scene.sets[0].data, camera, words.frames))
+    report.part(
+        "gsplat, ms", lambda: gsplat_milliseconds(scene.sets[0].data, camera, WARM, words.frames)
+    )
     for mode in modes:
         report.part(mode, lambda mode=mode: measured(mode))
     return 1 if report.failed else 0

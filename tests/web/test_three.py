@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gsgen.formats import Splats, write_spz
 from support.browser import serving
@@ -106,7 +107,6 @@ def test_surfaces_hide_gaussians_and_are_hidden(page: Any) -> None:
 
 def test_the_example_has_shadows_and_a_person(page: Any, tmp_path: Path) -> None:
     """See the picture with --basetemp."""
-    page.screenshot(path=tmp_path / "scene.png")
     script = """async (hidden) => {
       for (const name of hidden) window[name].castShadow = false;
       await draw(0);
@@ -116,6 +116,8 @@ def test_the_example_has_shadows_and_a_person(page: Any, tmp_path: Path) -> None
         np.array(page.evaluate(script, hidden)).reshape(80, 160, 4)[..., :3]
         for hidden in ([], ["proxy"], ["box"])
     ]
+    picture = (255 * np.clip(images[0], 0, 1)).astype(np.uint8)
+    Image.fromarray(picture).save(tmp_path / "scene.png")
     lit = [np.subtract(images[i + 1], images[i]).max(axis=2) > 0.05 for i in range(2)]
     assert all(part.mean() > 0.002 for part in lit)  # the ground without shadows is brighter
     white = (images[0] > 0.8).all(axis=2)

@@ -1,8 +1,8 @@
 """Compares frames on software drivers with another checkout, and with splat-transform's renderer.
 
     git worktree add --detach ../before COMMIT
-    .venv/bin/python tests/bench/driver_ratios.py --against ../before
-    .venv/bin/python tests/bench/driver_ratios.py --splat-transform node_modules/.bin/splat-transform
+    .venv/bin/python tests/bench/devices/driver_ratios.py --against ../before
+    .venv/bin/python tests/bench/devices/driver_ratios.py --splat-transform node_modules/.bin/splat-transform
 
 Figures are CPU seconds of a frame, the driver's threads included, so that other load on the machine
 counts less. Processes of both sides alternate, and the least frame of each side counts.
@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 EYE, TARGET, FOV = (-2.5, -0.5, -3.0), (1.0, 0.3, 1.0), 50.0
 WARM = 3  # frames: kernels are compiled, and rows are arranged
 FURTHER = 3  # frames of splat-transform after its first, whose process also reads and compiles

@@ -1,7 +1,7 @@
 """What a frame that exceeds a binding costs: CPU seconds, and the peak of the process's memory.
 
-    .venv/bin/python tests/bench/large_frames.py                     # 40 million Gaussians
-    .venv/bin/python tests/bench/large_frames.py --gaussians 1000000 --panorama 16384
+    .venv/bin/python tests/bench/devices/large_frames.py                     # 40 million Gaussians
+    .venv/bin/python tests/bench/devices/large_frames.py --gaussians 1000000 --panorama 16384
 
 Gaussians of degree 0 fill a box around or before the camera. The first frame also uploads them; the
 second one also brings them into spatial order, and is drawn with ``--frames 2``.
