@@ -377,7 +377,11 @@ def test_an_unknown_extension_is_warned_of(tmp_path):
 @pytest.mark.parametrize(
     ("at", "value", "text"),
     [
-        (15, 5, "byte 15: the SPZ file has 5 attribute streams\nexpected 6, one for each attribute"),
+        (
+            15,
+            5,
+            "byte 15: the SPZ file has 5 attribute streams\nexpected 6, one for each attribute",
+        ),
         (16, 8, "byte 16: the table of contents is at byte 8\nexpected byte 32 or more"),
         (40, 1, "byte 40: stream positions unpacks to 257 bytes\nexpected 360 bytes"),
     ],

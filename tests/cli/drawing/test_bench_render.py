@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.commands.bench_render import bench_render
+from gsgen.runtime.errors import CapacityExceeded
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.playback.camera_options import viewpoint
 from gsgen.runtime.playback.frame_cost import measure
@@ -40,6 +41,16 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     color = rng.uniform(size=(200, 3)).astype(np.float32)
     np.savez(folder / "still.npz", gaussians=rows, appearance=color)
     return [folder / "still.npz", find("drift").write(folder)]
+
+
+def test_scenes_that_need_several_passes_are_not_measured(scenes: list[Path]) -> None:
+    device = Device.open()
+    device.largest_binding = 1 << 15
+    small = Renderer(device, rasteriser="tiles", page_rows=64)
+    sources = [open_source(scenes[0])] * 12  # 2,400 splats
+    film = FrameSequence(sources, viewpoint(None, 32, 24), frames=1, renderer=small)
+    with pytest.raises(CapacityExceeded, match="2,048 splats at once"):
+        measure(film, lambda _: None)
 
 
 @pytest.mark.parametrize("clock", ["timestamps", "cpu"])

@@ -167,6 +167,15 @@ def test_what_is_no_predictor_is_named(tmp_path: Path) -> None:
         predictor_maker(str(generator))
 
 
+def test_outputs_that_are_not_finite_are_no_prediction(tmp_path: Path) -> None:
+    predictor = predictor_maker(str(model_file(tmp_path, axis_angle=False)))()
+    for time in np.arange(0, 1, 0.04):
+        far = np.full(3, 3.4e38 * (-1) ** round(time / 0.04))  # speeds exceed float32
+        predictor.observe(Pose(float(time), far / 2, np.array([1.0, 0, 0, 0])))
+    with pytest.raises(InputUnreadable, match="are not finite"):
+        predictor.predict([0.1])
+
+
 def test_the_command_takes_a_model(tmp_path: Path) -> None:
     tileset = write_town(tmp_path, depth=2)
     path = write_rows(tmp_path / "path.csv", PATH_HEADER, journeys()["orbit"][:50])

@@ -79,5 +79,5 @@ def _kernel32() -> Any:
 def _checked(result: int | None) -> ctypes.c_void_p:
     if not result:
         code = getattr(ctypes, "get_last_error")()  # noqa: B009
-        raise OSError(f"a call to Windows failed: Windows error {code}")
+        raise OSError(f"Windows could not limit the memory of this process: error {code}")
     return ctypes.c_void_p(result)

@@ -1,4 +1,4 @@
-"""Command-line options that all plugins of people share."""
+"""Command-line options that all plugins for avatars and heads share."""
 
 __all__ = [
     "BodyFile", "Hands", "Instances", "MotionFile", "RootRotation", "Shape", "Spacing",

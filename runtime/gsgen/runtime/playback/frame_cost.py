@@ -9,6 +9,7 @@ from typing import Final, Literal, final
 
 import numpy as np
 
+from gsgen.runtime.errors import CapacityExceeded
 from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.playback.frame_sequence import FrameSequence
@@ -199,6 +200,13 @@ class _PlannedFrame:
         scene = sequence.player.scene
         placed, meshes = renderer.placed(scene), renderer.placed_meshes(scene)
         plan = renderer.plan(placed, camera, frozenset({"color"}), meshes)
+        if plan.slabs is not None:
+            raise CapacityExceeded(
+                f"the stages of {renderer.device.name} draw {plan.slabs.capacity:,} splats at once,"
+                " and this scene has more",
+                where="scene",
+                hint="Measure fewer Gaussians; `gsgen convert --decimate 50%` halves a file.",
+            )
         return cls(plan, placed, meshes, camera)
 
     def submit(self, clock: StageClock | None = None, only: Sequence[str] | None = None) -> float:

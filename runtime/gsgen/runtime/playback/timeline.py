@@ -95,7 +95,7 @@ class Timeline:
         return values
 
     def _advancing(self, model: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
-        """Return a model's time or frame number inputs, which advance without given values."""
+        """Return a model's inputs of time or frame number, which advance where no value is given."""
         fixed_names = {spec.name for track in self._tracks for spec in model.named(track.word)}
         if self._time is not None:
             fixed_names |= {spec.name for spec in _of_role(model, "time")}

@@ -288,7 +288,7 @@ def _declared_volume(values: JsonDict, owner: str) -> Volume | None:
             entry = {kind: numbers.tolist()}
             if len(numbers) != width:
                 raise TilesetInvalid(
-                    f"the property has {len(numbers)} numbers",
+                    f"the bounding {kind} has {len(numbers)} numbers",
                     location=f"property with the semantic {name}",
                     expected=str(width),
                     fault=Fault.SUBTREE,

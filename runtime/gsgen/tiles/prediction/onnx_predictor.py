@@ -106,13 +106,17 @@ class TrajectoryModel:
             ) from error
         width = self._width * (self._width + 1) // 2 if self._upper else self._width
         shapes = (self.steps, self._width), (self.steps, width)
-        fits = (future.shape, doubt.shape) == shapes
-        if not (fits and np.isfinite(future).all() and np.isfinite(doubt).all()):
+        hint = f"Check it with: gsgen validate {self.name}"
+        if (future.shape, doubt.shape) != shapes:
             raise InputUnreadable(
-                f"outputs states {list(future.shape)} and uncertainty {list(doubt.shape)}, or "
-                f"numbers that are not finite; expected {list(shapes[0])} and {list(shapes[1])}",
+                f"outputs states {list(future.shape)} and uncertainty {list(doubt.shape)}, "
+                f"expected {list(shapes[0])} and {list(shapes[1])}",
                 where=self.name,
-                hint=f"Check it with: gsgen validate {self.name}",
+                hint=hint,
+            )
+        if not (np.isfinite(future).all() and np.isfinite(doubt).all()):
+            raise InputUnreadable(
+                "outputs states or uncertainty that are not finite", where=self.name, hint=hint
             )
         return self._prediction(future.astype(np.float64), doubt.astype(np.float64))
 

@@ -184,7 +184,7 @@ class NeuralTiles:
             self._contents[arrival.tile] = self._in_pool[arrival.tile] = arrival
 
     def evict(self, tile: int) -> None:
-        """Forget the splats of a tile with an ONNX generator that left the splat pool."""
+        """Forget the splats of a neural tile after its eviction from the splat pool."""
         self._contents.pop(tile, None)
         self._in_pool.pop(tile, None)
 

@@ -128,7 +128,7 @@ def _is_replaced(tile: Tile | None) -> bool:
 
 
 def _distinct(tiles: Iterable[Tile | None]) -> Iterator[Tile]:
-    """Yield each distinct tile of a list once, in order; None is left out."""
+    """Yield each distinct tile of a list once, in order, and skip entries that are None."""
     seen: set[int] = set()
     for tile in tiles:
         if tile is not None and id(tile) not in seen:

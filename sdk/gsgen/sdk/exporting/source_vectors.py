@@ -26,7 +26,8 @@ from gsgen.contract.tools.recording import evenly_spaced
 from gsgen.sdk.exporting.eager_reference import EagerRuns, packed_outputs
 
 MOST_VECTORS = MOST_RECORDED
-_ROWS = 8
+# Enough for changes that touch the whole scene; more would make the file larger than a graph needs.
+_ROWS = 2
 # Inputs of more numbers, such as images, would make the manifest larger than it is worth.
 _MOST_NUMBERS = 4096
 

@@ -1,4 +1,4 @@
-"""GB rules of root motion: a translation is added to positions, and a rotation is not inverted."""
+"""Validation rules of root motion: translations are added, and rotations are not inverted."""
 
 from collections.abc import Iterator
 
@@ -25,7 +25,7 @@ _Pair = tuple[Probe, Probe, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
 
 
 def _pairs(behaviour: Behaviour, role: str) -> Iterator[_Pair]:
-    """Yield pairs of runs that differ in one input role, and the centres drawn in both runs."""
+    """Yield pairs of model runs that differ in one input, and the Gaussians' centres in both."""
     declared = behaviour.subject.declared_gaussians
     runs = behaviour.variants(role)
     if declared is None or len(behaviour.subject.inputs_of(role)) != 1 or len(runs) < 2:

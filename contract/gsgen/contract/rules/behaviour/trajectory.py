@@ -1,4 +1,4 @@
-"""GV and GB rules of trajectory predictors: valid states, and the symmetries of motion."""
+"""Validation rules of trajectory predictors: valid states, and the symmetries of motion."""
 
 from collections.abc import Iterator
 

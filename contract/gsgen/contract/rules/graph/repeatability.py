@@ -1,4 +1,4 @@
-"""GG rules of repeatability: every frame runs the same operators on fixed shapes, not randomly."""
+"""Validation rules of repeatability: each frame runs the same operators on fixed shapes."""
 
 from collections.abc import Iterator
 from itertools import chain

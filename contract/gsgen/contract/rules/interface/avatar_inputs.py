@@ -1,4 +1,4 @@
-"""GI rules of skeletons, blend weights and sound."""
+"""Validation rules of avatar inputs: skeletons, blend weights and sound."""
 
 from collections.abc import Iterator
 

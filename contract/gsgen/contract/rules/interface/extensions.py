@@ -1,4 +1,4 @@
-"""GM rules of what a reader must support: extensions, operator profiles, costs, units."""
+"""Validation rules of what a reader must support: extensions, operator profiles, costs, units."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""GM and GS rules of files beside a model: inputs of test vectors, digests of weights."""
+"""Validation rules of files beside a model: inputs of test vectors, digests of weights."""
 
 import hashlib
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""GO rules of models shipped beside an ONNX generator: image and camera tensors fit."""
+"""Validation rules of models shipped beside an ONNX generator: image and camera tensors fit."""
 
 from collections.abc import Iterator
 

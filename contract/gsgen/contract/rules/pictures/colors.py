@@ -1,4 +1,4 @@
-"""GV rules of colour: SH of degree 0 and RGB that were converted wrongly; colours not loaded."""
+"""Validation rules of colour: wrong conversions of SH and RGB, and colours not loaded."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""GB rules of effects: inputs whose effect is invisible, erratic, or only at range ends."""
+"""Validation rules of effects: inputs whose effect is invisible, erratic, or only at range ends."""
 
 from collections.abc import Iterator
 from itertools import pairwise

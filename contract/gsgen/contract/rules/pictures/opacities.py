@@ -1,4 +1,4 @@
-"""GV rules of opacity: a sigmoid that is applied twice, and colours multiplied by opacity."""
+"""Validation rules of opacity: a sigmoid applied twice, and colours multiplied by opacity."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""GV rules of orientation: do Gaussians align with the surface or strand of their neighbours?"""
+"""Validation rules of orientation: do Gaussians align with the surface of their neighbours?"""
 
 from collections.abc import Iterator
 from itertools import permutations, product

@@ -1,4 +1,4 @@
-"""GB rules of poses: do covariances rotate with positions, and limbs as the pose declares?"""
+"""Validation rules of poses: do covariances rotate with positions, limbs as the pose says?"""
 
 from collections.abc import Callable, Iterator
 from itertools import permutations

@@ -1,4 +1,4 @@
-"""GV rules of size: standard deviations against the distance to the nearest neighbours."""
+"""Validation rules of size: standard deviations against the distance to the nearest neighbours."""
 
 from collections.abc import Callable, Iterator
 

@@ -1,4 +1,4 @@
-"""GB rules of a camera that rotates about its own centre: nothing may change except culling."""
+"""Validation rules of a camera that rotates about its own centre: only culling may change."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""GV rules of camera conventions: positions are in local space, and the camera looks along +z."""
+"""Validation rules of camera conventions: positions in local space, camera along +z."""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""GV rules of post-process models: images are finite, keep their size and declared range."""
+"""Validation rules of post-process models: images are finite, and keep size and range."""
 
 from collections.abc import Iterator
 

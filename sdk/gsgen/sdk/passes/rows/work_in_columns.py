@@ -149,7 +149,7 @@ class _Plan:
         )
 
     def build(self) -> None:
-        """Insert column-wise nodes, and join the columns of results that other nodes read."""
+        """Insert nodes that compute single columns of matrices; join columns that others read."""
         written: dict[Hashable, ir.Value] = {}
 
         def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
