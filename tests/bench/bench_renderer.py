@@ -27,6 +27,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from support.measures import print_figure
+from support.rendering.room import room_parts
 
 MILLION = 1_000_000
 SIZES = {(1280, 720): 0.40, (640, 360): 0.30}  # CPU seconds to aim at
@@ -45,25 +46,11 @@ def cpu(action: Callable[[], object], times: int = 5) -> float:
 
 
 def room(n: int = MILLION) -> SplatData:
-    """A room whose walls, floor and furniture are covered by small flat Gaussians."""
-    rng = np.random.default_rng(0)
-    center = rng.uniform(-1, 1, (n, 3)) * (4, 2, 4)
-    wall = rng.integers(0, 3, n)
-    side = np.where(rng.random(n) < 0.5, -1.0, 1.0)
-    center[np.arange(n), wall] = side * np.array([4, 2, 4])[wall]
-    ball = rng.random(n) < 0.4
-    around = rng.normal(size=(n, 3))
-    around /= np.linalg.norm(around, axis=1, keepdims=True)
-    middle = rng.integers(0, 12, n)
-    middles = np.random.default_rng(1).uniform(-1, 1, (12, 3)) * (3, 1.5, 3)
-    center[ball] = (middles[middle] + 0.5 * around)[ball]
-    scale = 0.008 * np.exp(0.6 * rng.normal(size=(n, 3)))
-    scale[:, 2] *= 0.2
+    parts = room_parts(n)
     rows = np.zeros((n, 10), np.float32)
-    rows[:, :3], rows[:, 3] = center, rng.beta(1.2, 0.8, n)
-    rows[:, 4:] = covariance_upper(scale, rng.normal(size=(n, 4)))
-    color = (0.15 * rng.standard_normal((n, 48))).astype(np.float32)
-    return SplatData(rows, color, "sh")
+    rows[:, :3], rows[:, 3] = parts["center"], parts["opacity"]
+    rows[:, 4:] = covariance_upper(parts["scale"], parts["turn"])
+    return SplatData(rows, parts["color"], "sh")
 
 
 @pytest.fixture(scope="module")

@@ -58,7 +58,8 @@ from gsgen.runtime.renderer.renderer import Renderer  # noqa: E402
 from gsgen.runtime.scene.camera import Camera  # noqa: E402
 from gsgen.runtime.scene.scene import Scene  # noqa: E402
 from gsgen.runtime.scene.splat_data import SplatData  # noqa: E402
-from support.rendering import frame_traffic  # noqa: E402
+from support.measures import print_line  # noqa: E402
+from support.rendering import frame_traffic, splat_scenes  # noqa: E402
 from support.rendering.gsplat_timing import gsplat_milliseconds  # noqa: E402
 
 MODES: Final = {
@@ -89,11 +90,6 @@ fn fused(@builtin(global_invocation_id) at: vec3u) {
     made[at.x % arrayLength(&made)] = x[0] + x[1] + x[2] + x[3] + x[4] + x[5] + x[6] + x[7];
 }
 """
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
 
 
 def crowd(n: int, camera: Camera, degree: int) -> SplatData:
@@ -394,15 +390,15 @@ class Report:
         self.failed = dict[str, str]()
 
     def part(self, name: str, measure: Callable[[], Any]) -> Any:
-        say(f"{name} …")
+        print_line(f"{name} …")
         began = time.perf_counter()
         try:
             self.made[name] = measure()
         except Exception as error:  # the parts after it are measured all the same
             traceback.print_exc()
             self.failed[name] = f"{type(error).__name__}: {error}"
-        say(f"  {json.dumps(self.made.get(name), ensure_ascii=False)}")
-        say(f"  {time.perf_counter() - began:.1f} s")
+        print_line(f"  {json.dumps(self.made.get(name), ensure_ascii=False)}")
+        print_line(f"  {time.perf_counter() - began:.1f} s")
         text = json.dumps(self.made | {"failed": self.failed}, indent=2, ensure_ascii=False)
         self.path.write_text(text + "\n", "utf-8")
         return self.made.get(name)
@@ -443,20 +439,12 @@ def main() -> int:
     report.part("counted, 6.06 M", lambda: frame_traffic.table(frame_traffic.Workload()))
     report.part("sort", lambda: sorting(device, words.gaussians))
     report.part("probe", lambda: _probed(device))
-    camera = Camera(
-        np.eye(4),
-        fx=0.8 * width,
-        fy=0.8 * width,
-        cx=width / 2,
-        cy=height / 2,
-        width=width,
-        height=height,
-    )
-    say(f"{words.gaussians:,} Gaussians of degree {words.degree}")
+    camera = splat_scenes.camera(width, height, fx=0.8 * width, fy=0.8 * width)
+    print_line(f"{words.gaussians:,} Gaussians of degree {words.degree}")
     scene = Scene([crowd(words.gaussians, camera, words.degree)])
     exactness = Exactness(scene, camera)
     save(out / "gpu_crop_oracle.png", exactness.wanted.rgba)
-    say(f"oracle of {exactness.gaussians:,} Gaussians: {exactness.seconds:.0f} s")
+    print_line(f"oracle of {exactness.gaussians:,} Gaussians: {exactness.seconds:.0f} s")
 
     def measured(mode: str) -> dict[str, Any]:
         renderer = Renderer(device, **MODES[mode])

@@ -1,6 +1,6 @@
 """What benches share: how they print a figure, and how they time an action."""
 
-__all__ = ["print_figure", "process_seconds"]
+__all__ = ["print_figure", "print_line", "process_seconds"]
 
 import sys
 import time
@@ -10,6 +10,13 @@ from collections.abc import Callable
 def print_figure(text: str) -> None:
     """Print a line among pytest's own output."""
     sys.stdout.write(f"\n  {text}")
+    sys.stdout.flush()
+
+
+def print_line(text: str) -> None:
+    """Print a line of a bench that is a program of its own."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
 
 
 def process_seconds(action: Callable[[], object]) -> float:

@@ -28,35 +28,6 @@ FURTHER = 3  # frames of splat-transform after its first, whose process also rea
 SOURCES = ("contract", "runtime", "sdk")
 
 
-def say(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
-
-
-def room(n: int) -> dict[str, np.ndarray]:
-    """Return a room of small flat Gaussians, as `room` of bench_renderer.py, with its parts."""
-    rng = np.random.default_rng(0)
-    center = rng.uniform(-1, 1, (n, 3)) * (4, 2, 4)
-    wall = rng.integers(0, 3, n)
-    side = np.where(rng.random(n) < 0.5, -1.0, 1.0)
-    center[np.arange(n), wall] = side * np.array([4, 2, 4])[wall]
-    ball = rng.random(n) < 0.4
-    around = rng.normal(size=(n, 3))
-    around /= np.linalg.norm(around, axis=1, keepdims=True)
-    middle = rng.integers(0, 12, n)
-    middles = np.random.default_rng(1).uniform(-1, 1, (12, 3)) * (3, 1.5, 3)
-    center[ball] = (middles[middle] + 0.5 * around)[ball]
-    scale = 0.008 * np.exp(0.6 * rng.normal(size=(n, 3)))
-    scale[:, 2] *= 0.2
-    return {
-        "center": center,
-        "scale": scale,
-        "turn": rng.normal(size=(n, 4)),
-        "opacity": np.clip(rng.beta(1.2, 0.8, n), 1e-3, 1 - 1e-3),
-        "color": (0.15 * rng.standard_normal((n, 48))).astype(np.float32),
-    }
-
-
 def write_ply(path: Path, parts: dict[str, np.ndarray]) -> None:
     """Write the Gaussians as a PLY file of 3DGS."""
     n = len(parts["center"])
@@ -103,7 +74,7 @@ def frame_seconds(parts_path: str, size: str, frames: int, picture: str) -> None
             seconds.append(time.process_time() - began)
     if picture != "-":
         np.save(picture, frame.srgb[..., :3])
-    say(json.dumps({"device": renderer.device.name, "seconds": seconds}))
+    sys.stdout.write(json.dumps({"device": renderer.device.name, "seconds": seconds}) + "\n")
 
 
 def child(environment: dict[str, str], *words: str) -> dict[str, object]:
@@ -158,9 +129,11 @@ def transform_seconds(
 def compare(words: argparse.Namespace, folder: Path) -> None:
     """Print the ratios of each driver and size."""
     sys.path.insert(0, str(ROOT / "tests"))
+    from support.measures import print_line
     from support.rendering.drivers import DRIVERS, description
+    from support.rendering.room import room_parts
 
-    parts = room(words.gaussians)
+    parts = room_parts(words.gaussians)
     parts_path, ply, picture = folder / "room.npz", folder / "room.ply", folder / "picture.npy"
     np.savez(parts_path, **parts)
     if words.splat_transform:
@@ -193,7 +166,7 @@ def compare(words: argparse.Namespace, folder: Path) -> None:
                 error = np.square(seen - np.load(picture)).mean()
                 text += f"; splat-transform {other:.2f} CPU-s, {other / least['now']:.1f} times"
                 text += f" ({-10 * np.log10(error):.0f} dB from it)"
-            say(text)
+            print_line(text)
 
 
 def main() -> None:

@@ -11,6 +11,9 @@ import argparse
 import resource
 import sys
 import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 
@@ -18,13 +21,10 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
+from support.measures import print_line
+from support.rendering import splat_scenes
 
 SIGMA = 0.004  # of forty million Gaussians; fewer are larger
-
-
-def say(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
 
 
 def peak() -> float:
@@ -54,26 +54,20 @@ def main() -> None:
         camera = Camera.panorama((0, 0, 0), width=words.panorama)
     else:
         width, height = map(int, words.size.split("x"))
-        camera = Camera(
-            np.eye(4),
-            fx=0.8 * width,
-            fy=0.8 * width,
-            cx=width / 2,
-            cy=height / 2,
-            width=width,
-            height=height,
-        )
+        camera = splat_scenes.camera(width, height, fx=0.8 * width, fy=0.8 * width)
     renderer = Renderer(rasteriser="tiles")
     scene = Scene([box(words.gaussians, is_around=bool(words.panorama))])
-    say(f"{renderer.device.name}: {words.gaussians:,} Gaussians, {camera.width}×{camera.height}")
-    say(f"  {peak():.2f} GiB before the first frame")
+    print_line(
+        f"{renderer.device.name}: {words.gaussians:,} Gaussians, {camera.width}×{camera.height}"
+    )
+    print_line(f"  {peak():.2f} GiB before the first frame")
     for _ in range(words.frames):
         began, cpu_began = time.perf_counter(), time.process_time()
         frame = renderer.render(scene, camera)
         seconds, cpu = time.perf_counter() - began, time.process_time() - cpu_began
         assert frame.rgba is not None
         covered = frame.alpha.mean(dtype=np.float64)
-        say(
+        print_line(
             f"  {cpu:.1f} CPU-s, {seconds:.1f} s, peak {peak():.2f} GiB; {frame.visible:,} splats, "
             f"{frame.pairs:,} pairs, {100 * covered:.1f} % covered"
         )

@@ -39,6 +39,7 @@ from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.simulate.tables import read_path
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
+from support.measures import print_figure
 from support.reports.pages import DOCS, blocks
 from support.tiles.level_scenes import picture
 
@@ -50,11 +51,6 @@ WIDTH, HEIGHT, FOV_Y = 320, 240, 50.0
 QUALITIES = (0, 2, 3, 4)
 SSIM_BAR, BYTES_BAR = 0.95, 0.5
 ERRORS = (*(512 * 0.96 ** np.arange(130)).tolist(), 0.0)  # pixels, coarsest first
-
-
-def say(text: str) -> None:
-    sys.stdout.write(f"\n  {text}")
-    sys.stdout.flush()
 
 
 def camera_of(pose: Pose) -> Camera:
@@ -140,11 +136,11 @@ def bench_bytes_of_the_flight(tmp_path: Path) -> None:
         ladders.append(Ladder(f"quality {quality}", store, index))
     finest = ladders[0]
     leaves = finest.bytes_of(set(np.flatnonzero(finest.tree.is_leaf).tolist()))
-    say(
+    print_figure(
         f"{COUNT:,} splats, {len(finest.tree)} tiles; SOG {whole / 1e6:.2f} MB, "
         f"all leaves {leaves / 1e6:.2f} MB; {WIDTH} × {HEIGHT}"
     )
-    say("frame: pixels of error, tiles, SSIM, kB that are new, at each quality")
+    print_figure("frame: pixels of error, tiles, SSIM, kB that are new, at each quality")
     failed: set[str] = set()
     for number in chosen.tolist():
         camera = camera_of(poses[number])
@@ -162,12 +158,12 @@ def bench_bytes_of_the_flight(tmp_path: Path) -> None:
             columns.append(
                 f"{max_error:4.1f} px {len(rows):3d} tiles {score:.3f} {new / 1e3:6.0f} kB"
             )
-        say(f"{poses[number].time:5.1f} s   " + "   ".join(columns))
+        print_figure(f"{poses[number].time:5.1f} s   " + "   ".join(columns))
     shares = {}
     for ladder in ladders:
         share = ladder.bytes_of(ladder.needed) / whole
         verdict = "some frames below .95" if ladder.name in failed else f"bar {BYTES_BAR:.0%}"
-        say(f"{ladder.name}: {share:.1%} of the scene as SOG ({verdict})")
+        print_figure(f"{ladder.name}: {share:.1%} of the scene as SOG ({verdict})")
         if ladder.name not in failed:
             shares[ladder.name] = share
     assert min(shares.values()) <= BYTES_BAR

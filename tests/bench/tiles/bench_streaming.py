@@ -34,6 +34,7 @@ from support.tiles.journeys import (
     write_rows,
     write_town,
 )
+from support.tiles.quadtree_options import QuadtreeOptions
 
 CHOICE_BAR, CERTIFICATE_BAR = 2.0, 1e-3
 ARRIVALS_BAR = 1.1  # times a steady frame
@@ -119,25 +120,12 @@ def bench_tree_choice_of_independent_worth() -> None:
 
 def bench_joint_choice() -> None:
     """Levels and qualities as one choice, within bytes and within Gaussians."""
-    rng = np.random.default_rng(0)
-    parent = np.r_[-1, np.repeat(np.arange(85), 4)]
-    level = np.repeat(np.arange(5), 4 ** np.arange(5))
-    area = np.where(level == 4, rng.exponential(1, len(parent)), 0.0)
-    for node in range(len(parent) - 1, 0, -1):
-        area[parent[node]] += area[node]
-    splats = rng.integers(5_000, 20_000, len(parent))
-    cost = splats[:, None] * np.array([6.0, 9, 14])
-    utility = ((1 - 0.5 ** (level + 1)) * area)[:, None] * np.array([0.9, 0.97, 1])
-    options, table = CutOptions(parent, cost, utility), np.repeat(splats[:, None], 3, axis=1)
-    print(f"\n{len(parent)} nodes × 3: share of bytes, of Gaussians; CPU-ms, below the bound")
+    tree = QuadtreeOptions.random(0)
+    count = len(tree.splats)
+    print(f"\n{count} nodes × 3: share of bytes, of Gaussians; CPU-ms, below the bound")
     for bytes_share, splat_share in ((0.1, 1.1), (0.3, 1.1), (0.3, 0.3), (0.1, 0.1), (0.7, 0.1)):
-        choose = partial(
-            choose_jointly,
-            options,
-            table,
-            byte_budget=bytes_share * float(cost[level == 4, 2].sum()),
-            splat_budget=splat_share * float(splats[level == 4].sum()),
-        )
+        budgets = tree.budgets(bytes_share, splat_share)
+        choose = partial(choose_jointly, tree.options, tree.splat_table, **budgets)
         choice = choose()
         assert choice is not None
         print(f"{bytes_share:4} {splat_share:4}  {cpu_ms(choose):6.1f}  {choice.certificate:.3%}")

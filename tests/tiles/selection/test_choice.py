@@ -15,6 +15,7 @@ from gsgen.tiles.selection.hulls import OptionHulls, upper_hulls
 from gsgen.tiles.selection.joint_choice import choose_jointly
 from gsgen.tiles.selection.tree_choice import CutOptions, TreeFrontier, choose_cut
 from support.commands import gsgen_here
+from support.tiles.quadtree_options import QuadtreeOptions
 
 
 def random_tree(rng: np.random.Generator, nodes: int, qualities: int, *, branching: int = 4):
@@ -380,28 +381,16 @@ def test_a_joint_choice_keeps_both_limits_and_its_certificate(seed: int) -> None
 
 def test_a_joint_choice_is_close_to_its_bound_where_nodes_are_many() -> None:
     """A node covers what its children cover: coarse levels cost fewer Gaussians and bytes."""
-    rng = np.random.default_rng(5)
-    parent = np.r_[-1, np.repeat(np.arange(85), 4)]
-    level = np.repeat(np.arange(5), 4 ** np.arange(5))
-    area = np.where(level == 4, rng.exponential(1, len(parent)), 0.0)
-    for node in range(len(parent) - 1, 0, -1):
-        area[parent[node]] += area[node]
-    splats = rng.integers(5_000, 20_000, len(parent))
-    cost = splats[:, None] * np.array([6.0, 9, 14])
-    utility = ((1 - 0.5 ** (level + 1)) * area)[:, None] * np.array([0.9, 0.97, 1])
-    options = CutOptions(parent, cost, utility)
-    both, gaps = 0, []
+    tree, both, gaps = QuadtreeOptions.random(5), 0, []
     for bytes_share, splat_share in itertools.product((0.1, 0.3, 0.7), repeat=2):
-        leaves = level == 4
-        byte_budget = bytes_share * cost[leaves, 2].sum()
-        splat_budget = splat_share * splats[leaves].sum()
-        table = np.repeat(splats[:, None], 3, axis=1)
-        choice = choose_jointly(options, table, byte_budget=byte_budget, splat_budget=splat_budget)
+        budgets = tree.budgets(bytes_share, splat_share)
+        choice = choose_jointly(tree.options, tree.splat_table, **budgets)
         assert choice is not None
-        chosen = np.flatnonzero(choice.option >= 0)
-        assert choice.cost <= byte_budget
-        assert splats[chosen].sum() <= splat_budget
-        both += choice.cost > 0.9 * byte_budget and splats[chosen].sum() > 0.9 * splat_budget
+        drawn = tree.splats[choice.option >= 0].sum()
+        assert choice.cost <= budgets["byte_budget"]
+        assert drawn <= budgets["splat_budget"]
+        is_full = choice.cost > 0.9 * budgets["byte_budget"]
+        both += is_full and drawn > 0.9 * budgets["splat_budget"]
         gaps.append(choice.certificate)
     assert both > 0
     assert min(gaps) >= 0
