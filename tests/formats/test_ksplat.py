@@ -124,7 +124,7 @@ FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
             PARTIAL,
             b"\xff\xff\xff\x7f",
             HeaderMalformed,
-            "section 0, byte 4096: the section has 3 buckets of",
+            "section 0, byte 4096: the section has 3 buckets, stored",
         ),
         (
             PARTIAL,
@@ -137,7 +137,7 @@ FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
             BLOCK,
             b"\0\0\xc0\x7f",
             HeaderMalformed,
-            "section 0, byte 4096: the section has 3 buckets of 12 byt",
+            "section 0, byte 4096: the section has 3 buckets, stored in 12 byt",
         ),
         (5120, b"\x09", HeaderMalformed, "bucket lengths, byte 5120: a bucket holds 9 splats\n"),
         (

@@ -148,9 +148,9 @@ def _section(data: Data, index: int, start: int, level: int) -> _Section:
         )
     if level and count and (full + partial > buckets or storage < 12 or not np.isfinite(block)):
         raise HeaderMalformed(
-            f"the section has {buckets} buckets of {storage} bytes and size {block:g}",
+            f"the section has {buckets} buckets, stored in {storage} bytes each, of edge length {block:g}",
             where=where,
-            expected=f"at least {full + partial} buckets of at least 12 bytes and a finite size",
+            expected=f"at least {full + partial} buckets of at least 12 bytes, of finite edge length",
         )
     middles = start + 4 * partial
     rows = middles + storage * buckets

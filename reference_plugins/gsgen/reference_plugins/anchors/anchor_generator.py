@@ -149,7 +149,7 @@ class AnchorGenerator(GaussianGenerator):
         )
 
     def placements(self) -> tuple[Tensor, ...]:
-        """Return the centres of all anchors' Gaussians, then method-specific values."""
+        """Return the centres of all anchors' Gaussians, then what a subclass derives from anchors."""
         tensors: tuple[Tensor, ...] = self.placement(self.anchor, self.scale)
         return tensors
 

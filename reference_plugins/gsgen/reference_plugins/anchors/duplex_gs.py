@@ -109,7 +109,7 @@ class DuplexGS(AnchorGenerator):
     def scale_factors(
         self, factors: tuple[Tensor, ...], rows: Int[Tensor, " n"] | None
     ) -> list[Float[Tensor, "n k"]]:
-        """Return the scale factors of Gaussians, limited so that they stay in their ellipsoid."""
+        """Return the Gaussians' scale factors, limited so that Gaussians stay in the cell's ellipsoid."""
         limit = self.placements()[1]
         limit = limit if rows is None else torch.index_select(limit, 0, rows)
         return [torch.minimum(proportion(factor), limit) for factor in factors]

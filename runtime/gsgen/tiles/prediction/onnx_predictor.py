@@ -70,8 +70,9 @@ class TrajectoryModel:
         fits = len(shape) == 2 and shape[1] == state and isinstance(shape[0], int)
         if not (fits and 1 <= int(shape[0]) <= _LONGEST and manifest.step_seconds > 0):
             raise InputUnreadable(
-                f"has a history of shape {list(shape)} every {manifest.step_seconds} s, expected "
-                f"[T, {state}] with T from 1 to {_LONGEST} and a time above 0",
+                f"the model's input of past camera poses has shape {list(shape)} and a time step of "
+                f"{manifest.step_seconds} s, expected [T, {state}] with T from 1 to {_LONGEST} and a "
+                "time step above 0 s",
                 where=str(path),
                 hint=f"Check it with: gsgen validate {path}",
             )
@@ -116,7 +117,9 @@ class TrajectoryModel:
             )
         if not (np.isfinite(future).all() and np.isfinite(doubt).all()):
             raise InputUnreadable(
-                "outputs states or uncertainty that are not finite", where=self.name, hint=hint
+                "the model outputs predicted states or uncertainties that are not finite",
+                where=self.name,
+                hint=hint,
             )
         return self._prediction(future.astype(np.float64), doubt.astype(np.float64))
 

@@ -64,7 +64,7 @@ def solve_problem(path: Path) -> Plan:
         raise InputUnreadable(
             f"cannot be read: {error.strerror}",
             where=str(path),
-            hint="Name a JSON file with a problem.",
+            hint="Name a JSON file that describes the tiles to choose from.",
         ) from error
     problem = parse_object(data, f"{path}, ")
     kind = problem.text("kind")

@@ -55,11 +55,18 @@ def read_levels(data: dict[str, Any], read: Callable[[str, int], Splats], max_by
         splats = read(names[index], max_bytes - used)
         rows = [np.arange(offset, offset + count) for offset, count in sorted(ranges[index])]
         selected = np.concatenate(rows)
-        if selected[-1] >= len(splats) or len(np.unique(selected)) < len(selected):
+        where = f"{STREAMED_META}, tree"
+        if selected[-1] >= len(splats):
             raise HeaderMalformed(
-                f"the level-of-detail tree lists rows up to {selected[-1]} of {shown(names[index])}",
-                where=f"{STREAMED_META}, tree",
-                expected=f"different rows below {len(splats)}",
+                f"the level-of-detail tree lists splat {selected[-1]} of {shown(names[index])}",
+                where=where,
+                expected=f"splats from 0 to {len(splats) - 1}, as that file has",
+            )
+        if len(np.unique(selected)) < len(selected):
+            raise HeaderMalformed(
+                f"the level-of-detail tree lists splats of {shown(names[index])} twice",
+                where=where,
+                expected="each splat once",
             )
         parts.append(_rows(splats, selected))
     environment = data.get("environment")

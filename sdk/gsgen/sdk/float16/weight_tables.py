@@ -43,7 +43,7 @@ class HalfTable:
 
     @property
     def decoded(self) -> Float32[np.ndarray, "..."]:
-        """The float32 numbers that the graph computes from the table's 16-bit numbers."""
+        """The float32 weights that the ONNX graph decodes from the 16-bit numbers of a weight table."""
         numbers = self.numbers.astype(np.float32)
         if self.step is None or self.start is None:
             return numbers

@@ -41,7 +41,7 @@ class CastCount(_OutputRepair):
     """
 
     def repair(self, model: ir.Model) -> bool:
-        """Reshape and cast the row count to int32 [1]; Cast last, which graph capture records."""
+        """Reshape the row count to [1], then cast it to int32, in an order that capture supports."""
         graph, count = model.graph, _output(model, self.name)
         flat = count.shape is not None and list(count.shape) == [1]
         if flat and count.dtype == ir.DataType.INT32:
