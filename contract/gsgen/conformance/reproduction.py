@@ -141,7 +141,7 @@ def _save(rerun: Replay, dump: Path | None) -> None:
 
 
 def _rows(rerun: Replay, number: int, findings: Sequence[Finding]) -> tuple[Row, ...]:
-    """Return the packed rows that findings name, from the model outputs for one set of inputs."""
+    """Return the rows of Gaussians that violations name, as the model outputs them for an input."""
     emission, label = rerun.emission(number), rerun.probes[number].label
     if emission.gaussians is None:
         return ()

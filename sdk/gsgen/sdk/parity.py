@@ -284,7 +284,7 @@ def _failure(field: str, error: float, probe: str) -> FieldParity:
 def _excused(
     measured: "_Measure", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
 ) -> tuple["_Errors", int]:
-    """Return each Gaussian's least error at equal or nearby test inputs, and its exempt rows."""
+    """Return each Gaussian's least error against the source's rows at equal or nearby inputs."""
     errors = measured(rows, reference)
     jumps = np.zeros(len(rows), bool)
     for neighbour in nearby:

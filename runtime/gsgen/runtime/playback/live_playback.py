@@ -129,7 +129,7 @@ class LivePlayback(Playback):
         self.take(wait=True)
 
     def player(self, renderer: Renderer, background: Sequence[float], output: Output) -> Player:
-        """Return a player that draws sources of Gaussians, post-processed if colours are drawn."""
+        """Return a player of Gaussian sources; post-process models run where it draws colours."""
         post = self.post if output == "color" else ()
         return self.make_player(renderer, background, output, post)
 

@@ -402,7 +402,7 @@ class Renderer:
         return most if is_large and _fits_slabs(placed, meshes) else None
 
     def _halve_slabs(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
-        """Halve the depth slabs of a scene with too many splat-tile pairs; return if it helps."""
+        """Halve the most splats of a depth slab; return whether the scene is drawn in slabs at all."""
         splats = sum(page.capacity for _, page in placed)
         most = min(splats, most_splats(self.device, self._kernels), self._most_in_slab)
         if most < 2 or not _fits_slabs(placed, meshes):

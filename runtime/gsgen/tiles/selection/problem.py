@@ -157,7 +157,7 @@ def _read_loaded(problem: JsonObject) -> Iterator[tuple[int, int]]:
         numbers = isinstance(pair, list) and len(pair) == 2
         if not (numbers and all(type(entry) is int for entry in pair)):
             raise TilesetInvalid(
-                f"the loaded tile is {pair!r:.40}",
+                f"an entry of the loaded tiles is {pair!r:.40}",
                 location=f"{problem.at('loaded')}[{index}]",
                 expected="[node, quality], two whole numbers",
             )

@@ -35,7 +35,7 @@ def require_still_splats(names: Collection[str]) -> None:
             point.name for point in registered_entry_points("gsgen.generators")
         }
         raise NotSupported(
-            f"{listed(matches, limit=6)}: splats of {title}, which are more than their static part",
+            f"{listed(matches, limit=6)}: splats of {title}, which move or follow triangles",
             where="element 'vertex'",
             expected="the properties of a 3DGS PLY",
             hint=f"`gsgen export {plugin} --checkpoint FILE -o OUT.onnx` exports them"

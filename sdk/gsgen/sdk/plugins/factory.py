@@ -127,7 +127,7 @@ def load_factory(target: str, folder: Path | None = None) -> Factory:
     module_name, _, path = target.partition(":")
     if not module_name or not path:
         hint = "Write it as package.module:factory, such as wave_sheet:Wave."
-        raise ConfigInvalid(f"{target!r} is not a valid target", where="TARGET", hint=hint)
+        raise ConfigInvalid(f"{target!r} names no module and function", where="TARGET", hint=hint)
     if not module_name.endswith(".py") and (module_name[0] == "." or "/" in module_name):
         hint = f"Write {module_name}.py:{path}, or package.module:{path} with dots."
         message = f"{module_name!r} is not the name of a module"

@@ -69,7 +69,7 @@ def works_on_columns(node: ir.Node, rows: int) -> bool:
 def columns_of(
     node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: ColumnLookup, emit: Emit
 ) -> list[Columns]:
-    """Return the columns of each output of a node, computed from the columns of the inputs.
+    """Return the matrix columns of each output of an ONNX node, from those of its inputs.
 
     ``look`` returns the columns of a tensor with ``rows`` rows; ``emit`` writes an operator.
     """
