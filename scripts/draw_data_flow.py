@@ -69,6 +69,8 @@ GROUP = Box(4, SORTED, "group", "by tile")
 BLEND = Box(5, SORTED, "blend", "depth, normal too")
 IMAGES = Box(6, SORTED, "images", "read with counts", DATA)
 BOXES = (
+    Box(0, QUADS, "keys", "too many splats:"),
+    Box(1, QUADS, "tally", "slabs of depth"),
     Box(3, QUADS, "quads", "instead of tiles", HARDWARE),
     *(GAUSSIANS, PROJECT, SORT, BIN, GROUP, BLEND, IMAGES),
     *(CELLS, TRIANGLES),
@@ -108,6 +110,10 @@ def arrows() -> list[str]:
         *between(SORTED, 0, 6),
         *between(SUMMED, 0, 6),
         *between(MESHES, 0, 2),
+        # Gaussians → keys → tally → project, where slabs are drawn
+        arrow((COLUMNS[0] + half, SORTED), (COLUMNS[0] + half, QUADS + BOX_HEIGHT + 3)),
+        *between(QUADS, 0, 1),
+        arrow((COLUMNS[1] + half, QUADS + BOX_HEIGHT), (COLUMNS[1] + half, SORTED - 3)),
         # sort → quads → images
         arrow(
             (COLUMNS[2] + half, SORTED), (COLUMNS[2] + half, quads_y), (COLUMNS[3] - 3, quads_y)

@@ -208,5 +208,5 @@ def test_a_folder_that_is_no_kit_or_is_full_is_refused(tmp_path: Path) -> None:
     assert ran.code == 4
     assert "index.json" in ran.err
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigInvalid, match="not an empty folder"):
+    with pytest.raises(ConfigInvalid, match="the output folder is not empty"):
         write_kit(tmp_path)

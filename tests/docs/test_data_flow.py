@@ -28,7 +28,11 @@ def stages() -> set[str]:
     """Return the names of all stages that plans record."""
     text = inspect.getsource(frame_plan) + inspect.getsource(weighted_plan)
     named = re.findall(r'stages\["([\w ]+)"\]', text)
-    begun = re.findall(r'^ *(?:stages = \{)?"([\w ]+)": self\._project', text, re.MULTILINE)
+    begun = re.findall(
+        r'^ *(?:stages = \{|return \{)?"([\w ]+)": (?:self\._project|self\.slabs|recorded\})',
+        text,
+        re.MULTILINE,
+    )
     return {*named, *begun}
 
 

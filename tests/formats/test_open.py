@@ -50,7 +50,7 @@ def test_carriage_returns_are_no_other_format(tmp_path):
         b"property float y\r\nproperty float z\r\nproperty uchar r\r\n"
         b"property uchar g\r\nproperty uchar b\r\nend_header\r\n"
     )
-    with pytest.raises(ValueInvalid, match="0 rows"):
+    with pytest.raises(ValueInvalid, match="0 splats or points"):
         open_splats(file)
 
 

@@ -107,8 +107,10 @@ def test_surfaces_hide_gaussians_and_are_hidden(page: Any) -> None:
 
 def test_the_example_has_shadows_and_a_person(page: Any, tmp_path: Path) -> None:
     """See the picture with --basetemp."""
+    # three.js draws the shadows of a light once in a frame of the browser.
     script = """async (hidden) => {
       for (const name of hidden) window[name].castShadow = false;
+      for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
       await draw(0);
       return [...await compositor.gaussians.readImage("color")];
     }"""

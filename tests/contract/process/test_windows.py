@@ -67,7 +67,7 @@ def test_memory_is_limited_by_a_job_object(kernel: Kernel, monkeypatch: pytest.M
 
 def test_a_limit_that_windows_refuses_is_an_error(kernel: Kernel) -> None:
     kernel.results["AssignProcessToJobObject"] = 0
-    with pytest.raises(OSError, match="Windows error 5"):
+    with pytest.raises(OSError, match="memory of this process: error 5"):
         windows.limit_commit(1 << 20)
 
 

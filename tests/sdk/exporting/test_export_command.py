@@ -20,7 +20,7 @@ from gsgen.sdk.commands import export as export_command
 from gsgen.sdk.commands.export import app
 from gsgen.sdk.parity import FieldParity, Parity
 from gsgen.sdk.plugins.export_options import ExportRequest, with_common_options
-from gsgen.sdk.plugins.export_report import Outcome, write_report
+from gsgen.sdk.plugins.export_report import Outcome, emit_report
 from gsgen.sdk.plugins.factory import load_factory
 from gsgen.sdk.plugins.plugin import Plugin
 from support.commands import gsgen
@@ -170,7 +170,8 @@ def test_how_far_a_model_is_off_stands_in_the_report() -> None:
     worst = FieldParity(field="position", error=math.inf, excess=math.inf, probe="time=1", row=3)
     error = ParityFailed("off", where="m.onnx", parity=Parity((worst,), 13))
     outcome = Outcome(written=False, parity=error.parity, error=error)
-    write_report(Path("r.json"), ExportRequest(output=Path("m.onnx")), "dots:Dots", outcome)
+    request = ExportRequest(output=Path("m.onnx"), report=Path("r.json"))
+    emit_report(request, "dots:Dots", outcome)
     told = json.loads(Path("r.json").read_text(encoding="utf-8"))
     assert told["error"]["kind"] == "ParityFailed"
     assert told["parity"] == {

@@ -1,4 +1,4 @@
-"""Devices that fail as devices do: with little memory, or gone in the middle of a film."""
+"""Devices with the limits of others: little memory, small bindings, or gone during a film."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -28,6 +28,19 @@ def memory_of(size: int) -> Iterator[None]:
 
     most = size
     with patch.object(GPUDevice, "create_buffer", limited):
+        yield
+
+
+@contextmanager
+def bindings_of(size: int) -> Iterator[None]:
+    """Let devices bind at most ``size`` bytes at once."""
+    begin = Device.__init__
+
+    def limited(self: Device, raw: Any) -> None:
+        begin(self, raw)
+        self.largest_binding = size
+
+    with patch.object(Device, "__init__", limited):
         yield
 
 
