@@ -34,6 +34,23 @@ def test_a_broken_model_breaks_its_rule_and_no_other(fixture: Fixture, judge):
     assert report.verdict == ("invalid" if proven else "conforms")
 
 
+# Rules that compare one number with limits; other statistical rules weigh several.
+PLOTTED = {"GB030", "GB031", "GB034", "GB035", "GV040", "GV041", "GV042", "GV043", "GV044", "GV047",
+           "GV048", "GV049"}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "fixture", [fixture for fixture in BROKEN if fixture.rule in PLOTTED], ids=lambda f: f.name
+)
+def test_a_statistical_finding_has_its_number_beyond_the_limits(fixture: Fixture, judge):
+    for finding in judge(fixture).findings:
+        statistic = finding.statistic
+        assert statistic is not None
+        low, high = statistic.low, statistic.high
+        is_low = low is not None and statistic.value < low
+        assert is_low or (high is not None and statistic.value >= high), statistic
+
+
 @each_good
 def test_a_good_model_breaks_nothing(fixture: Fixture, judge):
     report = judge(fixture)

@@ -10,7 +10,7 @@ from gsgen.contract.rules.pictures.displayed_colors import SH_OFFSET, displayed_
 from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import SH_DC
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Statistic, Violation
 from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -157,8 +157,13 @@ def colors_follow_rows(sample: DrawnSample) -> Iterator[Violation]:
                 )
                 expected = "colours in the order of the rows"
                 location = Location(sample.emission.color_place)
+                usual = Statistic("colour difference of neighbours", stored, 0.0, _UNRELATED)
                 yield Violation(
-                    where=location, expected=expected, actual=actual, certainty="possible"
+                    where=location,
+                    expected=expected,
+                    actual=actual,
+                    certainty="possible",
+                    statistic=usual,
                 )
                 return
 

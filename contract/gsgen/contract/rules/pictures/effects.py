@@ -12,7 +12,7 @@ from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.agreement import field_errors
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Statistic, Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.report import Tolerance
 from gsgen.contract.validation.rule import rule
@@ -135,7 +135,8 @@ def motion_is_smooth(behaviour: Behaviour) -> Iterator[Violation]:
                 f"a hundredth of the range moves Gaussians by {share:.0%} of the largest motion"
             )
             expected = f"{_ERRATIC:.0%} at most, as smooth motion has"
-            yield Violation.at(f"input {entry.name}", actual, expected, certainty="possible")
+            where, usual = f"input {entry.name}", Statistic("share of motion", share, 0.0, _ERRATIC)
+            yield Violation.at(where, actual, expected, certainty="possible", statistic=usual)
 
 
 Series = list[tuple[float, ModelOutputs]]

@@ -7,7 +7,7 @@ import numpy as np
 from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Statistic, Violation
 from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -54,7 +54,14 @@ def sh_rest_order(sample: DrawnSample) -> Iterator[Violation]:
         )
         expected = "a larger correlation as stored, coefficient by coefficient"
         location = Location(sample.emission.color_place, "degree 1 and above")
-        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+        least = _CLEARER * readings[name]
+        yield Violation(
+            where=location,
+            expected=expected,
+            actual=actual,
+            certainty="possible",
+            statistic=Statistic("correlation of red, green and blue as stored", stored, least),
+        )
 
 
 def _readings(color: Float[np.ndarray, "e c"]) -> Iterator[tuple[str, Float[np.ndarray, "e k 3"]]]:

@@ -8,7 +8,7 @@ from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.rules.pictures.displayed_colors import displayed_colors
 from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Statistic, Violation
 from gsgen.contract.validation.gates import COLORED_ROWS, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -57,7 +57,15 @@ def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
     if is_within and high - low > _SPREAD:
         actual = f"opacities from {low:.4g} to {high:.4g}, as if the sigmoid were applied twice"
         expected = "opacities also below 0.5 or above 0.7311"
-        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+        yield Violation(
+            where=location,
+            expected=expected,
+            actual=actual,
+            certainty="possible",
+            statistic=Statistic(
+                "range of opacities", high - low, _SIGMOID_TWICE[1] - _SIGMOID_TWICE[0]
+            ),
+        )
         return
     zeros, ones = _shares_at_ends(sample)
     if zeros >= _AT_ZERO and ones >= _AT_ONE and 1 - zeros - ones >= _BETWEEN:
@@ -66,7 +74,13 @@ def opacity_activated_once(sample: DrawnSample) -> Iterator[Violation]:
             "as if logits were clamped and had no sigmoid"
         )
         expected = "opacities between 0 and 1, as a sigmoid gives them"
-        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+        yield Violation(
+            where=location,
+            expected=expected,
+            actual=actual,
+            certainty="possible",
+            statistic=Statistic("share of rows with opacity 1", ones, 0.0, _AT_ONE),
+        )
 
 
 def _shares_at_ends(sample: DrawnSample) -> tuple[float, float]:
@@ -111,4 +125,10 @@ def colors_without_opacity(sample: DrawnSample) -> Iterator[Violation]:
         )
         expected = f"transparent rows of any brightness, or a correlation below {_CORRELATED}"
         location = Location(sample.emission.color_place)
-        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+        yield Violation(
+            where=location,
+            expected=expected,
+            actual=actual,
+            certainty="possible",
+            statistic=Statistic("correlation with opacity", correlation, high=_CORRELATED),
+        )

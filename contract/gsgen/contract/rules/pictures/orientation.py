@@ -15,7 +15,7 @@ from gsgen.contract.rules.pictures.alignment import (
     measure_alignment,
 )
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Statistic, Violation
 from gsgen.contract.validation.gates import VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -60,7 +60,13 @@ def orientation_follows_neighbours(sample: DrawnSample) -> Iterator[Violation]:
         actual += f"; it would fit if the axes of the covariances were {turned}"
     expected = f"below {_UNRELATED}: 0 is along the surface or strand, 1 is random"
     location = Location(sample.emission.rows_place, "covariance")
-    yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+    yield Violation(
+        where=location,
+        expected=expected,
+        actual=actual,
+        certainty="possible",
+        statistic=Statistic("deviation", alignment.deviation, 0.0, _UNRELATED),
+    )
 
 
 def _explaining_axes(sample: DrawnSample, alignment: Alignment) -> str:
@@ -117,7 +123,13 @@ def covariance_is_rotated(sample: DrawnSample) -> Iterator[Violation]:
     )
     expected = "rotated covariances, or axes along the surface of the neighbours"
     location = Location(sample.emission.rows_place, "covariance")
-    yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+    yield Violation(
+        where=location,
+        expected=expected,
+        actual=actual,
+        certainty="possible",
+        statistic=Statistic("share of rows along the axes", aligned, 0.0, _ALIGNED),
+    )
 
 
 def _median(values: Float[np.ndarray, " n"]) -> float:

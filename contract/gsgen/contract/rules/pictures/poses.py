@@ -15,7 +15,7 @@ from gsgen.contract.spec.geometry import rotation_matrix, symmetric
 from gsgen.contract.spec.layout import COVARIANCE
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.finding import Statistic, Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -100,7 +100,8 @@ def _deviation(
         f"of the rotation at {run.probe.label!r}"
     )
     expected = f"covariances that turn with their neighbours: an error below {_FOLLOWS}"
-    return Violation.at(f"role {role}", actual, expected, certainty="possible")
+    usual = Statistic("error of the rotation", statistic, 0.0, _FOLLOWS)
+    return Violation.at(f"role {role}", actual, expected, certainty="possible", statistic=usual)
 
 
 def _motions(

@@ -9,7 +9,7 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.spec.layout import POSITION
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Statistic, Violation
 from gsgen.contract.validation.gates import DECLARED, VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -59,7 +59,13 @@ def positions_not_on_lattice(sample: DrawnSample) -> Iterator[Violation]:
         )
         expected = "a precision finer than the smallest standard deviation"
         location = Location(sample.emission.rows_place, "position")
-        yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+        yield Violation(
+            where=location,
+            expected=expected,
+            actual=actual,
+            certainty="possible",
+            statistic=Statistic("step over the smallest standard deviation", step / thin, 0.0, 1.0),
+        )
 
 
 def _lattice_step(values: Float[np.ndarray, " n"]) -> float:

@@ -8,7 +8,7 @@ from gsgen.contract._array_types import Float
 from gsgen.contract.probing.drawn_sample import DrawnSample
 from gsgen.contract.rules.pictures.alignment import FITTING, measure_alignment
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Statistic, Violation
 from gsgen.contract.validation.gates import VALID_ROWS
 from gsgen.contract.validation.rule import rule
 
@@ -98,7 +98,10 @@ def size_fits_spacing(sample: DrawnSample) -> Iterator[Violation]:
         return
     expected = f"a size of {_SMALLEST} to {_LARGEST:g} times the distance to the neighbours"
     location = Location(sample.emission.rows_place, "covariance")
-    yield Violation(where=location, expected=expected, actual=actual, certainty="possible")
+    usual = Statistic("median standard deviation over the spacing", ratio, _SMALL, _LARGE)
+    yield Violation(
+        where=location, expected=expected, actual=actual, certainty="possible", statistic=usual
+    )
 
 
 def _mistake(sample: DrawnSample, ratio: float) -> str:

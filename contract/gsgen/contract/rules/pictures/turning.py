@@ -11,7 +11,7 @@ from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION, VARIANCES
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.finding import Location, Statistic, Violation
 from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
@@ -70,7 +70,9 @@ def _changes(
                 f"a tenth of the colours changes by {np.quantile(change, _SHARE):.3g} or more while the "
                 "camera turns about its own centre, as if its centre were computed without the inverse rotation"
             )
-            yield _possible(base.color_place, "", actual, "the same colours from the same centre")
+            usual = Statistic("change of colour", float(np.quantile(change, _SHARE)), 0.0, _CHANGED)
+            expected = "the same colours from the same centre"
+            yield _possible(base.color_place, "", actual, expected, usual)
     a, b = (o.gaussians[rows].astype(float) for o in (base, turned) if o.gaussians is not None)
     trace = np.maximum(a[:, VARIANCES].sum(axis=1), np.finfo(np.float32).tiny)
     change = np.abs(a[:, COVARIANCE] - b[:, COVARIANCE]).max(axis=1) / trace
@@ -79,12 +81,21 @@ def _changes(
             f"a tenth of the covariances changes by {np.quantile(change, _SHARE):.3g} of the trace or "
             "more while the camera turns about its own centre, as if they were in camera space"
         )
-        yield _possible(base.rows_place, "covariance", actual, "covariances in local space")
+        usual = Statistic("change over trace", float(np.quantile(change, _SHARE)), 0.0, _CHANGED)
+        expected = "covariances in local space"
+        yield _possible(base.rows_place, "covariance", actual, expected, usual)
 
 
-def _possible(subject: str, field: str, actual: str, expected: str) -> Violation:
-    location = Location(subject, field)
-    return Violation(where=location, actual=actual, expected=expected, certainty="possible")
+def _possible(
+    subject: str, field: str, actual: str, expected: str, statistic: Statistic
+) -> Violation:
+    return Violation(
+        where=Location(subject, field),
+        actual=actual,
+        expected=expected,
+        certainty="possible",
+        statistic=statistic,
+    )
 
 
 def _outputs(subject: InspectedModel, run: ProbeRun) -> ModelOutputs | None:
@@ -146,4 +157,5 @@ def forward_axis(behaviour: Behaviour) -> Iterator[Violation]:
                 f"{ahead} rows are drawn by a camera that looks at the scene, and {behind} by one "
                 "that looks away, as if culling took −z for forward"
             )
-            yield _possible(base.rows_place, "opacity", actual, "rows ahead, along +z")
+            usual = Statistic("rows ahead over rows behind", ahead / behind, 0.5)
+            yield _possible(base.rows_place, "opacity", actual, "rows ahead, along +z", usual)
