@@ -78,7 +78,7 @@ Inputs = Annotated[
     typer.Option(
         "--input",
         metavar="NAME=VALUE",
-        help="Another input, by its name or role: a number, A,B,…, FROM..TO, or a file; "
+        help="Another input, by its name or role: a number, A,B,…, FROM..TO, or a file (sound: .wav); "
         "repeatable.",
     ),
 ]
@@ -199,9 +199,18 @@ def mode_of(name: str) -> "Mode":
 
 
 def read_tracks(
-    poses: list[str] | None, inputs: list[str] | None, sources: "Sequence[Source]"
+    poses: list[str] | None,
+    inputs: list[str] | None,
+    sources: "Sequence[Source]",
+    fps: float | None = None,
 ) -> "tuple[list[Track], float | None]":
     """Read the values of model inputs in each frame from the options ``--pose`` and ``--input``.
+
+    Args:
+        poses: Values of ``--pose``.
+        inputs: Values of ``--input``.
+        sources: The scenes, whose inputs are named.
+        fps: Frames per second that the user asked for, which sound is read for.
 
     Returns:
         A track for each input, and the frames per second of the first file of poses that has them.
@@ -210,19 +219,36 @@ def read_tracks(
         ConfigInvalid: A text or a file is invalid, or no source has an input of this name.
     """
     from gsgen.runtime.playback.input_tracks import input_track
+    from gsgen.runtime.playback.playback import frame_rate
     from gsgen.runtime.playback.pose_tracks import named_file, pose_tracks
+    from gsgen.runtime.playback.sound_tracks import SOUND_SUFFIX, sound_track
 
     tracks: list[Track] = []
-    fps: float | None = None
+    pose_fps: float | None = None
     for text in poses or ():
         name = named_file(text)[0]
-        source = next((source for source in sources if source.named(name)), None)
-        if source is None:
-            raise ConfigInvalid(
-                f"names the input {name!r}, which no scene has",
-                where=f"--pose {text}",
-                hint="`gsgen inspect` lists the inputs of a model.",
-            )
+        source = _source_with(name, sources, f"--pose {text}")
         file_tracks, file_fps = pose_tracks(text, source)
-        tracks, fps = [*tracks, *file_tracks], fps or file_fps
-    return [*tracks, *(input_track(text) for text in inputs or ())], fps
+        tracks, pose_fps = [*tracks, *file_tracks], pose_fps or file_fps
+    for text in inputs or ():
+        name, _, value = text.partition("=")
+        if Path(value).suffix.lower() == SOUND_SUFFIX:
+            source = _source_with(name, sources, f"--input {text}")
+            spec = source.named(name)[0]
+            rate = fps or pose_fps or frame_rate(sources)
+            tracks.append(sound_track(Path(value), spec, source.shape(spec.name), rate))
+        else:
+            tracks.append(input_track(text))
+    return tracks, pose_fps
+
+
+def _source_with(name: str, sources: "Sequence[Source]", where: str) -> "Source":
+    """Return the first source that has an input of this name or role."""
+    for source in sources:
+        if source.named(name):
+            return source
+    raise ConfigInvalid(
+        f"names the input {name!r}, which no scene has",
+        where=where,
+        hint="`gsgen inspect` lists the inputs of a model.",
+    )

@@ -126,7 +126,7 @@ def render(
     with open_scenes(
         scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=wait)
     ) as (sources, models):
-        tracks, pose_fps = options.read_tracks(pose, inputs, sources)
+        tracks, pose_fps = options.read_tracks(pose, inputs, sources, fps)
         is_published = wsr == "published"
         if is_published:
             _require_weighted_sums(sources)

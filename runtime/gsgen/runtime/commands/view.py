@@ -120,7 +120,7 @@ def view(
     with open_scenes(
         scenes, post, provider=provider, size=symbols, streaming=replace(streaming, wait=0)
     ) as (sources, models):
-        tracks, pose_fps = options.read_tracks(pose, inputs, sources)
+        tracks, pose_fps = options.read_tracks(pose, inputs, sources, fps)
         playback = LivePlayback(
             sources,
             post=models,

@@ -1,6 +1,6 @@
 """The base of playbacks: sources of Gaussians, post-process models, and input values by frame."""
 
-__all__ = ["DEFAULT_FPS", "Playback"]
+__all__ = ["DEFAULT_FPS", "Playback", "frame_rate"]
 
 from collections.abc import Sequence
 from typing import Final, Literal
@@ -16,6 +16,12 @@ from gsgen.runtime.sources.source import Source, Values
 
 DEFAULT_FPS: Final = 25.0
 """Default frames per second, without a rate of the caller or a manifest."""
+
+
+def frame_rate(sources: Sequence[Source]) -> float:
+    """Return the frames per second of the first source of Gaussians that has a rate, or 25."""
+    rates = (source.time.fps for source in sources if source.time is not None)
+    return next((rate for rate in rates if rate), DEFAULT_FPS)
 
 
 class Playback:
@@ -48,8 +54,7 @@ class Playback:
     ) -> None:
         self.sources, self.post = list(sources), list(post)
         self._timeline, self.frames = timeline, frames
-        rates = (source.time.fps for source in self.sources if source.time is not None)
-        self.fps = fps or next((rate for rate in rates if rate), DEFAULT_FPS)
+        self.fps = fps or frame_rate(self.sources)
         self.sh_degree: int | None = sh_degree
         self.antialias: Literal["classic", "mip"] | None = antialias
         # An orbit goes around the extent of all frames. The first frame is surveyed last, so

@@ -1,0 +1,104 @@
+"""Reads WAV files for inputs of the role ``audio``: the newest sound before each frame.
+
+The last sample of a frame's window is that of the moment that is drawn; before the recording there
+are zeros (the section "Sound" of the specification's roles).
+"""
+
+__all__ = ["SOUND_SUFFIX", "read_sound", "sound_track"]
+
+import wave
+from fractions import Fraction
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.spec.manifest import Input
+from gsgen.runtime.playback.input_tracks import Track
+
+SOUND_SUFFIX: Final = ".wav"
+"""Suffix of files that hold the sound of a track."""
+
+_MOST_BYTES: Final = 1 << 30  # of the windows of all frames
+_CLOSEST_RATIO: Final = 1000  # largest denominator of the ratio of two sample rates
+_PCM: Final = {1: "u1", 2: "<i2", 4: "<i4"}
+_ARRAYS: Final = "Compute the input yourself, and give an .npy of [frames, …]."
+
+
+def sound_track(path: Path, spec: Input, shape: tuple[int, ...], fps: float) -> Track:
+    """Return the windows of a WAV file that end at each frame of a video.
+
+    Args:
+        path: The file: PCM of 8, 16, 24 or 32 bits; the mean of its channels is taken.
+        spec: The input. Sound of another sample rate is resampled to the input's.
+        shape: Shape of the input, [S].
+        fps: Frames per second of the video.
+
+    Raises:
+        ConfigInvalid: The input takes no samples of sound, or the file cannot be read.
+    """
+    where = f"--input {spec.name}={path}"
+    if spec.role != "audio" or spec.convention == "mel" or len(shape) != 1 or spec.rate is None:
+        takes = "mel energies" if spec.role == "audio" else f"the role {spec.role}"
+        raise ConfigInvalid(
+            f"the input {spec.name!r} takes {takes}, expected samples of sound with a rate",
+            where=where,
+            hint=_ARRAYS,
+        )
+    samples, rate = read_sound(path)
+    samples = _resampled(samples, rate, spec.rate)
+    frames = max(1, int(np.ceil(len(samples) / spec.rate * fps)))
+    if 4 * frames * shape[0] > _MOST_BYTES:
+        raise ConfigInvalid(
+            f"{frames:,} frames with {shape[0]:,} samples each take more than 1 GiB",
+            where=where,
+            hint="Cut the recording, or lower --fps.",
+        )
+    padded = np.concatenate([np.zeros(shape[0] - 1, np.float32), samples])
+    last = np.minimum(np.rint(np.arange(frames) / fps * spec.rate), len(samples) - 1).astype(int)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, shape[0])[last]
+    return Track(spec.name, windows, where)
+
+
+def read_sound(path: Path) -> tuple[Float32[np.ndarray, " n"], float]:
+    """Read the samples of a WAV file, in [−1, 1), and its samples per second.
+
+    Raises:
+        ConfigInvalid: The file cannot be read, or holds no sound.
+    """
+    try:
+        with wave.open(str(path), "rb") as file:
+            channels, width = file.getnchannels(), file.getsampwidth()
+            rate, data = file.getframerate(), file.readframes(file.getnframes())
+    except OSError as error:
+        message = f"cannot be read: {error.strerror or error}"
+        raise ConfigInvalid(message, where=str(path)) from error
+    except (wave.Error, EOFError) as error:
+        hint = "Convert it to WAV with PCM samples."
+        raise ConfigInvalid(f"is no WAV of PCM: {error}", where=str(path), hint=hint) from error
+    data = data[: len(data) // (channels * width) * channels * width]
+    if not data or not rate:
+        raise ConfigInvalid("the file holds no samples of sound", where=str(path))
+    if width == 3:  # little-endian 24 bits become the upper ones of 32
+        padded = np.zeros((len(data) // 3, 4), np.uint8)
+        padded[:, 1:] = np.frombuffer(data, np.uint8).reshape(-1, 3)
+        numbers, width = padded.reshape(-1).view("<i4"), 4
+    else:
+        numbers = np.frombuffer(data, np.dtype(_PCM[width]))
+    middle = 128 if width == 1 else 0  # 8 bits are unsigned
+    amplitudes = (numbers.astype(np.float64) - middle) / 2 ** (8 * width - 1)
+    return amplitudes.reshape(-1, channels).mean(axis=1).astype(np.float32), float(rate)
+
+
+def _resampled(
+    samples: Float32[np.ndarray, " n"], rate: float, target: float
+) -> Float32[np.ndarray, " m"]:
+    if rate == target:
+        return samples
+    from scipy.signal import resample_poly
+
+    ratio = Fraction(target / rate).limit_denominator(_CLOSEST_RATIO)
+    resampled = resample_poly(samples, ratio.numerator, ratio.denominator)
+    return np.asarray(np.clip(resampled, -1, 1), np.float32)
