@@ -64,6 +64,7 @@ def open_scenes(
     from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.sources.opening import open_source
     from gsgen.runtime.sources.scene_file import open_scene
+    from gsgen.runtime.sources.world_origins import beside_the_first
     from gsgen.sdk.commands.options import sizes_of
 
     sizes = sizes_of(list(size) if size else None, "--size")
@@ -93,7 +94,7 @@ def open_scenes(
                 raise typer.Exit(ExitCode.UNREADABLE) from error
             finally:
                 clear()
-        yield sources, models
+        yield beside_the_first(sources), models
 
 
 @contextmanager

@@ -46,6 +46,7 @@ class Source(ABC):
         name: Path or name of the source, for messages.
         data: The current Gaussians.
         up: The upward direction, a unit vector.
+        space: What an ONNX generator declares of its local space; None for others.
         antialias: Antialiasing of the training.
         color_space: Colour space of the Gaussians.
         weighted: Weights of Gaussians that are blended by weighted sums; None for sorted blending.
@@ -58,6 +59,7 @@ class Source(ABC):
     name: str
     data: SplatData
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    space: Space | None = None
     antialias: Literal["classic", "mip"] = "classic"
     color_space: Literal["srgb", "linear"] = "srgb"
     weighted: WeightedSum | None = None
@@ -252,6 +254,7 @@ class GeneratorSource(Source):
         self.name = str(path)
         self._worker = GeneratorWorker(path, provider, sizes)
         self.manifest = manifest = self._worker.manifest
+        self.space = manifest.space
         self.up = axis_direction((manifest.space or Space()).up)
         self.antialias = manifest.antialias
         self.weighted = manifest.weighted_sum if manifest.blend == "wsr" else None

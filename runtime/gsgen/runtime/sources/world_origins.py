@@ -1,0 +1,43 @@
+"""Places generators of one world beside each other, by the origins that their manifests declare."""
+
+__all__ = ["beside_the_first"]
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.contract.spec.manifest import Space
+from gsgen.runtime.sources.placed_source import PlacedSource
+from gsgen.runtime.sources.source import Source
+
+
+def beside_the_first(sources: Sequence[Source]) -> list[Source]:
+    """Place the sources that declare an origin in the local space of the first of them.
+
+    Cameras, files and models without an origin are in that space, too. Offsets are computed in
+    float64: origins may be millions of units, and differ by a few.
+    """
+    spaces = [source.space for source in sources if source.space and source.space.origin]
+    placed: list[Source] = []
+    for source in sources:
+        space = source.space
+        if space is None or space.origin is None or space is spaces[0]:
+            placed.append(source)
+            continue
+        transform = _between(space, spaces[0])
+        is_same = np.array_equal(transform, np.eye(4))
+        placed.append(source if is_same else PlacedSource(source, transform))
+    return placed
+
+
+def _between(space: Space, first: Space) -> Float64[np.ndarray, "4 4"]:
+    """Return the transform from a local space to that of the first, whose origins are declared."""
+    assert space.origin is not None
+    assert first.origin is not None
+    scale = 1.0
+    if space.metres_per_unit and first.metres_per_unit:
+        scale = space.metres_per_unit / first.metres_per_unit
+    transform = np.diag([scale, scale, scale, 1.0])
+    transform[:3, 3] = scale * np.array(space.origin) - np.array(first.origin)
+    return transform
