@@ -5,6 +5,7 @@ import io
 import os
 import subprocess
 import sys
+import tempfile
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,28 +27,68 @@ class Ran:
         code: Its exit code.
         out: What it printed.
         err: Its trouble.
-        seconds: Processor time that it and its children took; 0 where that was not measured.
     """
 
     code: int
     out: str
     err: str
-    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRun(Ran):
+    """A finished command with what it used.
+
+    Attributes:
+        seconds: Processor time that it and its children took.
+        peak_bytes: The largest resident size that it or one of its children had.
+    """
+
+    seconds: float
+    peak_bytes: int
+
+
+# A process starts with its parent's largest resident size as its own (`exec` in Linux carries
+# it over), so the command's parent must be small: not the test process, but this program.
+# It writes (exit code, processor time in s, peak in the system's unit) to the file argv[1].
+_MEASURE = """
+import os, sys
+process = os.posix_spawn(sys.executable, [sys.executable, *sys.argv[2:]], os.environ)
+_, status, used = os.wait4(process, 0)
+code = os.waitstatus_to_exitcode(status)
+with open(sys.argv[1], "w") as record:
+    print(code, used.ru_utime + used.ru_stime, used.ru_maxrss, file=record)
+"""
 
 
 def gsgen(*words: str | Path, cwd: Path | None = None, env: dict[str, str] | None = None) -> Ran:
     """Run the command line in a process of its own, as a user does."""
-    began = _children_seconds()
-    done = subprocess.run(
-        [sys.executable, "-m", "gsgen.cli", *map(str, words)],
+    done = _run_python("-m", "gsgen.cli", *map(str, words), cwd=cwd, env=env)
+    return Ran(done.returncode, done.stdout, done.stderr)
+
+
+def measured_gsgen(*words: str | Path) -> MeasuredRun:
+    """Run the command line in a process of its own; measure its time and its memory."""
+    with tempfile.TemporaryDirectory() as folder:
+        record = Path(folder) / "used"
+        command = ["-m", "gsgen.cli", *map(str, words)]
+        done = _run_python("-I", "-S", "-c", _MEASURE, str(record), *command)
+        assert done.returncode == 0, done.stderr
+        code, seconds, peak = record.read_text().split()
+    unit = 1 if sys.platform == "darwin" else 1024
+    return MeasuredRun(int(code), done.stdout, done.stderr, float(seconds), int(peak) * unit)
+
+
+def _run_python(
+    *arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *arguments],
         capture_output=True,
         text=True,
         cwd=cwd,
         env=os.environ | {"COLUMNS": "200"} | (env or {}),
         timeout=300,
     )
-    took = _children_seconds() - began
-    return Ran(done.returncode, done.stdout, done.stderr, took)
 
 
 def gsgen_here(
@@ -73,23 +114,6 @@ def gsgen_here(
     return Ran(
         code if isinstance(code, int) else int(code is not None), out.getvalue(), err.getvalue()
     )
-
-
-def _children_seconds() -> float:
-    if os.name == "nt":  # has no `resource`
-        return 0.0
-    import resource
-
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
-def children_peak_bytes() -> int:
-    """Return the largest resident size that any finished child process had."""
-    import resource
-
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * unit
 
 
 def shared(relative: str) -> Path:

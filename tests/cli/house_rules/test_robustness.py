@@ -9,7 +9,7 @@ import onnx
 import pytest
 from onnx import ModelProto, TensorProto
 
-from support.commands import Ran, children_peak_bytes, gsgen, gsgen_here
+from support.commands import MeasuredRun, gsgen_here, measured_gsgen
 
 SECONDS = 20
 BYTES = 2 << 30
@@ -126,7 +126,7 @@ FILES: dict[str, Callable[[], bytes]] = {
 }
 
 
-Judge = Callable[[str], tuple[Path, Ran]]
+Judge = Callable[[str], tuple[Path, MeasuredRun]]
 
 
 @pytest.fixture(scope="module")
@@ -134,10 +134,10 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> Judge:
     """Validate a file in a process of its own, and once, however many tests ask for it."""
 
     @cache
-    def run(name: str) -> tuple[Path, Ran]:
+    def run(name: str) -> tuple[Path, MeasuredRun]:
         path = tmp_path_factory.mktemp("hostile") / "model.onnx"
         path.write_bytes(FILES[name]())
-        return path, gsgen("validate", path, "--timeout", "4")
+        return path, measured_gsgen("validate", path, "--timeout", "4")
 
     return run
 
@@ -152,7 +152,7 @@ def test_a_hostile_file_ends_in_a_clear_message(judge: Judge, name: str) -> None
     assert str(path) in words
     assert len(words) < 20_000
     assert ran.seconds < SECONDS
-    assert children_peak_bytes() < BYTES
+    assert ran.peak_bytes < BYTES
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ def view(
 
     Exits 0 once the window is closed, 2 for wrong options or no screen, 4 for unreadable scenes.
     """
-    from gsgen.runtime.commands.opening import open_scenes, read_scene_files
+    from gsgen.runtime.commands.opening import open_scenes
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.playback.scene_camera import scene_viewpoint
     from gsgen.runtime.viewer import surface_renderer, viewer
@@ -112,7 +112,7 @@ def view(
         return _serve_page(scenes, page, ort, port, as_json=as_json)
     symbols, width, height = options.split_image_size(size, width, height)
     _require_display(scenes)
-    files = list(read_scene_files(scenes).values())
+    files, color = _files_and_background(scenes, background)
     viewpoint = scene_viewpoint(
         files, camera, width, height, fov, up, orthographic=orthographic, panorama=panorama
     )
@@ -137,7 +137,7 @@ def view(
             viewpoint,
             renderer=surface_renderer.SurfaceRenderer(rasteriser=rasteriser, compact=compact),
             mode=options.mode_of(mode),
-            background=_background(background, files),
+            background=color,
             folder=pictures,
             print_line=typer.echo,
             on_event=_print_event if as_json else None,
@@ -213,16 +213,18 @@ def _serve_page(
         server.serve_forever(poll_interval=0.1)
 
 
-def _background(
-    text: str | None, files: "Sequence[SceneFile]"
-) -> tuple[float, float, float, float]:
-    """Return the background colour of --background, or else of the first scene file with one."""
+def _files_and_background(
+    scenes: Sequence[Path], text: str | None
+) -> "tuple[list[SceneFile], tuple[float, float, float, float]]":
+    """Return the scene files, and the colour of --background, or else of the first with one."""
+    from gsgen.runtime.commands.opening import read_scene_files
     from gsgen.runtime.playback.scene_camera import first_setting
     from gsgen.runtime.scene.colors import color_of
 
+    files = list(read_scene_files(scenes).values())
     option_color = None if text is None else color_of(text, "--background")
     color = first_setting([option_color, *(file.background for file in files)])
-    return color or (0.0, 0.0, 0.0, 1.0)
+    return files, color or (0.0, 0.0, 0.0, 1.0)
 
 
 def _require_display(scenes: Sequence[Path]) -> None:

@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import UInt32
 
 from gsgen.runtime.errors import CapacityExceeded
-from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 from gsgen.runtime.renderer.kernel_set import Kernels
 
 
@@ -22,7 +21,7 @@ def frame_counts(
     Raises:
         CapacityExceeded: More splats are drawn than one GPU dispatch can assign to tiles.
     """
-    most = MOST_GROUPS * WALK_THREADS * kernels.cut.walk
+    most = kernels.most_binned
     for part in counts:
         if (visible := int(part[Counts.VISIBLE])) > most:
             raise CapacityExceeded(

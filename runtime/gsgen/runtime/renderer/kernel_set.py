@@ -5,7 +5,7 @@ __all__ = ["RECORD", "Kernels"]
 from functools import cache
 from typing import Final, final
 
-from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.kernels.project.cull_slots import CullSlots
 from gsgen.runtime.kernels.project.normals import NormalsKernel
 from gsgen.runtime.kernels.project.place_splats import PlaceSplats
@@ -103,6 +103,11 @@ class Kernels:
             )
         )
         self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
+
+    @property
+    def most_binned(self) -> int:
+        """The most splats that one GPU dispatch can assign to tiles."""
+        return MOST_GROUPS * WALK_THREADS * self.cut.walk
 
     def records(self, gaussians: int) -> bool:
         """Return whether projected splats are structs in one GPU buffer, if it can be bound."""

@@ -8,14 +8,13 @@ from typing import Final, Protocol, final
 import numpy as np
 
 from gsgen.runtime.errors import CapacityExceeded
-from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.place_splats import PAGE_BYTES, PLACE_BLOCK
 from gsgen.runtime.kernels.project.tally_keys import BINS
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step
-from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 from gsgen.runtime.renderer.bands import Drawing
 from gsgen.runtime.renderer.kernel_set import Kernels
 
@@ -42,8 +41,7 @@ class Run(Protocol):
 
 def most_splats(device: Device, kernels: Kernels) -> int:
     """Return how many splats a GPU can sort, list and bind at once."""
-    most_walked = MOST_GROUPS * WALK_THREADS * kernels.cut.walk
-    return int(min(device.largest_binding // VEC4, most_walked))
+    return min(device.largest_binding // VEC4, kernels.most_binned)
 
 
 def slab_ranges(tally: Tally, capacity: int) -> list[tuple[int, int]]:
@@ -239,13 +237,13 @@ class Slabs:
             panorama: Whether the image is a panorama.
             records: Whether each splat is one record.
         """
-        place = self._kernels.place(bool(self._row_origins))
+        numbering = self._kernels.place(bool(self._row_origins))
         steps = []
         for slot, (page, keys) in enumerate(zip(self._pages, self._keys, strict=True)):
             row_origins = self._row_origins[slot] if self._row_origins else keys
             resources = (self._range, keys, self._block_counts, self._places, row_origins)
             written = (self.origins, self.takers, counts)
-            steps += place.steps((*resources, *written), self._ends, uniform, slot, page)
+            steps += numbering.steps((*resources, *written), self._ends, uniform, slot, page)
             project = self._kernels.project(
                 page.half, page.stride, panorama, page.packed, 0, records, "splats"
             )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Bool, Int64
 
 from gsgen.tiles.selection.choose import Choice, choose_options
 from gsgen.tiles.selection.cut_filling import fill_cut
@@ -44,8 +44,9 @@ def choose_jointly(
     Returns:
         The choice; None where no choice was found within both limits.
     """
-    if _is_independent(options) and float(splats.max(axis=1).sum()) <= splat_budget:
-        return _independent_choice(options, byte_budget)
+    is_parent = np.isin(np.arange(len(options.parent)), options.parent)
+    if _is_independent(options, is_parent) and float(splats.max(axis=1).sum()) <= splat_budget:
+        return _independent_choice(options, is_parent, byte_budget)
     search = _PriceSearch(options, splats, byte_budget, splat_budget)
     if search.keeps_limit(0.0) or search.best is None:
         return search.choice()
@@ -62,19 +63,19 @@ def choose_jointly(
     return search.choice()
 
 
-def _is_independent(options: CutOptions) -> bool:
+def _is_independent(options: CutOptions, is_parent: Bool[np.ndarray, " n"]) -> bool:
     """Return whether each leaf of a tile tree can be chosen freely, without other nodes."""
-    is_parent = np.isin(np.arange(len(options.parent)), options.parent)
     draws = np.isfinite(options.cost) & (options.utility > 0)
     is_nothing = (options.cost[:, -1] == 0) & (options.utility[:, -1] == 0)
     return bool(is_nothing.all()) and not bool(draws[is_parent].any())
 
 
-def _independent_choice(options: CutOptions, budget: float) -> Choice:
+def _independent_choice(
+    options: CutOptions, is_parent: Bool[np.ndarray, " n"], budget: float
+) -> Choice:
     hulls = OptionHulls.of_options(options.cost, options.utility)
     choice = choose_options(hulls, np.ones(len(options.parent)), budget)
     nothing = options.cost.shape[1] - 1
-    is_parent = np.isin(np.arange(len(options.parent)), options.parent)
     option = np.where(choice.option < 0, nothing, choice.option)
     return Choice(np.where(is_parent, -1, option), choice.utility, choice.cost, choice.bound)
 
@@ -102,9 +103,8 @@ class _PriceSearch:
         self._options, self._splats = options, splats
         self._byte_budget, self._splat_budget = byte_budget, splat_budget
         self._bound = np.inf
-        self.best: _Candidate | None = (
-            None  # within the bytes, the first also with too many Gaussians
-        )
+        # Within the bytes; the first one also with too many Gaussians.
+        self.best: _Candidate | None = None
 
     def keeps_limit(self, price: float) -> bool:
         """Choose tiles at a price per Gaussian; return whether the number of Gaussians is kept."""

@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 _ROWS: Final = 1 << 13  # at a time, which stay in the cache
-_SWEEPS: Final = (
-    5  # off-diagonal entries shrink quadratically; four sweeps reach float64's rounding
-)
+# Off-diagonal entries shrink quadratically: four sweeps usually reach float64's rounding.
+_SWEEPS: Final = 5
 _ORDER: Final = (2, 0, 2)  # the axes about which swaps sort three scales
 # Of q = (w, x, y, z), a half turn about an own axis makes (-x, w, z, -y), (-y, -z, w, x) or
 # (-z, y, -x, w): the same covariance.

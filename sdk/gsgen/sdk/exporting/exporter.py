@@ -17,6 +17,7 @@ import torch
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probes import Probe, default_probes
+from gsgen.contract.probing.test_vectors import MOST_RECORDED
 from gsgen.contract.process.atomic_files import refuse_folder
 from gsgen.contract.spec.fields.roles import ROLES
 from gsgen.contract.spec.manifest import (
@@ -69,7 +70,7 @@ from gsgen.sdk.exporting.pipeline import (
 )
 from gsgen.sdk.exporting.sh_degrees import HALF_RGB
 from gsgen.sdk.exporting.sh_padding import padded_harmonics
-from gsgen.sdk.exporting.source_vectors import MOST_VECTORS, RowRecorder, add_source_vectors
+from gsgen.sdk.exporting.source_vectors import RowRecorder, add_source_vectors
 from gsgen.sdk.exporting.tracing.autocast import float32_arithmetic
 from gsgen.sdk.exporting.tracing.hazards import Watch
 from gsgen.sdk.exporting.tracing.trace import trace_generator
@@ -192,8 +193,8 @@ def export(
     """
     path = Path(path)
     refuse_folder(path)
-    if not 0 <= vectors <= MOST_VECTORS:
-        message = f"is {vectors}, expected from 0 to {MOST_VECTORS}"
+    if not 0 <= vectors <= MOST_RECORDED:
+        message = f"is {vectors}, expected from 0 to {MOST_RECORDED}"
         raise ConfigInvalid(message, where="vectors", hint="Give 0 to record no rows.")
     validate_module(generator)
     generator = generator.eval().cpu()

@@ -4,7 +4,7 @@ Whatever edits the file later, a validator compares the model with the module th
 without torch and without further files (rule GM037).
 """
 
-__all__ = ["MOST_VECTORS", "RowRecorder", "add_source_vectors"]
+__all__ = ["RowRecorder", "add_source_vectors"]
 
 import json
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ import numpy as np
 from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import open_model, write_manifest_text
 from gsgen.contract.probing.sandbox_worker import digest_of, thinned, thinning_step
-from gsgen.contract.probing.test_vectors import MOST_RECORDED, record_input, record_rows
+from gsgen.contract.probing.test_vectors import record_input, record_rows
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.rules.behaviour.recorded_vectors import vector_faults
 from gsgen.contract.spec.fields.json_schema import to_json
@@ -25,7 +25,6 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.tools.recording import evenly_spaced
 from gsgen.sdk.exporting.eager_reference import EagerRuns, packed_outputs
 
-MOST_VECTORS = MOST_RECORDED
 # Enough for changes that touch the whole scene; more would make the file larger than a graph needs.
 _ROWS = 2
 # Inputs of more numbers, such as images, would make the manifest larger than it is worth.

@@ -171,9 +171,8 @@ def vector_faults(
         array, step = outputs[part.output], steps.get(part.output, 1)
         columns = array[:1].size
         if subject.declared_appearance is not None and not _is_sh(subject, part):
-            columns = min(
-                columns, *APPEARANCE_CHANNELS["rgb"]
-            )  # a fourth channel of RGB has no meaning
+            # A fourth channel of RGB has no meaning.
+            columns = min(columns, *APPEARANCE_CHANNELS["rgb"])
         fault = _part_fault(part, len(array) * step, columns, step)
         if fault is not None:
             yield fault

@@ -64,24 +64,26 @@ def _changes(
     assert turned.gaussians is not None
     color, other_color = base.appearance, turned.appearance
     if color is not None and other_color is not None and color.shape == other_color.shape:
-        change = np.abs(color[rows].astype(float) - other_color[rows]).max(axis=1)
-        if np.quantile(change, _SHARE) > _CHANGED:
+        changes = np.abs(color[rows].astype(float) - other_color[rows]).max(axis=1)
+        change = float(np.quantile(changes, _SHARE))
+        if change > _CHANGED:
             actual = (
-                f"a tenth of the colours changes by {np.quantile(change, _SHARE):.3g} or more while the "
+                f"a tenth of the colours changes by {change:.3g} or more while the "
                 "camera turns about its own centre, as if its centre were computed without the inverse rotation"
             )
-            usual = Statistic("change of colour", float(np.quantile(change, _SHARE)), 0.0, _CHANGED)
+            usual = Statistic("change of colour", change, 0.0, _CHANGED)
             expected = "the same colours from the same centre"
             yield _possible(base.color_place, "", actual, expected, usual)
     a, b = (o.gaussians[rows].astype(float) for o in (base, turned) if o.gaussians is not None)
     trace = np.maximum(a[:, VARIANCES].sum(axis=1), np.finfo(np.float32).tiny)
-    change = np.abs(a[:, COVARIANCE] - b[:, COVARIANCE]).max(axis=1) / trace
-    if np.quantile(change, _SHARE) > _CHANGED:
+    changes = np.abs(a[:, COVARIANCE] - b[:, COVARIANCE]).max(axis=1) / trace
+    change = float(np.quantile(changes, _SHARE))
+    if change > _CHANGED:
         actual = (
-            f"a tenth of the covariances changes by {np.quantile(change, _SHARE):.3g} of the trace or "
+            f"a tenth of the covariances changes by {change:.3g} of the trace or "
             "more while the camera turns about its own centre, as if they were in camera space"
         )
-        usual = Statistic("change over trace", float(np.quantile(change, _SHARE)), 0.0, _CHANGED)
+        usual = Statistic("change over trace", change, 0.0, _CHANGED)
         expected = "covariances in local space"
         yield _possible(base.rows_place, "covariance", actual, expected, usual)
 
