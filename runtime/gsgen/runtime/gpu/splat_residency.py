@@ -8,6 +8,7 @@ __all__ = [
     "Page",
     "PageSlots",
     "Residency",
+    "allocate_pool_page",
     "bytes_of",
     "stride",
 ]
@@ -121,6 +122,40 @@ class Page:
     cells: Buffer | None = None
     rows_of: UInt32[np.ndarray, " n"] | None = None
     slots: PageSlots | None = None
+
+
+def allocate_pool_page(
+    device: Device, pool: SplatPool, first: int, count: int, *, half: bool
+) -> Page:
+    """Allocate the GPU buffers of consecutive slots of a splat pool, for streamed tiles.
+
+    Args:
+        device: Device of the buffers.
+        pool: The pool.
+        first: Index of the page's first slot.
+        count: Number of slots, at most ``PAGE_SLOTS``; it may be a recorded size.
+        half: Whether the appearance is float16.
+    """
+    words = stride(pool.channels, half=half)
+    capacity = count * pool.slot_rows
+    dispatch = device.storage("dispatch of a pool", 12, extra="INDIRECT")
+    device.write(dispatch, np.array([0, 1, 1], np.uint32))
+    return Page(
+        first=first * pool.slot_rows,
+        capacity=capacity,
+        rows=device.storage("rows of a pool", _bytes_of_row(packed=False) * capacity),
+        appearance=device.storage("appearance of a pool", _bytes_of_appearance(words) * capacity),
+        half=half,
+        stride=words,
+        slots=PageSlots(
+            pool=pool,
+            first=first,
+            count=count,
+            table=device.uniform("slot table", SLOT_BYTES * PAGE_SLOTS),
+            seen=device.storage("slots in view", 4 * count),
+            dispatch=dispatch,
+        ),
+    )
 
 
 def _rows_of(page: Page, first: int, rows: Float[np.ndarray, "n 10"]) -> Target:
@@ -328,31 +363,10 @@ class Residency:
         return pages
 
     def _allocate_pool(self, pool: SplatPool) -> Iterator[Page]:
-        words = stride(pool.channels, half=self._compact)
         slots_per_page = min(PAGE_SLOTS, max(1, self._page_rows // pool.slot_rows))
         for first in range(0, pool.slots, slots_per_page):
             count = min(slots_per_page, pool.slots - first)
-            capacity = count * pool.slot_rows
-            dispatch = self._device.storage("dispatch of a pool", 12, extra="INDIRECT")
-            self._device.write(dispatch, np.array([0, 1, 1], np.uint32))
-            yield Page(
-                first=first * pool.slot_rows,
-                capacity=capacity,
-                rows=self._device.storage("rows of a pool", _bytes_of_row(packed=False) * capacity),
-                appearance=self._device.storage(
-                    "appearance of a pool", _bytes_of_appearance(words) * capacity
-                ),
-                half=self._compact,
-                stride=words,
-                slots=PageSlots(
-                    pool=pool,
-                    first=first,
-                    count=count,
-                    table=self._device.uniform("slot table", SLOT_BYTES * PAGE_SLOTS),
-                    seen=self._device.storage("slots in view", 4 * count),
-                    dispatch=dispatch,
-                ),
-            )
+            yield allocate_pool_page(self._device, pool, first, count, half=self._compact)
 
     def _upload(
         self,

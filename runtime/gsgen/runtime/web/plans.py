@@ -1,6 +1,14 @@
 """The document ``plans.json``: GPU buffers, dispatches and uniforms for the browser client."""
 
-__all__ = ["PAGE_RULES", "PLANS_FILE", "SHAPES", "plans_document", "plans_text", "written_plans"]
+__all__ = [
+    "PAGE_RULES",
+    "PLANS_FILE",
+    "SHAPES",
+    "plans_document",
+    "plans_text",
+    "pool_kinds",
+    "written_plans",
+]
 
 import json
 from collections.abc import Mapping
@@ -23,6 +31,7 @@ from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, stride
 from gsgen.runtime.kernels.project.live_counts import LiveCounts
 from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
 from gsgen.runtime.kernels.project.repack_rows import RepackRows
+from gsgen.runtime.kernels.project.slots import SLOT
 from gsgen.runtime.kernels.raster.import_layer import PICTURE, ImportLayer
 from gsgen.runtime.kernels.shared.counts import BYTES, Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS
@@ -33,8 +42,9 @@ from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.runtime.viewer.present import SHOWING, SHOWING_CONSTANTS
+from gsgen.runtime.web.formulas import Formula
 from gsgen.runtime.web.plan_tables import PlanTables, module_row
-from gsgen.runtime.web.recording import APPEARANCES, Shape, record
+from gsgen.runtime.web.recording import APPEARANCES, Shape, page_kind, record, recorded_pool_pages
 from gsgen.runtime.web.recording_device import RecordedModule, RecordingDevice
 
 PLANS_FILE: Final = "gsgen.runtime.web:client/plans.json"
@@ -97,6 +107,7 @@ def plans_document() -> dict[str, Any]:
             "page": _fields(PAGE),
             "showing": _fields(SHOWING),
             "picture": _fields(PICTURE),
+            "slot": _fields(SLOT),
         },
         "counts": {member.name: int(member) for member in Counts} | {"BYTES": BYTES},
         "appearances": [
@@ -110,6 +121,7 @@ def plans_document() -> dict[str, Any]:
         ],
         "generators": generators,
         "layers": layers,
+        "pools": pool_kinds(tables),
         "contract": _contract(),
         "pairs": {"first": FIRST_PAIRS, "room": PAIRS_ROOM, "most": MOST_GROUPS * RANGE_BLOCK},
         "streaming": {"slotRows": SLOT_ROWS, "maxError": StreamSettings().max_error},
@@ -125,6 +137,13 @@ def plans_document() -> dict[str, Any]:
             "PAGE_ROWS": PAGE_ROWS,
         },
     }
+
+
+def pool_kinds(tables: PlanTables, slot_rows: int = SLOT_ROWS) -> dict[str, Any]:
+    """Return the GPU buffers of a splat pool's page, as formulas in its ``slots``, by its kind."""
+    device, slots = Device(RecordingDevice()), Formula(1, "slots", [])
+    placed = recorded_pool_pages(device, APPEARANCES, [slots] * len(APPEARANCES), slot_rows)
+    return {page_kind(page): tables.pool_buffers(page, "slots") for _, page in placed}
 
 
 def _contract() -> dict[str, Any]:
