@@ -179,7 +179,7 @@ def sums(scene: Scene, camera: Camera, walls: Float[np.ndarray, "h w"] | None = 
 
 
 class _State:
-    """The sums and the transmittance of each pixel after some groups, from the nearest on."""
+    """Each pixel's weighted sums and transmittance after some cells (groups), nearest first."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.color, self.normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
@@ -278,7 +278,7 @@ def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.nd
 
 
 def _box(mean: np.ndarray, covariance: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return the masks of the pixels in a cell's image tiles, and of pixels at rounding limits."""
+    """Return masks of pixels in the tiles of a cell (group), and of pixels lost by rounding."""
     (radius,), (ring,) = _reach(covariance[None], 2)
     boxes = [
         _tiles(mean + shift * np.array(way), radius, camera)

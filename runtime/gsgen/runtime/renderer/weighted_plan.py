@@ -280,12 +280,12 @@ def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, P
 
 
 def _cells(page: Page) -> int:
-    """Return the number of cells (groups of Gaussians) in a GPU page's splat set."""
+    """Return the number of cells (groups of Gaussians) of the splat set in a page (GPU buffers)."""
     return 0 if page.cells is None else page.cells.size // (4 * layout.ROW)
 
 
 def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
-    """Fill a GPU page's uniform data with a splat set's weighting parameters, and return it."""
+    """Fill the uniform data of a page (GPU buffers) with weighting parameters, and return it."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None
     uniform["per_cell"] = splat_set.data.per_cell

@@ -1,4 +1,4 @@
-"""Gaussians in the packed layout of the contract; their values may change between frames."""
+"""Gaussians in packed rows of ten numbers, whose values may change between frames."""
 
 __all__ = ["SplatData"]
 

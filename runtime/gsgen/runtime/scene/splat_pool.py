@@ -60,7 +60,8 @@ class SplatPool:
     def __init__(self, rows: int, channels: int, *, slot_rows: int = SLOT_ROWS) -> None:
         if rows < 1 or slot_rows < 64 or slot_rows % 64:
             raise SceneInvalid(
-                f"the splat pool has {rows} rows and {slot_rows} rows a slot, expected a multiple of 64 a slot",
+                f"the splat pool has {rows} rows in slots (tile parts) of {slot_rows} rows, "
+                "expected at least one row, and slots of a multiple of 64 rows",
                 where="pool",
             )
         if channels not in layout.APPEARANCE_CHANNELS["sh"]:
@@ -174,7 +175,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Update the splat pool's table of a tile's slots, and queue GPU writes of the tile."""
+        """Record a tile's slots (row ranges) in the splat pool, and queue its upload to the GPU."""
         reach = _REACH * np.sqrt(np.maximum(rows[:, [4, 7, 9]], 0))
         lows, highs = rows[:, :3] - reach, rows[:, :3] + reach
         for index, slot in enumerate(slots):

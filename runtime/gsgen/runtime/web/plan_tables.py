@@ -169,13 +169,13 @@ class _PlanWriter:
         return {kind: rows[0] if len(rows) == 1 else rows for kind, rows in rows_of.items()}
 
     def _slot(self, step: Step) -> int | None:
-        """Return the index of the GPU page that a recorded dispatch reads, or None."""
+        """Return the index of the page (GPU buffers) that a recorded dispatch reads, or None."""
         slots = self._binds(step, self._kinds) or self._binds(step, self._sets)
         assert len(slots) < 2, "a step reads several pages"
         return slots.pop() if slots else None
 
     def _binds(self, step: Step, slots: Mapping[RecordedBuffer, int]) -> set[int]:
-        """Return the indices, from a mapping by buffer, of those buffers that a GPU step binds."""
+        """Look up the buffers that a GPU step binds in a mapping to indices; return the indices."""
         entries = [entry for bind in step.binds for entry in bind.entries]
         return {slots[buffer] for buffer, _, _ in entries if buffer in slots}
 

@@ -147,7 +147,7 @@ def pool_kinds(tables: PlanTables, slot_rows: int = SLOT_ROWS) -> dict[str, Any]
 
 
 def _contract() -> dict[str, Any]:
-    """Return the contract data for the browser client: version, model kinds, rules to check."""
+    """Return facts of the generator contract for the browser: version, model kinds, rules."""
     rules = {entry.id: entry for entry in builtin_rules()}
     limits = load_target("webgpu").limits
     return {
@@ -167,7 +167,7 @@ def _contract() -> dict[str, Any]:
 
 
 def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
-    """Return the kernels that copy model outputs to GPU pages, and ONNX copy operators.
+    """Return the kernels that copy model outputs to GPU buffers, and the ONNX operators that copy.
 
     Rows that a page can bind as they are have no kernel. Operators that copy buffers spoil the
     captured graph of a model whose outputs they produce.

@@ -35,7 +35,7 @@ from gsgen.runtime.web.recording_device import RecordedBuffer, RecordingDevice
 @final
 @dataclass(frozen=True, slots=True)
 class Appearance:
-    """The format of SH coefficients or colours in a GPU page: dtype, row stride and channels.
+    """The format of SH coefficients or colours in a GPU buffer: dtype, row stride and channels.
 
     Attributes:
         half: Whether they are float16.
@@ -157,7 +157,7 @@ def record(shape: Shape) -> RecordedPlan:
 def recorded_pages(
     kinds: Sequence[Appearance], capacities: Sequence[int], cells: Sequence[int] | None = None
 ) -> list[Placed]:
-    """Return an empty GPU page of Gaussians, with a splat set, per appearance and capacity.
+    """Return one empty page (GPU buffers) with its splat set per appearance and capacity.
 
     Args:
         kinds: The format of each page's appearance.

@@ -41,7 +41,7 @@ def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
 
 
 def _refined(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
-    """Return a choice of tiles that spends the rest of the budget in subtrees, if better."""
+    """Improve a choice of tiles by spending the remaining bytes in subtrees, if that helps."""
     solver = _SubtreeSolver(frontier, TOLERANCE * choice.bound)
     solution = solver.solve(0, 0, budget)
     if solution is None or solution.utility <= choice.utility:
@@ -86,7 +86,7 @@ class _SubtreeSolver:
         self._children = [self._children_of(depth) for depth in range(len(self._levels) - 1)]
 
     def _children_of(self, depth: int) -> list[Int64[np.ndarray, " m"]]:
-        """Return the children of all tile-tree nodes at a depth, as positions at the next depth."""
+        """Return the children of all tile-tree nodes of a depth, as indices into the next depth."""
         level, below = self._levels[depth], self._levels[depth + 1]
         owner = np.searchsorted(level.nodes, self._options.parent[below.nodes])
         order = np.argsort(owner, kind="stable")

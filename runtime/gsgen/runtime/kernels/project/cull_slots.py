@@ -44,7 +44,7 @@ class CullSlots:
     def step(
         self, frame: Buffer, keys: Buffer, lows: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> Step:
-        """Return the dispatch that lists the slots (streamed tiles) in view, of one GPU page."""
+        """Return the dispatch that lists visible slots (of streamed tiles) in a page (buffers)."""
         assert page.slots is not None
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (

@@ -247,7 +247,7 @@ class ProjectKernel:
     def step(
         self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *others: Buffer
     ) -> Step:
-        """Return the dispatch that projects the Gaussians of a GPU page.
+        """Return the dispatch that projects the Gaussians of a page (GPU buffers).
 
         Args:
             outputs: Resources of bind group 0 of the shader, in order.
