@@ -15,12 +15,9 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Int64
 
-from gsgen.tiles.selection.choose import Choice
+from gsgen.tiles.selection.choose import TOLERANCE, Choice
 from gsgen.tiles.selection.cut_exchange import exchange_tiles
 from gsgen.tiles.selection.tree_choice import TreeFrontier
-
-TOLERANCE: Final = 1e-3
-"""Gap between utility and upper bound, as a share of the bound, that is not worth closing."""
 
 MAX_DEPTH: Final = 128
 """Depth of a tile tree above which choices stay as they are, since subtrees are recursive."""
