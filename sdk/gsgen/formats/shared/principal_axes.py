@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-_ROWS: Final = 1 << 13  # at a time, which stay in the cache
+_ROWS: Final = 1 << 14  # at a time, which stay in the cache
 # Off-diagonal entries shrink quadratically: of random rows in float32, one in twenty needs a fourth
 # sweep. More than six were never needed.
 _SWEEPS: Final = 3
