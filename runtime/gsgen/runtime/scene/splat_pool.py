@@ -21,7 +21,7 @@ from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
 from gsgen.runtime.scene.transforms import identity, require_affine
 
 SLOT_ROWS: Final = 4096
-"""Rows of a slot: few enough that half a slot is a small waste, and slots can be culled."""
+"""Rows of a tile slot: few, so that half a slot is a small waste and slots can be culled."""
 
 # A splat is drawn up to this many standard deviations from its centre: √(2 ln 255) = 3.33.
 _REACH = 3.5
@@ -60,7 +60,8 @@ class SplatPool:
     def __init__(self, rows: int, channels: int, *, slot_rows: int = SLOT_ROWS) -> None:
         if rows < 1 or slot_rows < 64 or slot_rows % 64:
             raise SceneInvalid(
-                f"the splat pool has {rows} rows and {slot_rows} rows a slot, expected a multiple of 64 a slot",
+                f"the splat pool has {rows} rows in slots (tile parts) of {slot_rows} rows, "
+                "expected at least one row, and slots of a multiple of 64 rows",
                 where="pool",
             )
         if channels not in layout.APPEARANCE_CHANNELS["sh"]:
@@ -82,7 +83,7 @@ class SplatPool:
 
     @property
     def degree(self) -> int:
-        """The SH degree of the colours of all tiles in a splat pool."""
+        """The SH degree of all streamed tiles' colours in a splat pool (GPU memory)."""
         return degree_of(self.channels // 3)
 
     @property
@@ -174,7 +175,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Update the splat pool's table of a tile's slots, and queue GPU writes of the tile."""
+        """Record a tile's slots (row ranges) in the splat pool, and queue its upload to the GPU."""
         reach = _REACH * np.sqrt(np.maximum(rows[:, [4, 7, 9]], 0))
         lows, highs = rows[:, :3] - reach, rows[:, :3] + reach
         for index, slot in enumerate(slots):
@@ -220,7 +221,7 @@ class SplatPool:
             self.fade[self._held_slots(tile)] = fade
 
     def take_writes(self) -> list[SlotWrite]:
-        """Return and clear the splat pool's queue of rows that one renderer has to upload."""
+        """Return and clear the splat pool's queue of Gaussians that a renderer has to upload."""
         writes, self._writes = self._writes, []
         return writes
 

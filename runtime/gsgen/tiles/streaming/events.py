@@ -41,7 +41,7 @@ class NeuralEvents:
 
 @final
 class EventLog:
-    """Writes an event log: for each frame a JSON line with time, frustum, answers, decisions.
+    """Writes an event log: a JSON line per frame of time, frustum, downloads and drawn tiles.
 
     Raises:
         InputUnreadable: The file cannot be written.
