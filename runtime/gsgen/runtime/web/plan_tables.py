@@ -175,7 +175,7 @@ class _PlanWriter:
         return slots.pop() if slots else None
 
     def _binds(self, step: Step, slots: Mapping[RecordedBuffer, int]) -> set[int]:
-        """Look up the buffers that a GPU step binds in a mapping to indices; return the indices."""
+        """Return the indices that a mapping assigns to the GPU buffers that a step binds."""
         entries = [entry for bind in step.binds for entry in bind.entries]
         return {slots[buffer] for buffer, _, _ in entries if buffer in slots}
 
