@@ -1,4 +1,4 @@
-"""Frames of an element whose camera moves, and what they leave behind."""
+"""Frames of an element whose camera and time move, and what they leave behind."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,15 +12,19 @@ _SCRIPT = """async (count) => {
     const own = device[name].bind(device);
     device[name] = (...rest) => { made[name] = (made[name] ?? 0) + 1; return own(...rest); };
   }
+  const { _playback: playback } = model;
   let [finished, most] = [0, 0];
   for (let frame = 1; frame <= count; frame++) {
     model._orbit.orbit(0.01, 0);
+    if (playback) playback.currentTime = (playback.duration * (frame % 24)) / 24;
+    model._isStale = true;
     await model._draw(performance.now());
     most = Math.max(most, frame - finished);
     const done = device.queue.onSubmittedWorkDone().then(() => finished++);
     if (frame % 10 === 0) await done;
   }
   await device.queue.onSubmittedWorkDone();
+  for (const name of Object.keys(device)) delete device[name];
   return [made, most];
 }"""
 
@@ -32,7 +36,7 @@ class SteadyFrames:
     Attributes:
         made: GPU objects that were made, by the name of the function.
         in_flight: The most frames that were submitted and not finished.
-        heap_growth: Bytes by which the page's heap grew.
+        heap_growth: Bytes by which the page's heap and its array buffers grew, WebAssembly included.
     """
 
     made: dict[str, int]
@@ -41,11 +45,15 @@ class SteadyFrames:
 
 
 def steady_frames(page: Any, count: int) -> SteadyFrames:
-    """Draw frames of a page's small element, each from another camera."""
+    """Draw frames of a page's small element, each from another camera, and at another time.
+
+    Four frames come before, which may fill caches.
+    """
     element = "document.querySelector('gsgen-model')"
     page.evaluate(f"{element}.style.cssText = 'width: 64px; height: 48px; min-height: 0'; null")
     page.wait_for_function(f"{element}.camera.width === 64")
     page.wait_for_timeout(500)
+    page.evaluate(_SCRIPT, 4)
     profiler = page.context.new_cdp_session(page)
     before = _heap_bytes(profiler)
     made, in_flight = page.evaluate(_SCRIPT, count)
@@ -55,4 +63,5 @@ def steady_frames(page: Any, count: int) -> SteadyFrames:
 
 def _heap_bytes(profiler: Any) -> int:
     profiler.send("HeapProfiler.collectGarbage")
-    return int(profiler.send("Runtime.getHeapUsage")["usedSize"])
+    usage = profiler.send("Runtime.getHeapUsage")
+    return int(usage["usedSize"] + usage["backingStorageSize"])
