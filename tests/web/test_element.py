@@ -14,6 +14,7 @@ from gsgen.reference_plugins.synthetic.knot import torus_knot
 from gsgen.runtime.web.pages import ModelView, single_file_page
 from gsgen.runtime.web.serving import ModelServer
 from support.web.pages import WebSite, running
+from support.web.steady_frames import steady_frames
 
 _ELEMENT = "document.querySelector('gsgen-model')"
 
@@ -161,6 +162,14 @@ def test_a_lost_device_is_opened_again(shown: Any) -> None:
     wait(shown, f"{_ELEMENT}._renderer && {_ELEMENT}._renderer.device !== {_ELEMENT}._before")
     wait(shown, f"{_ELEMENT}.camera && {_ELEMENT}._renderer?.counts.visible > 0")
     assert errors_of(shown) == []
+
+
+def test_steady_frames_make_no_gpu_objects_and_wait_for_none(shown: Any) -> None:
+    """Of 12 frames of a moving camera, only encoders, passes and command buffers are made."""
+    result = steady_frames(shown, 12)
+    assert result.made == {}
+    assert result.in_flight >= 2
+    assert result.heap_growth < 1 << 20
 
 
 def test_a_dropped_file_is_judged(shown: Any, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-_SCRIPT = """async (count) => {
+_SCRIPT = """async ([count, isExecuted]) => {
   const model = document.querySelector("gsgen-model");
   const device = model._renderer.device;
   const made = {};
@@ -13,6 +13,7 @@ _SCRIPT = """async (count) => {
     device[name] = (...rest) => { made[name] = (made[name] ?? 0) + 1; return own(...rest); };
   }
   const { _playback: playback } = model;
+  if (!isExecuted) device.queue.submit = () => {};
   let [finished, most] = [0, 0];
   for (let frame = 1; frame <= count; frame++) {
     model._orbit.orbit(0.01, 0);
@@ -24,7 +25,9 @@ _SCRIPT = """async (count) => {
     if (frame % 10 === 0) await done;
   }
   await device.queue.onSubmittedWorkDone();
-  for (const name of Object.keys(device)) delete device[name];
+  for (const owner of [device, device.queue]) {
+    for (const name of Object.keys(owner)) delete owner[name];
+  }
   return [made, most];
 }"""
 
@@ -44,19 +47,26 @@ class SteadyFrames:
     heap_growth: int
 
 
-def steady_frames(page: Any, count: int) -> SteadyFrames:
+def steady_frames(page: Any, count: int, *, are_executed: bool = True) -> SteadyFrames:
     """Draw frames of a page's small element, each from another camera, and at another time.
 
-    Four frames come before, which may fill caches.
+    Two frames come before, which may fill caches.
+
+    Args:
+        page: The page.
+        count: The number of frames.
+        are_executed: Whether the GPU executes them; a frame is encoded in any case, which is what
+            takes the page's memory, and a software driver takes most of a second to execute it.
     """
     element = "document.querySelector('gsgen-model')"
+    page.evaluate(f"{element}.pause()")
     page.evaluate(f"{element}.style.cssText = 'width: 64px; height: 48px; min-height: 0'; null")
     page.wait_for_function(f"{element}.camera.width === 64")
     page.wait_for_timeout(500)
-    page.evaluate(_SCRIPT, 4)
+    page.evaluate(_SCRIPT, [2, True])
     profiler = page.context.new_cdp_session(page)
     before = _heap_bytes(profiler)
-    made, in_flight = page.evaluate(_SCRIPT, count)
+    made, in_flight = page.evaluate(_SCRIPT, [count, are_executed])
     growth = _heap_bytes(profiler) - before
     return SteadyFrames(made=made, in_flight=in_flight, heap_growth=growth)
 
