@@ -230,6 +230,8 @@ class TilesetSession:
         self._slots: Int64[np.ndarray, " n"] = -(
             -np.maximum(tree.splats, self._reserved) // options.slot_rows
         )
+        if tree.is_counted:  # a pool need not hold more than the whole tileset
+            self.pool_slots = min(self.pool_slots, max(1, int(self._slots.sum())))
         self._residents = ResidentTiles(tree, self._slots, self.pool_slots)
         self._fades = Fades(tree, options.fade_seconds)
         self._is_empty = np.array([not tile.contents for tile in tree.tiles])
@@ -358,12 +360,21 @@ class TilesetSession:
 
     def _fitting_cut(self, frustum: Frustum) -> Cut:
         """Select tiles as fine as the GPU memory can hold, together with all their ancestors."""
+
+        def fits(cut: Cut) -> bool:
+            return int(self._slots[cut.seen].sum()) <= self.pool_slots
+
         error = self._options.max_error
         for _ in range(_MOST_STEPS):
             cut = cut_tree(self.tree, frustum, error)
-            if int(self._slots[cut.seen].sum()) <= self.pool_slots:
-                break
+            if fits(cut):
+                return cut
             error *= _COARSER
+        # Tiles with the camera inside have an infinite error: fewer levels fit.
+        for level in range(len(self.tree.rows_of_level) - 1, -1, -1):
+            cut = cut_tree(self.tree, frustum, error, max_level=level)
+            if fits(cut):
+                break
         return cut
 
     def _upload(self, time: float, cut: Cut) -> tuple[tuple[int, ...], tuple[TileArrival, ...]]:
