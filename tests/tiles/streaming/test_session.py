@@ -18,11 +18,11 @@ from gsgen.tiles.leaves import read_tile_content
 from gsgen.tiles.loading import load_tileset, open_tileset
 from gsgen.tiles.selection.cut import cut_tree
 from gsgen.tiles.selection.frustum import Frustum
+from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.serving.faults import FailureRule, NetworkFaults
 from gsgen.tiles.serving.server import serve_folder
 from gsgen.tiles.stores import http_store
 from gsgen.tiles.stores.folder_store import FolderStore
-from gsgen.tiles.selection.tile_tree import TileTree
 from gsgen.tiles.streaming.clock import SystemClock
 from gsgen.tiles.streaming.contents import ContentReader
 from gsgen.tiles.streaming.events import ReplayLink, read_events
@@ -70,13 +70,26 @@ class Pool:
     def __init__(self, session: TilesetSession) -> None:
         protocol: StreamingSession = session
         self.session, self.slots = protocol, {}
+        self.rows: dict[int, int] = {}  # uploaded, of tiles that are not whole
+        self.parts = 0
 
     def take(self, frame: SessionFrame) -> None:
         for tile in frame.evicted:
             del self.slots[tile]
+            assert tile not in self.rows
         sizes = [arrival.upload_bytes for arrival in frame.arrivals]
-        assert len(sizes) <= 1 or sum(sizes) <= self.session.upload_budget
+        assert sum(sizes) <= self.session.upload_budget or (
+            len(sizes) == 1
+            and frame.arrivals[0].end_row - frame.arrivals[0].first_row <= self.session.slot_rows
+        )
         for arrival in frame.arrivals:
+            assert self.rows.pop(arrival.tile, 0) == arrival.first_row
+            if not arrival.is_last:
+                self.rows[arrival.tile] = arrival.end_row
+                self.parts += 1
+                assert arrival.end_row % self.session.slot_rows == 0
+            if arrival.first_row:
+                continue
             assert arrival.tile not in self.slots
             assert arrival.rows.dtype == arrival.appearance.dtype == np.float32
             assert arrival.appearance.shape == (len(arrival.rows), 3 * 4)
@@ -84,7 +97,7 @@ class Pool:
         assert sum(self.slots.values()) <= self.session.pool_slots
         tiles = [entry.tile for entry in frame.drawn]
         assert tiles == sorted(set(tiles))
-        assert set(tiles) <= self.slots.keys()
+        assert set(tiles) <= self.slots.keys() - self.rows.keys()
         assert all(0 < entry.fade <= 1 for entry in frame.drawn)
 
 
@@ -200,6 +213,24 @@ def test_a_small_pool_draws_a_coarser_cut_and_never_overflows(town: Path) -> Non
     assert last.is_complete
     assert 0 < sum(session.tree.splats[entry.tile] for entry in last.drawn) <= 4000
     session.close()
+
+
+def test_a_tile_beyond_the_upload_budget_arrives_in_parts(town: Path) -> None:
+    """No frame exceeds the budget, no part is drawn, and the same tiles are drawn in the end."""
+    whole, last, _ = fly(town, OPTIONS)
+    whole.close()
+    budget = 3 * OPTIONS.slot_rows * 88
+    session = open_session(town, replace(OPTIONS, upload_budget=budget))
+    assert (session.tree.splats * 88 > budget).any()
+    pool = Pool(session)
+    for frustum in cameras(40):
+        pool.take(session.frame(frustum))
+        session.wait(0.01)
+    parted = complete(session, cameras(40)[-1], pool)
+    session.close()
+    assert pool.parts > 5
+    assert not pool.rows
+    assert [entry.tile for entry in parted.drawn] == [entry.tile for entry in last.drawn]
 
 
 def test_a_camera_inside_all_tiles_completes_in_a_small_pool(town: Path) -> None:
