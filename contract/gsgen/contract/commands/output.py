@@ -36,7 +36,7 @@ def show(lines: "Iterable[Line]") -> None:
 
 
 def echo_error(error: GsgenError) -> None:
-    """Print an error to stderr; for a missing file, hint at a file name that is similar."""
+    """Print an error to stderr; for a missing file, suggest a similar file name in its folder."""
     clear()
     if not error.hint and "No such file" in error.message:
         error.hint = similar_file_hint(str(error).partition(": ")[0])

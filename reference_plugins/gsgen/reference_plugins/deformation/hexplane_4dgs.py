@@ -93,7 +93,7 @@ class HexPlane4DGS(GaussianGenerator):
     def _deformed(
         self, head: str, canonical: Tensor, hidden: Tensor, share: Tensor | None
     ) -> Tensor:
-        """Return the canonical Gaussian attributes times a voxel grid's factor, plus changes."""
+        """Return canonical attributes times a voxel grid's factor, plus predicted changes."""
         if head not in self.heads:
             return canonical
         masked = canonical if share is None else canonical * share

@@ -32,16 +32,16 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import SplatPool
 
 PAGE_ROWS: Final = 1 << 18
-"""Gaussians of a page: float32 SH of degree 3 take 48 of the 128 MiB that every device binds."""
+"""Gaussians of a page (GPU buffers): degree-3 SH take 48 of the 128 MiB that devices bind."""
 
 GPU_PAGE_ROWS: Final = 2 * PAGE_ROWS
-"""Gaussians of a page on a GPU, where each dispatch waits for the one before."""
+"""Gaussians of a page (GPU buffers) on a hardware GPU, where dispatches wait for each other."""
 
 SLOT_BYTES: Final = 96
-"""Bytes of a row of the slot table, ``struct Slot`` in slots.wgsl."""
+"""Bytes of a row in the table of tile slots, ``struct Slot`` in slots.wgsl."""
 
 PAGE_SLOTS: Final = 64
-"""Most slots of a pool's page: their table is a uniform, of which every device binds 64 KiB."""
+"""Most tile slots in a page (GPU buffer) of a pool: every device binds uniforms of 64 KiB."""
 
 _WORD: Final = 16
 

@@ -179,7 +179,7 @@ class Plan:
         return self.buffers[name]
 
     def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
-        """Return GPU buffers of projected splats: for projection to write, for blending to read."""
+        """Return projected splats' GPU buffers: what projection writes, and what blending reads."""
         if not self._records:
             arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
             return arrays, arrays

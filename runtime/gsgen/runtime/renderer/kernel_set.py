@@ -115,7 +115,7 @@ class Kernels:
         return is_possible and RECORD * gaussians <= self._largest_binding
 
     def tile_bits(self, last: int) -> int:
-        """Return the number of key bits for tile indices; full radix digits if ``one_shape``."""
+        """Return the number of key bits for tile indices, whole radix digits if ``one_shape``."""
         bits = max(1, last.bit_length())
         digit = self.cut.digit_bits
         return -(-bits // digit) * digit if self._one_shape else bits

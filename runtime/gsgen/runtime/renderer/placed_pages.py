@@ -11,7 +11,7 @@ from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.scene.scene import SplatSet
 
 Placed = tuple[SplatSet, Page]
-"""A splat set with one of its GPU pages."""
+"""A splat set with one of its pages (GPU buffers)."""
 
 
 def scene_order(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:

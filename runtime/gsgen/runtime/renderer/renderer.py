@@ -363,7 +363,7 @@ class Renderer:
         outputs: frozenset[Output],
         meshes: Sequence[PlacedMesh] = (),
     ) -> Plan:
-        """Return the recorded GPU work of a frame; reuse the last if nothing but values changed."""
+        """Return the recorded GPU work of a frame; reuse the last if only buffer values changed."""
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
         pages = tuple((page, splat_set.weighted is None) for splat_set, page in placed)
         contents = (pages, tuple(mesh.buffers for mesh in meshes))
@@ -393,7 +393,7 @@ class Renderer:
         return self._plan
 
     def _takes_quads(self, outputs: frozenset[Output]) -> bool:
-        """Return whether quads draw the colours; chosen by "auto", only without other outputs."""
+        """Return whether quads draw the colours; "auto" uses tiles if other outputs are asked."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
     def _slab_splats(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> int | None:

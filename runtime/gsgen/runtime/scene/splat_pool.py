@@ -21,7 +21,7 @@ from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
 from gsgen.runtime.scene.transforms import identity, require_affine
 
 SLOT_ROWS: Final = 4096
-"""Rows of a slot: few enough that half a slot is a small waste, and slots can be culled."""
+"""Rows of a tile slot: few, so that half a slot is a small waste and slots can be culled."""
 
 _VECTOR: Final = 16  # bytes: shaders read colours in whole vectors
 
@@ -90,7 +90,7 @@ class SplatPool:
 
     @property
     def degree(self) -> int:
-        """The SH degree of the colours of all tiles in a splat pool."""
+        """The SH degree of all streamed tiles' colours in a splat pool (GPU memory)."""
         return degree_of(self.channels // 3)
 
     @property
@@ -254,7 +254,7 @@ class SplatPool:
             self.fade[self._held_slots(tile)] = fade
 
     def take_writes(self) -> list[SlotWrite]:
-        """Return and clear the splat pool's queue of rows that one renderer has to upload."""
+        """Return and clear the splat pool's queue of Gaussians that a renderer has to upload."""
         writes, self._writes = self._writes, []
         return writes
 

@@ -97,7 +97,7 @@ class PlacedSource(Source):
 
     @property
     def state(self) -> tuple[int, ...]:
-        """Version numbers of a file's or model's data, changed by any change of Gaussians."""
+        """Version numbers of a file's or model's data, which change when its Gaussians change."""
         return self._inner.state
 
     @property

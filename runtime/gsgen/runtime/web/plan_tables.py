@@ -24,7 +24,7 @@ _FOLLOWED: Final = ("gaussians", "pairs", "cells")
 """Sizes that plans write into buffers."""
 
 _OF_SLOTS: Final = ("table", "seen", "dispatch")
-"""Names of the buffers that a page of a splat pool has besides rows and appearance."""
+"""Names of the GPU buffers of a splat pool (streamed tiles) besides rows and appearance."""
 
 
 @final
@@ -61,7 +61,7 @@ class PlanTables:
         self.plans.append(_PlanWriter(self, recorded).plan())
 
     def pool_buffers(self, page: Page, slots: str) -> dict[str, dict[str, Any]]:
-        """Return the buffers of a splat pool's GPU page: sizes as formulas in its ``slots``.
+        """Return the GPU buffers of a splat pool's page (part): sizes as formulas in ``slots``.
 
         Args:
             page: A recorded page.
@@ -158,7 +158,7 @@ class _PlanWriter:
     def _repeated(
         self, run: Mapping[int, list[int]], *, of_sets: bool
     ) -> dict[str, int | list[int]]:
-        """Return the step rows of each kind of page, from those of all recorded pages."""
+        """Return the GPU steps of each format of pages (splat buffers), from recorded steps."""
         slots = list(run)
         assert slots == list(range(len(self._recorded.pages))), f"pages are out of order: {slots}"
         rows_of: dict[str, list[int]] = {}
@@ -175,7 +175,7 @@ class _PlanWriter:
         return slots.pop() if slots else None
 
     def _binds(self, step: Step, slots: Mapping[RecordedBuffer, int]) -> set[int]:
-        """Look up the buffers that a GPU step binds in a mapping to indices; return the indices."""
+        """Return the indices that a mapping assigns to the GPU buffers that a step binds."""
         entries = [entry for bind in step.binds for entry in bind.entries]
         return {slots[buffer] for buffer, _, _ in entries if buffer in slots}
 

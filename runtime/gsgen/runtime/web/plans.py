@@ -71,7 +71,7 @@ PAGE_RULES: Final = (
 """Rules that the client checks by itself (findings.js)."""
 
 LAYERS: Final = 2
-"""Image layers of a page's other renderer: translucent surfaces, and those behind them."""
+"""Image layers of a web page's other renderer: translucent surfaces, and those behind them."""
 
 SHAPES: Final = tuple(
     Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
@@ -140,7 +140,7 @@ def plans_document() -> dict[str, Any]:
 
 
 def pool_kinds(tables: PlanTables, slot_rows: int = SLOT_ROWS) -> dict[str, Any]:
-    """Return the GPU buffers of a splat pool's page, as formulas in its ``slots``, by its kind."""
+    """Return a splat pool's GPU buffers by page format, with sizes as formulas in ``slots``."""
     device, slots = Device(RecordingDevice()), Formula(1, "slots", [])
     placed = recorded_pool_pages(device, APPEARANCES, [slots] * len(APPEARANCES), slot_rows)
     return {page_kind(page): tables.pool_buffers(page, "slots") for _, page in placed}

@@ -187,7 +187,7 @@ def recorded_pages(
 def recorded_pool_pages(
     device: Device, kinds: Sequence[Appearance], slots: Sequence[int], slot_rows: int = SLOT_ROWS
 ) -> list[Placed]:
-    """Return an empty GPU page of a splat pool per appearance and number of slots."""
+    """Return one empty page (GPU buffers) of a splat pool per appearance and number of slots."""
     empty = SplatSet(SplatData(np.zeros((0, ROW), np.float32), np.zeros((0, 3), np.float32), "sh"))
     placed = []
     for kind, count in zip(kinds, slots, strict=True):
@@ -198,7 +198,7 @@ def recorded_pool_pages(
 
 
 def page_kind(page: Page) -> str:
-    """Return the name of a GPU page's format: dtype and stride of the appearance, and its pool."""
+    """Return the name of a page's (GPU buffers) format: appearance dtype and stride, and pool."""
     name = f"{'float16' if page.half else 'float32'} {page.stride}"
     return name if page.slots is None else f"pool of {name}"
 

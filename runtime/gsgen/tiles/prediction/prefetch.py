@@ -152,7 +152,7 @@ class HorizonPrefetch:
 
 @final
 class PathPrefetch:
-    """Prefetches tiles along a camera path known in advance, as a limit of what prediction gains.
+    """Prefetches tiles along a camera path known in advance: the best case of prediction.
 
     Args:
         tree: The tiles.

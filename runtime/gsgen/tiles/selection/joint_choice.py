@@ -91,7 +91,7 @@ class _Candidate:
 
 @final
 class _PriceSearch:
-    """Searches prices per Gaussian for the best choice of tiles within byte and Gaussian limits."""
+    """Searches Lagrange prices per Gaussian for the best tiles within byte and Gaussian limits."""
 
     def __init__(
         self,

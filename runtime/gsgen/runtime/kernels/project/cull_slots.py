@@ -15,7 +15,7 @@ from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS
 
 CULL_MARGIN: Final = JACOBIAN_MARGIN / 2
-"""How far beyond the image a slot counts as seen, in images: as far as Jacobians still vary."""
+"""How far beyond the image a tile slot counts as seen, in images: where Jacobians still vary."""
 
 
 @final

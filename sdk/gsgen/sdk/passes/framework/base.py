@@ -237,7 +237,7 @@ class Substitute(ByTables, NodeRewrite):
         return True
 
     def variant(self, node: ir.Node) -> str:
-        """Return the variant under which operator tables list a node; empty for the default."""
+        """Return the variant (such as ``5d``) under which operator tables list a node, or empty."""
         return ""
 
 

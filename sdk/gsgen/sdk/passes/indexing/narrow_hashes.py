@@ -81,7 +81,7 @@ def _modulus_bits(node: ir.Node) -> int:
 
 
 def _has_xor(value: ir.Value | None) -> bool:
-    """Return whether a value is the result of an XOR, apart from moves, casts and additions."""
+    """Return whether a value is an XOR's result, possibly moved, cast or added to."""
     node = None if value is None else value.producer()
     if node is None or not is_op(node, "BitwiseXor", "Cast", "Add", *_MOVES):
         return False
