@@ -69,7 +69,8 @@ class Judge:
                 return "survived"
             if self._passes_on_original(node, is_slow=run.failure is None):
                 return "killed"
-            self.known[node] = float("inf")  # this test does not run again
+            print(f"     fails on the original, and runs no more: {node}", flush=True)
+            self.known[node] = float("inf")
         return "tests fail"
 
     def _run(self, mutant: Mutant, original: str, target: str, files: Sequence[str]) -> TestRun:
