@@ -63,6 +63,8 @@ class _Recorder:
 
     def chosen(self, items: list[Any]) -> list[Any]:
         """Return the items but slow ones, the quick ones first."""
+        bad = {name for name, seconds in self.known.items() if seconds == float("inf")}
+        items = [item for item in items if item.nodeid.partition("[")[0] not in bad]
         times = {item.nodeid: self.known.get(item.nodeid, 0) for item in items}
         quick = [item for item in items if times[item.nodeid] <= SLOW_SECONDS]
         return sorted(quick, key=lambda item: max(1, times[item.nodeid]))
