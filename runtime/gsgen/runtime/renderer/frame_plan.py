@@ -205,7 +205,7 @@ class Plan:
         # Stage 1: a splat, a sort key and a depth remainder for every Gaussian.
         columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
         colors = self._storage("colors", VEC4 * n)
-        lows = self._storage("lows", 4 * n)
+        lows = self._storage("lows", (8 if self._kernels.lists else 4) * n)
         normals = self._storage("normals", VEC4 * n) if "normal" in outputs else None
         stages = self._project(placed, columns[0].keys, colors, lows, normals)
         # Stage 2: sort the drawn splats, nearest first, exactly: blending depends on the order.
@@ -224,9 +224,10 @@ class Plan:
                 frame=self._frame,
                 counts=self._counts,
                 order=order,
-                tiles_of=colors,
+                tiles_of=lows if self._kernels.lists else colors,
                 splats=self._splats,
                 ranges=self._ranges,
+                scratch=columns[0].keys,
                 gaussians=n,
                 pair_capacity=self.pair_capacity,
                 tiles=self._tiles[0] * self._tiles[1],

@@ -30,6 +30,7 @@ class TileLists:
         tiles_of: Four words per splat, of which the last tells the tiles that it touches.
         splats: The two vectors of each splat.
         ranges: The buffer of the first and the last list entry of each tile.
+        scratch: A word per splat that no later stage reads.
         gaussians: Most splats.
         pair_capacity: Most pairs of a splat and a tile.
         tiles: Number of tiles of the image.
@@ -42,6 +43,7 @@ class TileLists:
     tiles_of: Buffer
     splats: list[Buffer]
     ranges: Buffer
+    scratch: Buffer
     gaussians: int
     pair_capacity: int
     tiles: int
@@ -69,7 +71,7 @@ def _counted(
     uniforms = (lists.frame, lists.counts)
     tally, total, begin, fill = kernels.list(panorama).steps(
         lists.tiles,
-        (*uniforms, lists.order, lists.tiles_of, counters, members, *lists.splats),
+        (*uniforms, lists.order, lists.tiles_of, counters, members, *lists.splats, lists.scratch),
         (*uniforms, counters, totals, lists.ranges),
     )
     add = kernels.scan.steps(

@@ -10,7 +10,9 @@
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(2) var<storage, read_write> shapes: array<vec4f>;   // mean, conic xx xy
 @group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy (WEIGHTED: radius² of the circle)
-@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, number of tiles or, if WINDOWS, the word of tile_window.wgsl
+@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, number of tiles (0 if WINDOWS)
+
+var<private> window: u32;  // if WINDOWS, the word of the splat that `write_splat` wrote
 
 // Return the offset of a position from the camera centre, in local space.
 fn offset_from_eye(position: vec3f) -> vec3f {
@@ -66,13 +68,6 @@ fn tiles_touched(ellipse: Outline) -> u32 {
     return tiles;
 }
 
-fn tiles_word(ellipse: Outline) -> f32 {
-    if (WINDOWS) {
-        return bitcast<f32>(window_of(ellipse));
-    }
-    return f32(tiles_touched(ellipse));
-}
-
 // Write the splat of row `own` at `index` and return its key, or ABSENT if it is not drawn.
 // at: the centre in camera space; distance: the depth that flatten() takes.
 fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, depth: f32, alpha: f32) -> u32 {
@@ -109,7 +104,13 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
     // Step 4: count the tiles, and compute the colour.
     let scaled = flat.scaled;
     let conic = vec3f(scaled.z, -scaled.y, scaled.x) / flat.determinant / flat.unit;
-    let tiles = tiles_word(outline(flat.mean, conic, strength, flat.dilated.z));
+    let ellipse = outline(flat.mean, conic, strength, flat.dilated.z);
+    var tiles = 0u;
+    if (WINDOWS) {
+        window = window_of(ellipse);
+    } else {
+        tiles = tiles_touched(ellipse);
+    }
     let color = color_of(own, offset_from_eye(position));
     if (!all(abs(color) <= vec3f(LARGEST))) {
         return ABSENT;
@@ -128,6 +129,6 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
     } else {
         weights[index] = weight;
     }
-    colors[index] = vec4f(max(color, vec3f(0.0)), tiles);
+    colors[index] = vec4f(max(color, vec3f(0.0)), f32(tiles));
     return bitcast<u32>(depth);
 }

@@ -41,7 +41,7 @@ class ListTiles:
         constants = {"THREADS": _RUNS, **COUNT_CONSTANTS}
         constants |= PANORAMA_CONSTANTS if panorama else {}
         self._tally, self._list = (
-            Kernel(device, "list_tiles", "walk", ("urrrwwrr",), LISTS=lists, **constants)
+            Kernel(device, "list_tiles", "walk", ("urrrwwrrw",), LISTS=lists, **constants)
             for lists in (False, True)
         )
         self._total, self._begin = (

@@ -11,9 +11,10 @@
 
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;
-@group(0) @binding(3) var<storage, read> windows: array<vec4u>;  // by splat: w is the window
+@group(0) @binding(3) var<storage, read> windows: array<u32>;  // by splat, in the second half
 @group(0) @binding(4) var<storage, read_write> counters: array<u32>;
 @group(0) @binding(5) var<storage, read_write> tile_splats: array<u32>;
+@group(0) @binding(8) var<storage, read_write> ranked: array<u32>;  // windows in order of depth
 @group(0) @binding(6) var<storage, read> shapes: array<Quad>;
 @group(0) @binding(7) var<storage, read> weights: array<Quad>;
 
@@ -62,7 +63,12 @@ fn walk(
     while (rank < end || (window & WINDOW_TILES) != 0u) {
         if ((window & WINDOW_TILES) == 0u) {
             splat = order[rank];
-            window = windows[splat].w;
+            if (LISTS) {
+                window = ranked[rank];
+            } else {
+                window = windows[arrayLength(&windows) / 2u + splat];
+                ranked[rank] = window;
+            }
             rank += 1u;
             if (window == LARGE) {
                 visit_all(splat, first);
