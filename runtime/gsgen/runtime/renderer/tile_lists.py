@@ -101,9 +101,7 @@ def _bin(
     return [measure, *add, emit]
 
 
-def _group(
-    kernels: Kernels, lists: TileLists, pairs: list[Columns]
-) -> tuple[list[Step], Buffer]:
+def _group(kernels: Kernels, lists: TileLists, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
     """Return the dispatches that sort splat-tile pairs by tile, and the buffer of pairs."""
     steps, side = kernels.sort.steps(
         lists.counts,
@@ -118,6 +116,4 @@ def _group(
 
 
 def _columns(storage: Storage, name: str, length: int) -> Columns:
-    return Columns(
-        storage(f"keys of {name}", 4 * length), storage(f"values of {name}", 4 * length)
-    )
+    return Columns(storage(f"keys of {name}", 4 * length), storage(f"values of {name}", 4 * length))

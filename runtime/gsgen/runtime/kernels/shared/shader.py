@@ -102,7 +102,9 @@ def _included(name: str, included_names: set[str], *, wide: bool) -> str:
         included_names.add(included)
         return _included(included, included_names, wide=wide)
 
-    return _INCLUDE.sub(replacement, _shader_files()["wide_words" if wide and name == "words" else name])
+    return _INCLUDE.sub(
+        replacement, _shader_files()["wide_words" if wide and name == "words" else name]
+    )
 
 
 @cache

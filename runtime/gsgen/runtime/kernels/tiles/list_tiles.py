@@ -1,23 +1,23 @@
 """Lists the splats that touch each image tile, nearest first, on software drivers."""
 
-__all__ = ["ListTiles", "runs_for", "window_reference"]
+__all__ = ["ListTiles", "runs_for", "window_tiles"]
 
 from typing import Final, final
 
 import numpy as np
-from jaxtyping import Bool
 
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
-from gsgen.runtime.kernels.shared.shader import ABSENT, PANORAMA_CONSTANTS, WINDOW_HEIGHT
+from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, WINDOW_HEIGHT
 
 _RUNS: Final = 8  # of a workgroup: as many as CPUs compute together
 _MOST_GROUPS: Final = 32
 _FEWEST_GROUPS: Final = 8
 _COUNTERS: Final = 1 << 21  # beyond which there are fewer runs; 8 MiB
 _WINDOW_WIDTH: Final = 4
+_WINDOW_BITS: Final = WINDOW_HEIGHT * _WINDOW_WIDTH
 
 
 def runs_for(tiles: int) -> int:
@@ -74,15 +74,13 @@ class ListTiles:
         )
 
 
-def window_reference(touched: Bool[np.ndarray, "rows columns"]) -> int:
-    """Return the word of the tiles that a splat touches: the reference of ``tile_window.wgsl``."""
-    rows, columns = (np.flatnonzero(touched.any(axis=axis)) for axis in (1, 0))
-    if not rows.size:
-        return 0
-    window = touched[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    if window.shape[0] > WINDOW_HEIGHT or window.shape[1] > _WINDOW_WIDTH:
-        return ABSENT
-    bits = np.zeros((WINDOW_HEIGHT, _WINDOW_WIDTH), np.int64)
-    bits[: window.shape[0], : window.shape[1]] = window
-    first = int(rows[0] * touched.shape[1] + columns[0])
-    return (first << bits.size) | int((bits.ravel() << np.arange(bits.size)).sum())
+def window_tiles(word: int, across: int) -> list[int]:
+    """Return the tiles that a word tells, in order: the reference of ``tile_window.wgsl``.
+
+    Args:
+        word: The word, which is not ABSENT.
+        across: Number of tiles in a row of the image.
+    """
+    first, touched = word >> _WINDOW_BITS, word & ((1 << _WINDOW_BITS) - 1)
+    bits = [bit for bit in range(_WINDOW_BITS) if touched >> bit & 1]
+    return [first + bit // _WINDOW_WIDTH * across + bit % _WINDOW_WIDTH for bit in bits]

@@ -14,9 +14,9 @@
 @group(0) @binding(3) var<storage, read> windows: array<u32>;  // by splat, in the second half
 @group(0) @binding(4) var<storage, read_write> counters: array<u32>;
 @group(0) @binding(5) var<storage, read_write> tile_splats: array<u32>;
-@group(0) @binding(8) var<storage, read_write> ranked: array<u32>;  // windows in order of depth
 @group(0) @binding(6) var<storage, read> shapes: array<Quad>;
 @group(0) @binding(7) var<storage, read> weights: array<Quad>;
+@group(0) @binding(8) var<storage, read_write> ranked: array<u32>;  // windows in order of depth
 
 // Count or list a splat in a tile. Splats beyond PAIR_CAPACITY are not written: the frame is drawn
 // again with a larger capacity. `first` is the index of the run's counter of tile 0.
