@@ -12,7 +12,7 @@ from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, WINDOW_HEIGHT
 
-_RUNS: Final = 8  # of a workgroup: as many as CPUs compute together
+_INVOCATIONS: Final = 8  # of a workgroup: as many as CPUs compute together
 _MOST_GROUPS: Final = 32
 _FEWEST_GROUPS: Final = 8
 _COUNTERS: Final = 1 << 21  # beyond which there are fewer runs; 8 MiB
@@ -22,7 +22,7 @@ _WINDOW_BITS: Final = WINDOW_HEIGHT * _WINDOW_WIDTH
 
 def runs_for(tiles: int) -> int:
     """Return into how many runs sorted splats are divided to be listed in this many tiles."""
-    return _RUNS * int(np.clip(_COUNTERS // (_RUNS * tiles), _FEWEST_GROUPS, _MOST_GROUPS))
+    return _INVOCATIONS * int(np.clip(_COUNTERS // (_INVOCATIONS * tiles), _FEWEST_GROUPS, _MOST_GROUPS))
 
 
 @final
@@ -38,7 +38,7 @@ class ListTiles:
     """
 
     def __init__(self, device: Device, *, panorama: bool = False) -> None:
-        constants = {"THREADS": _RUNS, **COUNT_CONSTANTS}
+        constants = {"THREADS": _INVOCATIONS, **COUNT_CONSTANTS}
         constants |= PANORAMA_CONSTANTS if panorama else {}
         self._tally, self._list = (
             Kernel(device, "list_tiles", "walk", ("urrrwwrrw",), LISTS=lists, **constants)
@@ -47,7 +47,7 @@ class ListTiles:
         self._total, self._begin = (
             Kernel(
                 device, "list_ranges", entry, ("urwww",),
-                RUNS=_RUNS, **constants | {"THREADS": THREADS},
+                RUNS=_INVOCATIONS, **constants | {"THREADS": THREADS},
             )
             for entry in ("total", "begin")
         )  # fmt: skip
@@ -64,7 +64,7 @@ class ListTiles:
             walked: Resources of ``list_tiles.wgsl``, in order.
             ranged: Resources of ``list_ranges.wgsl``, in order.
         """
-        runs = (runs_for(tiles) // _RUNS, 1, 1)
+        runs = (runs_for(tiles) // _INVOCATIONS, 1, 1)
         by_tile = (-(-tiles // THREADS), 1, 1)
         return (
             Step(self._tally, (self._tally.bind(*walked),), runs),
