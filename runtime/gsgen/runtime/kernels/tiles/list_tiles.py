@@ -22,7 +22,9 @@ _WINDOW_BITS: Final = WINDOW_HEIGHT * _WINDOW_WIDTH
 
 def runs_for(tiles: int) -> int:
     """Return into how many runs sorted splats are divided to be listed in this many tiles."""
-    return _INVOCATIONS * int(np.clip(_COUNTERS // (_INVOCATIONS * tiles), _FEWEST_GROUPS, _MOST_GROUPS))
+    return _INVOCATIONS * int(
+        np.clip(_COUNTERS // (_INVOCATIONS * tiles), _FEWEST_GROUPS, _MOST_GROUPS)
+    )
 
 
 @final
