@@ -183,15 +183,23 @@ def _tell(index: int, trial: Trial, peak: int) -> None:
 
 
 def _resident() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    """Return the largest resident size in bytes that the process had since it was started.
+
+    Not `ru_maxrss`, which begins with the size of the process that started this one.
+    """
+    return _status_bytes("VmHWM")
 
 
 def _reserved() -> int:
     """Return the bytes of private memory that the process has, as RLIMIT_DATA counts them."""
+    return _status_bytes("VmData")
+
+
+def _status_bytes(name: str) -> int:
     for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith("VmData"):
+        if line.startswith(f"{name}:"):
             return int(line.split()[1]) * 1024
-    raise RuntimeError("no VmData in /proc/self/status")
+    raise RuntimeError(f"no {name} in /proc/self/status")
 
 
 def _say(text: str) -> None:

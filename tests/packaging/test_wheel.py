@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -96,6 +97,39 @@ def test_without_extras_models_are_validated(fresh: Path, tmp_path: Path) -> Non
     ran = run(fresh / "gsgen", "validate", broken, cwd=tmp_path)
     assert ran.returncode == 1
     assert "GV003 error" in ran.stdout
+
+
+def test_the_container_s_stages_build_the_wheel_and_run_it(
+    wheel: Path, fresh: Path, tmp_path: Path
+) -> None:
+    """By hand: the files that the recipe copies build the same wheel, and its entry point runs."""
+    first, last = (ROOT / "Containerfile").read_text("utf-8").split("\nFROM ")[1:]
+    source = tmp_path / "source"
+    source.mkdir()
+    for line in re.findall(r"^COPY (.+)$", first, re.MULTILINE):
+        *names, target = line.split()
+        for name in names:
+            if (ROOT / name).is_dir():
+                shutil.copytree(ROOT / name, source / target)
+            else:
+                shutil.copy(ROOT / name, source / target)
+    (build,) = re.findall(r"^RUN pip (wheel .+) --wheel-dir /wheels \.$", first, re.MULTILINE)
+    pip = [sys.executable, "-m", "pip", *build.split(), "--quiet", "--no-build-isolation"]
+    done = run(*pip, "--wheel-dir", tmp_path / "wheels", source, cwd=source)
+    assert done.returncode == 0, done.stderr
+    (copy,) = (tmp_path / "wheels").glob("gsgen-*.whl")
+    contents = [
+        {entry.filename: entry.CRC for entry in zipfile.ZipFile(path).infolist()}
+        for path in (copy, wheel)
+    ]
+    assert contents[0] == contents[1]
+    words = [
+        json.loads(re.findall(rf"^{name} (.+)$", last, re.MULTILINE)[0])
+        for name in ("ENTRYPOINT", "CMD")
+    ]
+    ran = run(fresh / words[0][0], *words[0][1:], *words[1], cwd=tmp_path)
+    assert ran.returncode == 0
+    assert "validate" in ran.stdout
 
 
 def test_the_environment_is_small(fresh: Path) -> None:

@@ -35,7 +35,7 @@ class QualityLadder:
 
 
 def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | None:
-    """Read the files ``tileset-qN.json`` beside a tileset, down from the tileset's quality.
+    """Read the files ``tileset-qN.json`` beside a tileset, in descending order of quality.
 
     Args:
         store: Of the tileset.

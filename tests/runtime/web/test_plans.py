@@ -4,6 +4,7 @@ import base64
 import gzip
 import json
 import random
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,21 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.web import plans
 from gsgen.runtime.web.formulas import Formula, evaluate
+from gsgen.runtime.web.plan_tables import PlanTables
 from gsgen.runtime.web.plans import LAYERS
-from gsgen.runtime.web.recording import APPEARANCES, Appearance, recorded_pages
+from gsgen.runtime.web.recording import (
+    APPEARANCES,
+    Appearance,
+    Shape,
+    record,
+    recorded_pages,
+    recorded_pool_pages,
+)
 from gsgen.runtime.web.recording_device import RecordingDevice
+from support.web.plan_executor import choose
 
 
 @pytest.fixture(scope="module")
@@ -33,18 +44,16 @@ def test_the_written_plans_are_small() -> None:
     assert len(gzip.compress(plans.written_plans().encode())) <= 120_000
 
 
+Pools = Sequence[tuple[Appearance, int]]
+"""The pages of splat pools: the format of each page's appearance, and its number of slots."""
+
+
 def kind_name(kind: Appearance) -> str:
     return f"{'float16' if kind.half else 'float32'} {kind.stride}"
 
 
-def choose(document: dict[str, Any], sizes: dict[str, int], **shape: object) -> dict[str, Any]:
-    """Return the first plan of a shape whose guards hold, as the client does."""
-    return next(
-        plan
-        for plan in document["plans"]
-        if all(plan[name] == value for name, value in shape.items())
-        and all(evaluate(guard, sizes) for guard in plan["guards"])
-    )
+def pool_kind(kind: Appearance) -> str:
+    return f"pool of {kind_name(kind)}"
 
 
 class Reading:
@@ -52,10 +61,11 @@ class Reading:
 
     def __init__(self, document: dict[str, Any], plan: dict[str, Any], sizes: dict[str, int],
                  kinds: list[Appearance], capacities: list[int],
-                 cells: list[int] | None = None) -> None:  # fmt: skip
+                 cells: list[int] | None = None, pools: Pools = ()) -> None:  # fmt: skip
         self.document, self.plan, self.sizes = document, plan, sizes
         self.kinds, self.capacities = kinds, capacities
         self.cells = [0] * len(kinds) if cells is None else cells
+        self.pools = pools
 
     def buffer(self, row: int) -> tuple[str, int, int, bytes]:
         entry = self.document["buffers"][row]
@@ -74,7 +84,22 @@ class Reading:
             for name, stage in self.plan["stages"].items()
         }
 
-    def _each(self, entry: int | dict[str, int]) -> list[Any]:
+    def page_buffer(self, kind: str, name: str, page: dict[str, int]) -> tuple[Any, ...]:
+        """Return a buffer of a pool's page as :func:`buffer_of` describes it."""
+        entry = self.document["pools"][kind][name]
+        data = base64.b64decode(entry.get("data", ""))
+        return entry["label"], self.rounded(entry["size"], page), entry["usage"], data
+
+    def clears(self) -> list[tuple[Any, ...]]:
+        """Return label, offset and size of all cleared bytes, those of the pools' pages last."""
+        own = [(self.buffer(row)[0], *rest) for row, *rest in self.plan["clears"]]
+        return own + [
+            (self.page_buffer(pool_kind(kind), name, {"slots": count})[0], *rest)
+            for kind, count in self.pools
+            for name, *rest in self.plan["pool_clears"]
+        ]
+
+    def _each(self, entry: int | dict[str, Any]) -> list[Any]:
         if isinstance(entry, int):
             return [self._step(entry, {})]
         if "set" in entry:
@@ -89,29 +114,43 @@ class Reading:
             for slot, (kind, capacity, cells) in enumerate(
                 zip(self.kinds, self.capacities, self.cells, strict=True)
             )
+        ] + [
+            self._step(row, {"slot": slot, "slots": count}, pool_kind(kind))
+            for slot, (kind, count) in enumerate(self.pools, start=len(self.kinds))
+            for row in np.atleast_1d(entry[pool_kind(kind)]).tolist()
         ]
 
-    def _step(self, row: int, page: dict[str, int]) -> Any:
+    def _step(self, row: int, page: dict[str, int], pool: str | None = None) -> Any:
         step = self.document["steps"][row]
         pipeline = self.document["pipelines"][step["pipeline"]]
         module = self.document["modules"][pipeline["module"]]
         binds = [
-            [self._entry(entry, page) for entry in self.document["binds"][bind]["entries"]]
+            [self._entry(entry, page, pool) for entry in self.document["binds"][bind]["entries"]]
             for bind in step["binds"]
         ]
         if "indirect" in step:
-            groups: Any = (self.buffer(step["indirect"][0]), step["indirect"][1])
+            buffer, offset = step["indirect"]
+            groups: Any = ((buffer, page["slot"]) if pool else self.buffer(buffer), offset)
         else:
             groups = tuple(self.rounded(count, page) for count in step["groups"])
         code = module["constants"] + self.document["texts"][module["text"]]
         return pipeline["entry"], code, tuple(pipeline["groups"]), binds, groups
 
-    def _entry(self, entry: list[Any], page: dict[str, int]) -> Any:
+    def _entry(self, entry: list[Any], page: dict[str, int], pool: str | None) -> Any:
         row, offset, size = entry
+        if isinstance(row, str) and pool is not None and size is None:
+            size = self.page_buffer(pool, row, page)[1]
         if isinstance(row, str):
             return row, page["slot"], self.rounded(offset, page), self.rounded(size, page)
         buffer = self.buffer(row)
         return buffer, self.rounded(offset, page), buffer[1] if size is None else size
+
+
+OF_SLOTS = ("table", "seen", "dispatch")
+
+
+def buffer_of(buffer: Any) -> tuple[Any, ...]:
+    return buffer.label, buffer.size, buffer.usage, buffer.data.get(0, b"")
 
 
 def described(plan: Plan, pages: list[Page]) -> dict[str, list[Any]]:
@@ -120,9 +159,14 @@ def described(plan: Plan, pages: list[Page]) -> dict[str, list[Any]]:
     for slot, page in enumerate(pages):
         slots |= {page.rows: ("rows", slot), page.appearance: ("appearance", slot)}
         slots |= {page.cells: ("cells", slot)}
+        if page.slots is not None:
+            slots |= {getattr(page.slots, name): (name, slot) for name in OF_SLOTS}
 
-    def buffer_of(buffer: Any) -> Any:
-        return buffer.label, buffer.size, buffer.usage, buffer.data.get(0, b"")
+    def groups_of(groups: Any) -> Any:
+        if len(groups) != 2:
+            return groups
+        buffer, offset = groups
+        return slots[buffer] if buffer in slots else buffer_of(buffer), offset
 
     def entry_of(buffer: Any, offset: int, size: int) -> Any:
         if buffer in slots:
@@ -137,9 +181,7 @@ def described(plan: Plan, pages: list[Page]) -> dict[str, list[Any]]:
                 step.kernel.pipeline.module.code,
                 step.kernel.pipeline.groups,
                 [[entry_of(*entry) for entry in bind.entries] for bind in step.binds],
-                (buffer_of(step.groups[0]), step.groups[1])
-                if len(step.groups) == 2
-                else step.groups,
+                groups_of(step.groups),
             )
             for step in steps
         ]
@@ -149,9 +191,12 @@ def described(plan: Plan, pages: list[Page]) -> dict[str, list[Any]]:
 def fresh_plan(
     outputs: list[str], sizes: dict[str, int], kinds: list[Appearance], capacities: list[int],
     cells: list[int] | None = None, *, panorama: bool, deep: bool, layers: int = 0,
+    pools: Pools = (), slot_rows: int = SLOT_ROWS,
 ) -> tuple[Plan, list[Page]]:  # fmt: skip
     device = Device(RecordingDevice())
     placed = recorded_pages(kinds, capacities, cells)
+    if pools:
+        placed += recorded_pool_pages(device, *zip(*pools, strict=True), slot_rows)
     plan = Plan(
         device,
         Kernels(device, one_shape=True),
@@ -195,8 +240,72 @@ def test_formulas_give_the_buffers_and_dispatches_of_python(
         assert reading.buffer(row)[1] == plan.images[name].size
     for name, row in chosen["inputs"].items():
         assert reading.buffer(row)[:2] == (plan.inputs[name].label, plan.inputs[name].size)
-    clears = [(reading.buffer(row)[0], *rest) for row, *rest in chosen["clears"]]
-    assert clears == [(buffer.label, *rest) for buffer, *rest in plan.clears]
+    assert reading.clears() == [(buffer.label, *rest) for buffer, *rest in plan.clears]
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_formulas_of_pools_give_the_buffers_and_dispatches_of_python(
+    seed: int, document: dict[str, Any]
+) -> None:
+    """A scene of pages and splat pools, at random numbers of slots, rows of slots and pairs."""
+    rng = random.Random(seed)
+    layers = LAYERS if seed >= 16 else 0
+    outputs = [["color"], ["depth"], ["normal"], ["color", "depth"]][0 if layers else seed % 4]
+    shape = {"panorama": bool(seed & 4) and not layers, "deep": bool(seed & 8), "layers": layers}
+    kinds = rng.choices(APPEARANCES, k=rng.randint(0, 3))
+    capacities = [rng.choice([1, 64, rng.randint(1, 1 << 18)]) for _ in kinds]
+    pools = [(rng.choice(APPEARANCES), rng.choice([1, 2, rng.randint(1, 64)]))
+             for _ in range(rng.randint(1, 5))]  # fmt: skip
+    slot_rows = rng.choice([SLOT_ROWS, 64, 64 * rng.randint(1, 128)])
+    sizes = {
+        "width": rng.choice([1, 17, rng.randint(1, 4096)]),
+        "height": rng.choice([1, 17, rng.randint(1, 4096)]),
+        "pairs": rng.choice([1, 4096, rng.randint(1, 1 << 26)]),
+        "gaussians": sum(capacities) + slot_rows * sum(count for _, count in pools),
+        "pages": len(kinds) + len(pools),
+    }
+    if slot_rows != SLOT_ROWS:  # a kernel's constant: pools of other slots are other plans
+        document = pool_document(slot_rows, outputs, **shape)
+    chosen = choose(document, sizes, outputs=outputs, weighted=False, **shape)
+    reading = Reading(document, chosen, sizes, kinds, capacities, pools=pools)
+    plan, pages = fresh_plan(
+        outputs, sizes, kinds, capacities, pools=pools, slot_rows=slot_rows, **shape
+    )
+    assert reading.steps() == described(plan, pages)
+    assert reading.clears() == [(buffer.label, *rest) for buffer, *rest in plan.clears]
+    for (kind, count), page in zip(pools, pages[len(kinds) :], strict=True):
+        assert page.slots is not None
+        buffers = {"rows": page.rows, "appearance": page.appearance}
+        buffers |= {name: getattr(page.slots, name) for name in OF_SLOTS}
+        assert buffers.keys() == document["pools"][pool_kind(kind)].keys()
+        for name, buffer in buffers.items():
+            described_buffer = reading.page_buffer(pool_kind(kind), name, {"slots": count})
+            assert described_buffer == buffer_of(buffer)
+
+
+def pool_document(slot_rows: int, outputs: list[Any], **shape: Any) -> dict[str, Any]:
+    """Record the plans of one shape for pools whose slots have another number of rows."""
+    tables = PlanTables()
+    for side in (512, 8192):  # one pass of the tile sort, and two
+        tables.add(
+            record(Shape(outputs=tuple(outputs), size=(side, side), slot_rows=slot_rows, **shape))
+        )
+    pools = plans.pool_kinds(tables, slot_rows)
+    return dict(json.loads(json.dumps({"plans": tables.plans, "pools": pools, **tables.tables})))
+
+
+@pytest.mark.parametrize("name", ["slots", "gaussians", "pages"])
+def test_a_wrong_formula_of_pools_is_noticed(name: str, document: dict[str, Any]) -> None:
+    """The comparison above sees another size of a pool."""
+    pools = [(APPEARANCES[3], 5), (APPEARANCES[0], 64)]
+    sizes = {"width": 61, "height": 47, "pairs": 5000, "gaussians": 69 * SLOT_ROWS, "pages": 2}
+    chosen = choose(document, sizes, outputs=["normal"], panorama=False, deep=False, layers=0)
+    plan, pages = fresh_plan(["normal"], sizes, [], [], pools=pools, panorama=False, deep=False)
+    expected = described(plan, pages)
+    assert Reading(document, chosen, sizes, [], [], pools=pools).steps() == expected
+    wrong = [(kind, count + (name == "slots")) for kind, count in pools]
+    sizes |= {name: 7}
+    assert Reading(document, chosen, sizes, [], [], pools=wrong).steps() != expected
 
 
 def test_a_wrong_formula_is_noticed(document: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Skips the tests of a class after its model could not be built or read once.
+"""Skips the remaining tests of a class if building or reading its model fails.
 
 Every test of such a class would raise the same error. One report shows the fault; a hundred and
 forty hide it.

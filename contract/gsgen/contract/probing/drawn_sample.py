@@ -163,7 +163,7 @@ def _colors(emission: ModelOutputs, rows: Int[np.ndarray, " n"]) -> Float[np.nda
 
 
 def _patches(position: Float[np.ndarray, "n 3"]) -> list[tuple[Int[np.ndarray, " p"], int]]:
-    """Split Gaussians into spatial patches; return row indices and the number to measure."""
+    """Return rows of spatial patches of Gaussians, and for how many of each to find neighbours."""
     total = len(position)
     if total <= _WHOLE:
         return [(np.arange(total), total)]

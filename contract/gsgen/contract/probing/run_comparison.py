@@ -66,7 +66,7 @@ class ProbeRun:
 
     @property
     def extremes(self) -> Extremes | None:
-        """The number of Gaussians and each column's extremes, where a run kept no output rows."""
+        """The number of Gaussians and each column's extremes, if output rows were not kept."""
         return self.sample.extremes if self.sample is not None else None
 
     @property
@@ -99,12 +99,12 @@ class Behaviour:
     unfinished_probes: list[str] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
-        """Return the model runs for one rule, with an empty list of runs that did not finish."""
+        """Return a copy of the model runs for one rule, whose list of unfinished runs is empty."""
         return replace(self, unfinished_probes=[])
 
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The model outputs for the test inputs of rules about values, without all-zero inputs."""
+        """The model outputs at the test inputs of output-value rules, except all-zero inputs."""
         return [runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:

@@ -261,7 +261,7 @@ class _Validation:
         return f"{count} did not run, {probes[0]!r} first: {share} (see --timeout)"
 
     def _check_backend_levels(self, probe_runs: ProbeRuns) -> None:
-        """Check the validation levels that registered backends run."""
+        """Evaluate the rules of the validation levels for which a backend is registered."""
         for level, scope in _BACKEND_SCOPES.items():
             backend = self.registry.backends.get(level)
             if backend is not None and level <= self.settings.level:

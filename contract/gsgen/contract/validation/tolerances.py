@@ -13,7 +13,7 @@ from gsgen.contract.validation.report import Tolerance
 
 
 def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
-    """Return the tolerances for comparing two runs of an ONNX generator; else an empty mapping.
+    """Return the tolerances for comparing two runs of an ONNX generator; none for other models.
 
     The user's settings take precedence over the manifest, and the manifest over the contract.
     """

@@ -98,7 +98,7 @@ class DuplexGS(AnchorGenerator):
 
     @property
     def hides_anchors(self) -> bool:
-        """Return True: a distant camera does not see cells of fine levels of detail."""
+        """Whether fine cells (groups of Gaussians) are hidden from distant cameras: always True."""
         return True
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:

@@ -96,7 +96,7 @@ def record_source_pictures(
     renderer: Renderer | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> SourcePictures:
-    """Declare pictures of the training code in the manifest of a copy, and compare the model.
+    """Record training-code pictures as references in a model's copy, and compare its pictures.
 
     Args:
         source: A generator with a manifest; it stays as it is, unless ``model`` is the same file.

@@ -8,6 +8,7 @@ __all__ = [
     "Page",
     "PageSlots",
     "Residency",
+    "allocate_pool_page",
     "bytes_of",
     "stride",
 ]
@@ -31,16 +32,16 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import SplatPool
 
 PAGE_ROWS: Final = 1 << 18
-"""Gaussians of a page: float32 SH of degree 3 take 48 of the 128 MiB that every device binds."""
+"""Gaussians of a page (GPU buffers): degree-3 SH take 48 of the 128 MiB that devices bind."""
 
 GPU_PAGE_ROWS: Final = 2 * PAGE_ROWS
-"""Gaussians of a page on a GPU, where each dispatch waits for the one before."""
+"""Gaussians of a page (GPU buffers) on a hardware GPU, where dispatches wait for each other."""
 
 SLOT_BYTES: Final = 96
-"""Bytes of a row of the slot table, ``struct Slot`` in slots.wgsl."""
+"""Bytes of a row in the table of tile slots, ``struct Slot`` in slots.wgsl."""
 
 PAGE_SLOTS: Final = 64
-"""Most slots of a pool's page: their table is a uniform, of which every device binds 64 KiB."""
+"""Most tile slots in a page (GPU buffer) of a pool: every device binds uniforms of 64 KiB."""
 
 _WORD: Final = 16
 
@@ -55,7 +56,7 @@ def stride(channels: int, *, half: bool) -> int:
 
 
 def bytes_of(data: SplatData, *, compact: bool) -> int:
-    """Return the bytes of GPU memory for a splat set's Gaussians, colours and cells."""
+    """Return the bytes of GPU memory of a splat set: Gaussians, colours and cells (groups)."""
     half = compact or data.appearance.dtype == np.float16
     row = _bytes_of_row(packed=compact and data.cells is None)
     row += _bytes_of_appearance(stride(data.appearance.shape[1], half=half))
@@ -74,7 +75,7 @@ def _bytes_of_appearance(stride: int) -> int:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PageSlots:
-    """The slots of the splat pool (for streamed tiles) in one GPU page, and their buffers.
+    """Slots (row ranges for streamed tiles) in one page (GPU buffers) of the splat pool.
 
     Attributes:
         pool: The pool.
@@ -121,6 +122,40 @@ class Page:
     cells: Buffer | None = None
     rows_of: UInt32[np.ndarray, " n"] | None = None
     slots: PageSlots | None = None
+
+
+def allocate_pool_page(
+    device: Device, pool: SplatPool, first: int, count: int, *, half: bool
+) -> Page:
+    """Allocate the GPU buffers of consecutive slots of a splat pool, for streamed tiles.
+
+    Args:
+        device: Device of the buffers.
+        pool: The pool.
+        first: Index of the page's first slot.
+        count: Number of slots, at most ``PAGE_SLOTS``; it may be a recorded size.
+        half: Whether the appearance is float16.
+    """
+    words = stride(pool.channels, half=half)
+    capacity = count * pool.slot_rows
+    dispatch = device.storage("dispatch of a pool", 12, extra="INDIRECT")
+    device.write(dispatch, np.array([0, 1, 1], np.uint32))
+    return Page(
+        first=first * pool.slot_rows,
+        capacity=capacity,
+        rows=device.storage("rows of a pool", _bytes_of_row(packed=False) * capacity),
+        appearance=device.storage("appearance of a pool", _bytes_of_appearance(words) * capacity),
+        half=half,
+        stride=words,
+        slots=PageSlots(
+            pool=pool,
+            first=first,
+            count=count,
+            table=device.uniform("slot table", SLOT_BYTES * PAGE_SLOTS),
+            seen=device.storage("slots in view", 4 * count),
+            dispatch=dispatch,
+        ),
+    )
 
 
 def _rows_of(page: Page, first: int, rows: Float[np.ndarray, "n 10"]) -> Target:
@@ -178,7 +213,7 @@ class _State(NamedTuple):
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
 class _Resident:
-    """The GPU pages of one ``SplatData``, and the uploaded part of each of its arrays.
+    """The pages (GPU buffers) of one ``SplatData``, and the uploaded part of each of its arrays.
 
     Attributes:
         state: Versions at the start of the last frame.
@@ -196,7 +231,7 @@ class _Resident:
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
-    """Yield each GPU page with its part of a splat set's Gaussians, and the part's page offset."""
+    """Yield each page (GPU buffers) with the rows of a slice that it holds, and their offset."""
     for page in pages:
         first = max(live.start, page.first)
         last = min(live.stop, page.first + page.capacity)
@@ -206,7 +241,7 @@ def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
 
 @final
 class Residency:
-    """Keeps each ``SplatData`` in GPU pages for as long as the object exists.
+    """Keeps the pages (GPU buffers) of each ``SplatData`` for as long as that object exists.
 
     Args:
         device: Device of the buffers.
@@ -298,7 +333,7 @@ class Residency:
         return self._held[data]
 
     def pages(self, data: SplatData) -> list[Page]:
-        """Return the GPU pages of a splat set, after uploading the rows that changed."""
+        """Return the pages (GPU buffers) of a splat set, after uploading changed rows."""
         resident = self._hold(data)
         for live in resident.rows.missing(data.rows_version, data.count):
             self._upload(resident, live, data.rows, _rows_of)
@@ -308,7 +343,7 @@ class Residency:
         return resident.pages
 
     def pool_pages(self, pool: SplatPool) -> list[Page]:
-        """Return the GPU pages of a splat pool, after uploading Gaussians of newly arrived tiles.
+        """Return the pages (GPU buffers) of a pool of streamed tiles, after uploading new tiles.
 
         Writes of the queue come before the next frame and after all earlier ones, so that no frame
         in flight reads a slot that is written.
@@ -328,31 +363,10 @@ class Residency:
         return pages
 
     def _allocate_pool(self, pool: SplatPool) -> Iterator[Page]:
-        words = stride(pool.channels, half=self._compact)
         slots_per_page = min(PAGE_SLOTS, max(1, self._page_rows // pool.slot_rows))
         for first in range(0, pool.slots, slots_per_page):
             count = min(slots_per_page, pool.slots - first)
-            capacity = count * pool.slot_rows
-            dispatch = self._device.storage("dispatch of a pool", 12, extra="INDIRECT")
-            self._device.write(dispatch, np.array([0, 1, 1], np.uint32))
-            yield Page(
-                first=first * pool.slot_rows,
-                capacity=capacity,
-                rows=self._device.storage("rows of a pool", _bytes_of_row(packed=False) * capacity),
-                appearance=self._device.storage(
-                    "appearance of a pool", _bytes_of_appearance(words) * capacity
-                ),
-                half=self._compact,
-                stride=words,
-                slots=PageSlots(
-                    pool=pool,
-                    first=first,
-                    count=count,
-                    table=self._device.uniform("slot table", SLOT_BYTES * PAGE_SLOTS),
-                    seen=self._device.storage("slots in view", 4 * count),
-                    dispatch=dispatch,
-                ),
-            )
+            yield allocate_pool_page(self._device, pool, first, count, half=self._compact)
 
     def _upload(
         self,

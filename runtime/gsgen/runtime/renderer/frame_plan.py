@@ -168,7 +168,7 @@ class Plan:
         self.clears += part.clears
 
     def _slabs(self, placed: Sequence[Placed], splats: int, *, with_ids: bool) -> Slabs:
-        """Return the depth slabs in which a scene is drawn; splat ids follow the set order."""
+        """Return the depth ranges (slabs) in which a scene is drawn, one after the other."""
         pages = [page for _, page in placed]
         slabs = Slabs(self._device, self._kernels, pages, splats, self._origins, with_ids=with_ids)
         self.buffers |= slabs.buffers
@@ -180,7 +180,7 @@ class Plan:
         return self.buffers[name]
 
     def _splat_arrays(self, n: int) -> tuple[list[Buffer], list[Buffer]]:
-        """Allocate GPU buffers of projected splats: those that projection writes, and the rest."""
+        """Return projected splats' GPU buffers: what projection writes, and what blending reads."""
         if not self._records:
             arrays = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
             return arrays, arrays

@@ -117,12 +117,12 @@ class Kernels:
         return MOST_GROUPS * WALK_THREADS * self.cut.walk
 
     def records(self, gaussians: int) -> bool:
-        """Return whether projected splats are structs in one GPU buffer, if it can be bound."""
+        """Return whether projected splats are structs that fit one GPU buffer's binding limit."""
         is_possible = self.cut.tile != TILE and not self._one_shape
         return is_possible and RECORD * gaussians <= self._largest_binding
 
     def tile_bits(self, last: int) -> int:
-        """Return the number of key bits that sort tile indices; whole digits if ``one_shape``."""
+        """Return the number of key bits for tile indices, whole radix digits if ``one_shape``."""
         bits = max(1, last.bit_length())
         digit = self.cut.digit_bits
         return -(-bits // digit) * digit if self._one_shape else bits

@@ -184,7 +184,7 @@ def _crowd(n: int, tall: float) -> SplatData:
 def _roomy(
     device: Device, kernels: Kernels, placed: list[Placed], camera: Camera, *, quads: bool
 ) -> Plan:
-    """Return recorded GPU work with enough capacity for all splat-tile pairs of a frame."""
+    """Record a frame's GPU commands with buffers large enough for all splat-tile pairs."""
     room, size = _PAIRS, (camera.width, camera.height)
     while True:
         plan = Plan(device, kernels, placed, size, frozenset({"color"}), room, quads=quads)

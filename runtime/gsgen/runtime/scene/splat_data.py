@@ -1,4 +1,4 @@
-"""Gaussians in the packed layout of the contract; their values may change between frames."""
+"""Gaussians in packed rows of ten numbers, whose values may change between frames."""
 
 __all__ = ["SplatData"]
 
@@ -116,7 +116,7 @@ class SplatData:
         count: int | None = None,
         cells: Float[np.ndarray, "c 10"] | None = None,
     ) -> None:
-        """Replace packed Gaussians, colours or cells by arrays of equal shapes and dtypes.
+        """Replace packed Gaussians, colours or cells (groups) by arrays of equal shapes and dtypes.
 
         Arrays that are None stay as they are; ``count`` rows are live, or all if it is None.
 

@@ -122,7 +122,7 @@ class Source(ABC):
 
     @property
     def state(self) -> tuple[int, ...]:
-        """Version numbers of a file's or model's data: one changes if the Gaussians change."""
+        """Version numbers of a file's or model's data, which change when its Gaussians change."""
         data = self.data
         versions = (data.rows_version, data.appearance_version, data.cells_version)
         return (id(data), *versions, data.count)

@@ -8,10 +8,11 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.kernel import Step
 from gsgen.runtime.web.formulas import Formula, Tree, replaced, tree_of
-from gsgen.runtime.web.recording import RecordedPlan
+from gsgen.runtime.web.recording import RecordedPlan, page_kind
 from gsgen.runtime.web.recording_device import (
     RecordedBind,
     RecordedBuffer,
@@ -22,13 +23,17 @@ from gsgen.runtime.web.recording_device import (
 _FOLLOWED: Final = ("gaussians", "pairs", "cells")
 """Sizes that plans write into buffers."""
 
+_OF_SLOTS: Final = ("table", "seen", "dispatch")
+"""Names of the GPU buffers of a splat pool (streamed tiles) besides rows and appearance."""
+
 
 @final
 class PlanTables:
     """JSON tables of shaders, buffers, bind groups and dispatches of recorded frame plans.
 
     A plan is a list of stages, a stage a list of steps. A step is the number of its row in the
-    table, or a mapping from the kind of a page to such a number, for the steps that every page has.
+    table. Steps that every page has are a mapping from the kind of a page to such a number, or to
+    the numbers of several steps, as pages of splat pools have them.
 
     Attributes:
         tables: Rows by name of the table, as JSON values.
@@ -54,6 +59,26 @@ class PlanTables:
     def add(self, recorded: RecordedPlan) -> None:
         """Add a recorded frame plan (GPU work of a frame) to the JSON tables."""
         self.plans.append(_PlanWriter(self, recorded).plan())
+
+    def pool_buffers(self, page: Page, slots: str) -> dict[str, dict[str, Any]]:
+        """Return the GPU buffers of a splat pool's page (part): sizes as formulas in ``slots``.
+
+        Args:
+            page: A recorded page.
+            slots: Name of its number of slots in the recorded formulas.
+        """
+        assert page.slots is not None
+        buffers = {"rows": page.rows, "appearance": page.appearance}
+        buffers |= {name: getattr(page.slots, name) for name in _OF_SLOTS}
+        return {
+            name: {
+                "label": buffer.label,
+                "size": replaced(tree_of(buffer.size), slots, "slots"),
+                "usage": buffer.usage,
+                **_data(buffer, {}),
+            }
+            for name, buffer in buffers.items()
+        }
 
     def row(self, table: str, value: Any) -> int:
         """Return the row index of a value in a JSON table; append the value if it is new."""
@@ -81,12 +106,15 @@ class _PlanWriter:
             if page.cells is not None:
                 self._buffers[page.cells] = "cells"
                 self._sets[page.cells] = slot
+            if page.slots is not None:
+                self._buffers |= {getattr(page.slots, name): name for name in _OF_SLOTS}
 
     def plan(self) -> dict[str, Any]:
         """Return the recorded GPU work of a frame as a JSON object."""
         recorded = self._recorded
         plan, shape = recorded.plan, recorded.shape
         stages = {name: self._steps(steps) for name, steps in plan.stages.items()}
+        clears = [[self._buffer(buffer), offset, size] for buffer, offset, size in plan.clears]
         written = {
             "outputs": list(shape.outputs),
             "panorama": shape.panorama,
@@ -94,8 +122,12 @@ class _PlanWriter:
             "weighted": shape.weighted,
             "layers": shape.layers,
             "guards": [self._tree(guard) for guard in recorded.guards],
-            "clears": [
-                [self._buffer(buffer), offset, size] for buffer, offset, size in plan.clears
+            "clears": [clear for clear in clears if isinstance(clear[0], int)],
+            # What every page of a pool clears; all have the same.
+            "pool_clears": [
+                list(clear)
+                for clear in dict.fromkeys(tuple(clear) for clear in clears)
+                if isinstance(clear[0], str)
             ],
             "stages": stages,
             "images": {name: self._buffer(image) for name, image in plan.images.items()},
@@ -104,45 +136,46 @@ class _PlanWriter:
         rows = {row for row in self._buffers.values() if isinstance(row, int)}
         return written | {"buffers": sorted(rows)}
 
-    def _steps(self, steps: list[Step]) -> list[int | dict[str, int]]:
+    def _steps(self, steps: list[Step]) -> list[int | dict[str, int | list[int]]]:
         """Return the indices of a drawing stage's dispatches in the frame plan's JSON table.
 
         Steps repeated per GPU page are a mapping by the page's kind; those per set, by ``set``.
         """
-        result: list[int | dict[str, int]] = []
-        pages = len(self._recorded.pages)
-        position = 0
-        while position < len(steps):
-            if self._slot(steps[position]) is None:
-                result.append(self._step(steps[position], None))
-                position += 1
+        result: list[int | dict[str, int | list[int]]] = []
+        run: dict[int, list[int]] = {}
+        for step, following in zip(steps, [*steps[1:], None], strict=True):
+            slot = self._slot(step)
+            if slot is None:
+                result.append(self._step(step, None))
                 continue
-            run = steps[position : position + pages]
-            slots = [self._slot(step) for step in run]
-            assert slots == list(range(pages)), f"the steps of pages are out of order: {slots}"
-            rows = [self._step(step, slot) for slot, step in enumerate(run)]
-            # The last page is like the first: what differs are sizes that formulas name.
-            assert rows[-1] == rows[0], "steps of two pages of one kind differ"
-            if self._binds(steps[position], self._kinds):
-                result.append({self._kind(slot): row for slot, row in enumerate(rows[:-1])})
-            else:
-                assert len(set(rows)) == 1, "steps of two sets differ"
-                result.append({"set": rows[0]})
-            position += pages
+            run.setdefault(slot, []).append(self._step(step, slot))
+            next_slot = None if following is None else self._slot(following)
+            if next_slot is None or next_slot < slot:
+                result.append(self._repeated(run, of_sets=not self._binds(step, self._kinds)))
+                run = {}
         return result
 
-    def _kind(self, slot: int) -> str:
-        page = self._recorded.pages[slot]
-        return f"{'float16' if page.half else 'float32'} {page.stride}"
+    def _repeated(
+        self, run: Mapping[int, list[int]], *, of_sets: bool
+    ) -> dict[str, int | list[int]]:
+        """Return the GPU steps of each format of pages (splat buffers), from recorded steps."""
+        slots = list(run)
+        assert slots == list(range(len(self._recorded.pages))), f"pages are out of order: {slots}"
+        rows_of: dict[str, list[int]] = {}
+        for slot, rows in run.items():
+            kind = "set" if of_sets else page_kind(self._recorded.pages[slot])
+            # Pages of one kind differ in sizes alone, which formulas name.
+            assert rows_of.setdefault(kind, rows) == rows, f"steps of two {kind} pages differ"
+        return {kind: rows[0] if len(rows) == 1 else rows for kind, rows in rows_of.items()}
 
     def _slot(self, step: Step) -> int | None:
-        """Return the index of the GPU page that a recorded dispatch reads, or None."""
+        """Return the index of the page (GPU buffers) that a recorded dispatch reads, or None."""
         slots = self._binds(step, self._kinds) or self._binds(step, self._sets)
         assert len(slots) < 2, "a step reads several pages"
         return slots.pop() if slots else None
 
     def _binds(self, step: Step, slots: Mapping[RecordedBuffer, int]) -> set[int]:
-        """Return the indices, from a mapping by buffer, of those buffers that a GPU step binds."""
+        """Return the indices that a mapping assigns to the GPU buffers that a step binds."""
         entries = [entry for bind in step.binds for entry in bind.entries]
         return {slots[buffer] for buffer, _, _ in entries if buffer in slots}
 
@@ -165,7 +198,9 @@ class _PlanWriter:
                 assert (offset, size) == (PAGE.itemsize * slot, PAGE.itemsize)
                 offset = Formula(offset, ["mul", PAGE.itemsize, "slot"], [])
             row = self._buffer(buffer)
-            whole = isinstance(row, int) and tree_of(size) == tree_of(buffer.size)
+            # Buffers that others make may be larger than what is bound; those of pools are not.
+            is_own = isinstance(row, int) or self._recorded.pages[slot or 0].slots is not None
+            whole = is_own and tree_of(size) == tree_of(buffer.size)
             formulas = [self._tree(tree_of(number), slot) for number in (offset, size)]
             entries.append([row, formulas[0], None if whole else formulas[1]])
         return self._tables.row("binds", {"kinds": bind.kinds, "entries": entries})
@@ -173,13 +208,13 @@ class _PlanWriter:
     def _buffer(self, buffer: RecordedBuffer) -> int | str:
         """Return the row index of a GPU buffer; a number distinguishes buffers of equal label."""
         if buffer not in self._buffers:
-            number = self._labels.get(buffer.label, 0)
+            number, sizes = self._labels.get(buffer.label, 0), self._recorded.sizes
             self._labels[buffer.label] = number + 1
             row = {
                 "label": f"{buffer.label} {number}" if number else buffer.label,
                 "size": self._size(buffer),
                 "usage": buffer.usage,
-                **self._data(buffer),
+                **_data(buffer, {name: sizes[name] for name in _FOLLOWED}),
             }
             self._buffers[buffer] = self._tables.row("buffers", row)
         return self._buffers[buffer]
@@ -190,29 +225,30 @@ class _PlanWriter:
             return ["mul", PAGE.itemsize, "pages"]
         return self._tree(tree_of(buffer.size))
 
-    def _data(self, buffer: RecordedBuffer) -> Mapping[str, Any]:
-        """Return a buffer's initial bytes, and the offsets at which sizes have to be filled in."""
-        if not buffer.data:
-            return {}
-        assert list(buffer.data) == [0], f"{buffer.label} is written in parts"
-        words = np.frombuffer(buffer.data[0], np.uint32).copy()
-        sizes: list[list[int | str]] = []
-        for name in _FOLLOWED:
-            for index in np.flatnonzero(words == self._recorded.sizes[name]).tolist():
-                sizes.append([4 * index, name])
-                words[index] = 0
-        data: dict[str, Any] = {"data": base64.b64encode(words.tobytes()).decode()}
-        return data | ({"sizes": sizes} if sizes else {})
-
     def _tree(self, tree: Tree, slot: int | None = None) -> Tree:
         """Rename the sizes in a formula for the browser client, such as ``gaussians`` and ``capacity``."""
         for name, total in self._recorded.totals.items():
             tree = replaced(tree, total, name)
         if slot is None:
             return tree
-        return replaced(
-            replaced(tree, f"capacity {slot}", "capacity"), f"cells {slot}", "set_cells"
-        )
+        for name, of_page in (("capacity", "capacity"), ("cells", "set_cells"), ("slots", "slots")):
+            tree = replaced(tree, f"{name} {slot}", of_page)
+        return tree
+
+
+def _data(buffer: RecordedBuffer, recorded_sizes: Mapping[str, int]) -> dict[str, Any]:
+    """Return a buffer's initial bytes, and the offsets at which sizes have to be filled in."""
+    if not buffer.data:
+        return {}
+    assert list(buffer.data) == [0], f"{buffer.label} is written in parts"
+    words = np.frombuffer(buffer.data[0], np.uint32).copy()
+    sizes: list[list[int | str]] = []
+    for name, value in recorded_sizes.items():
+        for index in np.flatnonzero(words == value).tolist():
+            sizes.append([4 * index, name])
+            words[index] = 0
+    data: dict[str, Any] = {"data": base64.b64encode(words.tobytes()).decode()}
+    return data | ({"sizes": sizes} if sizes else {})
 
 
 def module_row(tables: PlanTables, module: RecordedModule) -> dict[str, Any]:

@@ -1,6 +1,14 @@
 """The document ``plans.json``: GPU buffers, dispatches and uniforms for the browser client."""
 
-__all__ = ["PAGE_RULES", "PLANS_FILE", "SHAPES", "plans_document", "plans_text", "written_plans"]
+__all__ = [
+    "PAGE_RULES",
+    "PLANS_FILE",
+    "SHAPES",
+    "plans_document",
+    "plans_text",
+    "pool_kinds",
+    "written_plans",
+]
 
 import json
 from collections.abc import Mapping
@@ -23,6 +31,7 @@ from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, stride
 from gsgen.runtime.kernels.project.live_counts import LiveCounts
 from gsgen.runtime.kernels.project.project import FRAME, NO_HARMONICS, PAGE
 from gsgen.runtime.kernels.project.repack_rows import RepackRows
+from gsgen.runtime.kernels.project.slots import SLOT
 from gsgen.runtime.kernels.raster.import_layer import PICTURE, ImportLayer
 from gsgen.runtime.kernels.shared.counts import BYTES, Counts
 from gsgen.runtime.kernels.shared.kernel import THREADS
@@ -33,8 +42,9 @@ from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.splat_pool import SLOT_ROWS
 from gsgen.runtime.sources.stream_settings import StreamSettings
 from gsgen.runtime.viewer.present import SHOWING, SHOWING_CONSTANTS
+from gsgen.runtime.web.formulas import Formula
 from gsgen.runtime.web.plan_tables import PlanTables, module_row
-from gsgen.runtime.web.recording import APPEARANCES, Shape, record
+from gsgen.runtime.web.recording import APPEARANCES, Shape, page_kind, record, recorded_pool_pages
 from gsgen.runtime.web.recording_device import RecordedModule, RecordingDevice
 
 PLANS_FILE: Final = "gsgen.runtime.web:client/plans.json"
@@ -61,7 +71,7 @@ PAGE_RULES: Final = (
 """Rules that the client checks by itself (findings.js)."""
 
 LAYERS: Final = 2
-"""Image layers of a page's other renderer: translucent surfaces, and those behind them."""
+"""Image layers of a web page's other renderer: translucent surfaces, and those behind them."""
 
 SHAPES: Final = tuple(
     Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
@@ -97,6 +107,7 @@ def plans_document() -> dict[str, Any]:
             "page": _fields(PAGE),
             "showing": _fields(SHOWING),
             "picture": _fields(PICTURE),
+            "slot": _fields(SLOT),
         },
         "counts": {member.name: int(member) for member in Counts} | {"BYTES": BYTES},
         "appearances": [
@@ -110,6 +121,7 @@ def plans_document() -> dict[str, Any]:
         ],
         "generators": generators,
         "layers": layers,
+        "pools": pool_kinds(tables),
         "contract": _contract(),
         "pairs": {"first": FIRST_PAIRS, "room": PAIRS_ROOM, "most": MOST_GROUPS * RANGE_BLOCK},
         "streaming": {"slotRows": SLOT_ROWS, "maxError": StreamSettings().max_error},
@@ -127,8 +139,15 @@ def plans_document() -> dict[str, Any]:
     }
 
 
+def pool_kinds(tables: PlanTables, slot_rows: int = SLOT_ROWS) -> dict[str, Any]:
+    """Return a splat pool's GPU buffers by page format, with sizes as formulas in ``slots``."""
+    device, slots = Device(RecordingDevice()), Formula(1, "slots", [])
+    placed = recorded_pool_pages(device, APPEARANCES, [slots] * len(APPEARANCES), slot_rows)
+    return {page_kind(page): tables.pool_buffers(page, "slots") for _, page in placed}
+
+
 def _contract() -> dict[str, Any]:
-    """Return the contract data for the browser client: version, model kinds, rules to check."""
+    """Return facts of the generator contract for the browser: version, model kinds, rules."""
     rules = {entry.id: entry for entry in builtin_rules()}
     limits = load_target("webgpu").limits
     return {
@@ -148,7 +167,7 @@ def _contract() -> dict[str, Any]:
 
 
 def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
-    """Return the kernels that copy model outputs to GPU pages, and ONNX copy operators.
+    """Return the kernels that copy model outputs to GPU buffers, and the ONNX operators that copy.
 
     Rows that a page can bind as they are have no kernel. Operators that copy buffers spoil the
     captured graph of a model whose outputs they produce.

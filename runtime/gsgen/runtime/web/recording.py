@@ -1,6 +1,15 @@
 """Records the renderer's GPU work for a frame, on a device that computes nothing."""
 
-__all__ = ["APPEARANCES", "Appearance", "RecordedPlan", "Shape", "record", "recorded_pages"]
+__all__ = [
+    "APPEARANCES",
+    "Appearance",
+    "RecordedPlan",
+    "Shape",
+    "page_kind",
+    "record",
+    "recorded_pages",
+    "recorded_pool_pages",
+]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,13 +20,14 @@ import numpy as np
 from gsgen.contract.spec.layout import ROW
 from gsgen.contract.spec.manifest import WeightedSum
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.splat_residency import Page, stride
+from gsgen.runtime.gpu.splat_residency import Page, allocate_pool_page, stride
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.kernel_set import Kernels
 from gsgen.runtime.renderer.placed_pages import Placed
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.scene.splat_pool import SLOT_ROWS, SplatPool
 from gsgen.runtime.web.formulas import Formula, Tree, tree_of
 from gsgen.runtime.web.recording_device import RecordedBuffer, RecordingDevice
 
@@ -25,7 +35,7 @@ from gsgen.runtime.web.recording_device import RecordedBuffer, RecordingDevice
 @final
 @dataclass(frozen=True, slots=True)
 class Appearance:
-    """The format of SH coefficients or colours in a GPU page: dtype, row stride and channels.
+    """The format of SH coefficients or colours in a GPU buffer: dtype, row stride and channels.
 
     Attributes:
         half: Whether they are float16.
@@ -58,6 +68,7 @@ class Shape:
         weighted: Whether it draws sets by weighted-sum rendering instead of sorting Gaussians.
         layers: Image layers among the Gaussians that the page writes.
         size: Width and height of an image that needs the plan's passes of the tile sort.
+        slot_rows: Rows of a slot of splat pools.
     """
 
     outputs: tuple[Output, ...]
@@ -66,6 +77,7 @@ class Shape:
     weighted: bool = False
     layers: int = 0
     size: tuple[int, int] = (64, 64)
+    slot_rows: int = SLOT_ROWS
 
 
 @final
@@ -76,7 +88,8 @@ class RecordedPlan:
     Attributes:
         shape: The shape.
         plan: The plan, whose buffers and steps are recordings.
-        pages: Its pages: one for each appearance, and one more like the first.
+        pages: Its pages: one for each appearance, and one more like the first. Then as many of
+            splat pools, except among weighted sets.
         guards: Conditions on the sizes under which the plan has these steps.
         sizes: The recorded value of each size of the plan.
         totals: The formula of each sum over pages, by name: of ``gaussians``, and of ``cells``.
@@ -94,6 +107,7 @@ class RecordedPlan:
 _PAIRS: Final = 1_610_612_741
 _CAPACITY: Final = 1_000_003
 _CELLS: Final = 500_009
+_SLOTS: Final = 101
 
 
 def record(shape: Shape) -> RecordedPlan:
@@ -102,15 +116,21 @@ def record(shape: Shape) -> RecordedPlan:
     names = {"width": shape.size[0], "height": shape.size[1], "pairs": _PAIRS}
     width, height, pairs = (Formula(value, name, guards) for name, value in names.items())
     kinds = (*APPEARANCES, APPEARANCES[0])
-    lengths = {
-        name: [
-            Formula(first + 7_919 * slot, f"{name} {slot}", guards) for slot in range(len(kinds))
+    capacities, cell_counts, slots = (
+        [
+            Formula(first + step * index, f"{name} {number}", guards)
+            for index, number in enumerate(range(first_page, first_page + len(kinds)))
         ]
-        for name, first in (("capacity", _CAPACITY), ("cells", _CELLS))
-    }
+        for name, first, step, first_page in (
+            ("capacity", _CAPACITY, 7_919, 0),
+            ("cells", _CELLS, 7_919, 0),
+            ("slots", _SLOTS, 1, len(kinds)),
+        )
+    )
     device = Device(RecordingDevice())
-    cells = lengths["cells"] if shape.weighted else None
-    placed = recorded_pages(kinds, lengths["capacity"], cells)
+    placed = recorded_pages(kinds, capacities, cell_counts if shape.weighted else None)
+    if not shape.weighted:
+        placed += recorded_pool_pages(device, kinds, slots, shape.slot_rows)
     plan = Plan(
         device,
         Kernels(device, one_shape=True),
@@ -122,7 +142,8 @@ def record(shape: Shape) -> RecordedPlan:
         panorama=shape.panorama,
         deep=shape.deep,
     )
-    totals = {"gaussians": sum(lengths["capacity"]), "cells": sum(lengths["cells"])}
+    gaussians = sum(page.capacity for _, page in placed)
+    totals = {"gaussians": gaussians, "cells": sum(cell_counts)}
     return RecordedPlan(
         shape=shape,
         plan=plan,
@@ -136,7 +157,7 @@ def record(shape: Shape) -> RecordedPlan:
 def recorded_pages(
     kinds: Sequence[Appearance], capacities: Sequence[int], cells: Sequence[int] | None = None
 ) -> list[Placed]:
-    """Return an empty GPU page of Gaussians, with a splat set, per appearance and capacity.
+    """Return one empty page (GPU buffers) with its splat set per appearance and capacity.
 
     Args:
         kinds: The format of each page's appearance.
@@ -161,6 +182,25 @@ def recorded_pages(
         )
         for slot, (kind, capacity) in enumerate(zip(kinds, capacities, strict=True))
     ]
+
+
+def recorded_pool_pages(
+    device: Device, kinds: Sequence[Appearance], slots: Sequence[int], slot_rows: int = SLOT_ROWS
+) -> list[Placed]:
+    """Return one empty page (GPU buffers) of a splat pool per appearance and number of slots."""
+    empty = SplatSet(SplatData(np.zeros((0, ROW), np.float32), np.zeros((0, 3), np.float32), "sh"))
+    placed = []
+    for kind, count in zip(kinds, slots, strict=True):
+        # A pool has harmonics, of degree 0 three numbers.
+        pool = SplatPool(slot_rows, 3 if kind.channels == 4 else kind.channels, slot_rows=slot_rows)
+        placed.append((empty, allocate_pool_page(device, pool, 0, count, half=kind.half)))
+    return placed
+
+
+def page_kind(page: Page) -> str:
+    """Return the name of a page's (GPU buffers) format: appearance dtype and stride, and pool."""
+    name = f"{'float16' if page.half else 'float32'} {page.stride}"
+    return name if page.slots is None else f"pool of {name}"
 
 
 def _page_buffer(label: str, size: int) -> RecordedBuffer:

@@ -24,14 +24,21 @@ class OptionHulls:
         option: The option that the step leads to.
         cost: What the step costs more than the option before.
         value: What it is worth more, before the weight of the tile.
-        count: Number of tiles.
+        costs: Of each tile's options; before them stands nothing, which costs 0.
+        values: Of each tile's options, before the weight of the tile; nothing is worth 0.
     """
 
     tile: Int64[np.ndarray, " s"]
     option: Int64[np.ndarray, " s"]
     cost: Float64[np.ndarray, " s"]
     value: Float64[np.ndarray, " s"]
-    count: int
+    costs: Table
+    values: Table
+
+    @property
+    def count(self) -> int:
+        """The number of tiles."""
+        return len(self.costs)
 
     @classmethod
     def of_options(cls, cost: Table, value: Table) -> "OptionHulls":
@@ -43,7 +50,7 @@ class OptionHulls:
         """
         count = len(cost)
         nothing = np.zeros((count, 1))
-        costs, values = np.hstack([nothing, cost]), np.hstack([nothing, value])
+        costs, values = table = np.hstack([nothing, cost]), np.hstack([nothing, value])
         order, on_hull = upper_hulls(costs, values)
         rows = np.arange(count)[:, None]
         costs, values = costs[rows, order], values[rows, order]
@@ -61,7 +68,8 @@ class OptionHulls:
             option=option[is_step],
             cost=step_cost[is_step],
             value=step_value[is_step],
-            count=count,
+            costs=table[0],
+            values=table[1],
         )
 
 

@@ -64,7 +64,7 @@ def choose_jointly(
 
 
 def _is_independent(options: CutOptions, is_parent: Bool[np.ndarray, " n"]) -> bool:
-    """Return whether each leaf of a tile tree can be chosen freely, without other nodes."""
+    """Return whether only leaves of a tile tree have utility, so that each is chosen alone."""
     draws = np.isfinite(options.cost) & (options.utility > 0)
     is_nothing = (options.cost[:, -1] == 0) & (options.utility[:, -1] == 0)
     return bool(is_nothing.all()) and not bool(draws[is_parent].any())
@@ -91,7 +91,7 @@ class _Candidate:
 
 @final
 class _PriceSearch:
-    """Choices of tiles at prices per Gaussian: the best within limits, and an upper bound."""
+    """Searches Lagrange prices per Gaussian for the best tiles within byte and Gaussian limits."""
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class _PriceSearch:
         self.best: _Candidate | None = None
 
     def keeps_limit(self, price: float) -> bool:
-        """Choose tiles at a price per Gaussian; return whether the number of Gaussians is kept."""
+        """Choose tiles at a price per Gaussian; return whether the limit of Gaussians is met."""
         priced = self._options.utility - price * self._splats
         options = CutOptions(self._options.parent, self._options.cost, priced)
         frontier = TreeFrontier.of_options(options)
@@ -141,7 +141,7 @@ class _PriceSearch:
         return max(self.best.utility, 1e-12) / max(self.best.splats, 1)
 
     def choice(self) -> Choice | None:
-        """Return the best choice of tiles within both limits, with the least upper bound."""
+        """Return the best choice of tiles within both limits, and an upper bound of its utility."""
         best = self.best
         if best is None or best.splats > self._splat_budget:
             return None

@@ -147,7 +147,7 @@ class TreeFrontier:
 
 
 def choose_cut(frontier: TreeFrontier, budget: float) -> Choice | None:
-    """Choose tiles and file qualities at the last point within a budget of the tree's curve.
+    """Choose the tiles and file qualities of greatest utility on the cost curve within a budget.
 
     Returns:
         The choice; None where every cut costs more than ``budget``.
@@ -167,7 +167,7 @@ def _owners(options: CutOptions, level: _Level, below: _Level) -> Rows:
 
 
 def _points_below(level: _Level, below: _Level, prefix: Rows) -> Rows:
-    """Return each child's point on its utility curve, after steps along the parent's curve."""
+    """Return how many steps of each child's utility curve are among its parent's first steps."""
     first = np.searchsorted(level.step_owner, np.arange(len(level.nodes)))
     rank = np.arange(len(level.step_owner)) - first[level.step_owner]
     is_taken = rank < prefix[level.step_owner]

@@ -41,7 +41,7 @@ class NeuralEvents:
 
 @final
 class EventLog:
-    """Writes an event log: for each frame a JSON line with time, frustum, answers, decisions.
+    """Writes an event log: a JSON line per frame of time, frustum, downloads and drawn tiles.
 
     Raises:
         InputUnreadable: The file cannot be written.
@@ -80,8 +80,8 @@ class EventLog:
                 for result in received
                 if result.error is not None
             ],
-            "arrived": [arrival.tile for arrival in frame.arrivals],
-            "qualities": [arrival.quality for arrival in frame.arrivals],
+            "arrived": [arrival.tile for arrival in frame.arrivals if arrival.is_last],
+            "qualities": [arrival.quality for arrival in frame.arrivals if arrival.is_last],
             "evicted": list(frame.evicted),
             "drawn": [[entry.tile, entry.fade] for entry in frame.drawn],
             "missing": frame.missing,
@@ -109,7 +109,7 @@ class FrameEvents:
         received: Tiles whose contents had come.
         failed: Tiles that could not be had: key, message, and whether it may pass.
         drawn: Tiles that were drawn, and their fades.
-        arrived: Tiles that were uploaded.
+        arrived: Tiles that were uploaded to their last row.
         evicted: Tiles that left.
     """
 

@@ -81,6 +81,6 @@ def _require_drawable(worker: GeneratorWorker) -> None:
         if actual != expected:
             raise TilesetInvalid(
                 f"the manifest's {name} is {actual}",
-                expected=f"{expected}, as of all tiles",
+                expected=f"{expected}, as in all tiles of splats",
                 fault=Fault.NEURAL,
             )

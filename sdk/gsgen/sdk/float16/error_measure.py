@@ -27,7 +27,7 @@ _UNSEEN = 12
 
 
 class ErrorProbe:
-    """Measures the output error of rounding nodes or weights to float16, in the contract's units.
+    """Measures output errors of nodes or weights rounded to float16, relative to tolerances.
 
     With ``half_outputs``, outputs are stored in float16, too; their rounding is added to the
     tolerances ``roundings`` times.
@@ -126,7 +126,7 @@ class ErrorProbe:
         return self(())
 
     def _used(self, field: FieldParity) -> float:
-        """Return the share of a field's tolerance that rounding uses, beyond float16 outputs."""
+        """Return the share of a field's tolerance that rounding uses, besides float16 outputs."""
         base = self._stored.get(field.field, 0.0)
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 

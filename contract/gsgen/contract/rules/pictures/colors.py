@@ -193,7 +193,7 @@ _DARKEST = 1.02 / 255
     needs=(*VALID_ROWS, *COLORED_ROWS, "GV012", "GV046"),
 )
 def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
-    """Raw RGB look like the result of one conversion: not of two, and not of one without offset.
+    """Raw RGB look converted once from stored colours: not twice, and not without the offset 0.5.
 
     Why:
         A sigmoid of a colour lies between 0.5 and 0.7311: everything is pale. A division by 255 of

@@ -78,7 +78,7 @@ class WeightedSum:
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """The largest differences between two executions of the model, each field in its unit."""
+    """The largest allowed differences between two runs of the model, each field in its unit."""
 
     position: Annotated[Fraction, Hint(text="In standard deviations of the Gaussian.")] = 1e-3
     covariance: Annotated[Fraction, Hint(text="Relative to the covariance's trace.")] = 1e-3

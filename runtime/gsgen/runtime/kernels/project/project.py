@@ -31,7 +31,7 @@ from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
 NO_HARMONICS: Final = 0xFF
-"""The SH degree in page uniforms that stands for RGB colours."""
+"""The SH degree that stands for RGB colours in the uniforms of pages (GPU buffers)."""
 
 
 def _bytes(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
@@ -250,7 +250,7 @@ class ProjectKernel:
     def step(
         self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *others: Buffer
     ) -> Step:
-        """Return the dispatch that projects the Gaussians of a GPU page.
+        """Return the dispatch that projects the Gaussians of a page (GPU buffers).
 
         Args:
             outputs: Resources of bind group 0 of the shader, in order.

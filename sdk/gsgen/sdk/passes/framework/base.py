@@ -237,7 +237,7 @@ class Substitute(ByTables, NodeRewrite):
         return True
 
     def variant(self, node: ir.Node) -> str:
-        """Return the form of a node that operator tables list apart; empty for the usual form."""
+        """Return the variant (such as ``5d``) under which operator tables list a node, or empty."""
         return ""
 
 

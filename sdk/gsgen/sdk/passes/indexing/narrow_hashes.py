@@ -81,7 +81,7 @@ def _modulus_bits(node: ir.Node) -> int:
 
 
 def _has_xor(value: ir.Value | None) -> bool:
-    """Return whether a value comes from an exclusive or, at most moved, cast or added to."""
+    """Return whether a value is an XOR's result, possibly moved, cast or added to."""
     node = None if value is None else value.producer()
     if node is None or not is_op(node, "BitwiseXor", "Cast", "Add", *_MOVES):
         return False
@@ -119,7 +119,7 @@ class _Remainder:
         return self._reduced(self._cast(value), *required(span))
 
     def _arithmetic(self, node: ir.Node) -> ir.Value:
-        """Return the remainder by 2ᵏ of a sum, a difference, or a product (case 1)."""
+        """Return a sum, a difference or a product modulo 2ᵏ, computed by ONNX nodes."""
         size = 1 << self.bits
         a, b = (required(entry) for entry in node.inputs)
         if is_op(node, "Add", "Sub"):

@@ -163,7 +163,7 @@ class _Attempt:
             raise Blocked(node, "it may mix rows, or its shape depends on the count", _masks(facts))
 
     def _fixed_size_value(self, node: ir.Node, facts: Sequence[Fact | None]) -> ir.Value | None:
-        """Create the output of a node whose size no longer depends on a row mask (cases 2 to 4)."""
+        """Create a fixed-size output of a node whose own output size depends on a row mask."""
         if len(_masks(facts)) != 1:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
@@ -253,7 +253,7 @@ class _Attempt:
         return True
 
     def _new_outputs(self) -> list[ir.Value | None]:
-        """Create outputs of N rows instead of K selected rows, if another output is K (case 1)."""
+        """Create outputs of all N rows instead of K selected ones, if another output holds K."""
         facts = [self.facts.get(value) for value in self.graph.outputs]
         counted = {
             fact.mask.unrepeated

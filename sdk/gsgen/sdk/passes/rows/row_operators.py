@@ -286,7 +286,7 @@ def _transpose(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows
 
 
 def _reshape(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a Reshape of the axes after the rows' axis, or of all axes to one for ScatterND."""
+    """Create a Reshape that keeps the row axis; before a ScatterND, rows are flattened instead."""
     shape, rank = fixed_shape(rows.value), rank_of(node.outputs[0])
     if shape is None or rank is None or rows.axis != 0:
         return None
