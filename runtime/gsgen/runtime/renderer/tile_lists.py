@@ -56,7 +56,8 @@ def list_splats(
     if kernels.lists:
         return _counted(kernels, lists, panorama=panorama)
     pairs = [_columns(lists.storage, f"pairs {side}", lists.pair_capacity) for side in "ab"]
-    stages = {"bin": _bin(kernels, lists, pairs[0], panorama=panorama, records=records)}
+    stages = dict[str, list[Step]]()
+    stages["bin"] = _bin(kernels, lists, pairs[0], panorama=panorama, records=records)
     stages["group"], members = _group(kernels, lists, pairs)
     return stages, members, []
 
