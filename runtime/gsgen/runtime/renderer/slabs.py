@@ -1,6 +1,6 @@
 """Divides a scene of too many splats for a GPU binding into depth slabs, drawn nearest first."""
 
-__all__ = ["KEY_STAGES", "Slabs", "most_splats", "slab_ranges"]
+__all__ = ["KEY_STAGES", "Slabs", "most_splats", "require_pools_fit", "slab_ranges"]
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final, Protocol, final
@@ -17,6 +17,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import VEC4, Step
 from gsgen.runtime.renderer.bands import Drawing
 from gsgen.runtime.renderer.kernel_set import Kernels
+from gsgen.runtime.scene.scene import Scene
 
 KEY_STAGES: Final = ("keys", "tally")
 """Stages that compute the keys of a frame and count them, before its slabs are drawn."""
@@ -42,6 +43,26 @@ class Run(Protocol):
 def most_splats(device: Device, kernels: Kernels) -> int:
     """Return how many splats a GPU can sort, list and bind at once."""
     return min(device.largest_binding // VEC4, kernels.most_binned)
+
+
+def require_pools_fit(scene: Scene, device: Device, kernels: Kernels) -> None:
+    """Raise if a scene with splat pools (streamed tiles) has more splats than a GPU draws at once.
+
+    Slabs draw pages of sets alone, since slots of pools are culled before keys are computed.
+
+    Raises:
+        CapacityExceeded: It has more.
+    """
+    pooled = sum(len(pooled.pool) for pooled in scene.pools)
+    splats = pooled + sum(len(splat_set.data) for splat_set in scene.sets)
+    most = most_splats(device, kernels)
+    if pooled and splats > most:
+        raise CapacityExceeded(
+            f"room for {pooled:,} streamed Gaussians makes {splats:,} in all; {device.name} draws "
+            f"at most {most:,} of a scene that streams",
+            where="scene",
+            hint="Give tilesets a smaller `--budget` (`max_splats`).",
+        )
 
 
 def slab_ranges(tally: Tally, capacity: int) -> list[tuple[int, int]]:

@@ -80,8 +80,8 @@ class EventLog:
                 for result in received
                 if result.error is not None
             ],
-            "arrived": [arrival.tile for arrival in frame.arrivals],
-            "qualities": [arrival.quality for arrival in frame.arrivals],
+            "arrived": [arrival.tile for arrival in frame.arrivals if arrival.is_last],
+            "qualities": [arrival.quality for arrival in frame.arrivals if arrival.is_last],
             "evicted": list(frame.evicted),
             "drawn": [[entry.tile, entry.fade] for entry in frame.drawn],
             "missing": frame.missing,
@@ -109,7 +109,7 @@ class FrameEvents:
         received: Tiles whose contents had come.
         failed: Tiles that could not be had: key, message, and whether it may pass.
         drawn: Tiles that were drawn, and their fades.
-        arrived: Tiles that were uploaded.
+        arrived: Tiles that were uploaded to their last row.
         evicted: Tiles that left.
     """
 
