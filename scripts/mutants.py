@@ -22,6 +22,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from py_compile import PycInvalidationMode
+from typing import Any
 
 from mutation.forks import CPU_SECONDS, CollectedTests, FreshTests, TestRun, prepare
 from mutation.patching import changed_functions
@@ -42,10 +43,11 @@ class Judge:
         known: Processor time of the tests that ran so far, in seconds.
     """
 
-    def __init__(self, copy: Path) -> None:
+    def __init__(self, copy: Path, seconds: Path) -> None:
         self.copy = copy
         self.tests = Tests(copy)
-        self.known: dict[str, float] = {}
+        self._file = seconds
+        self.known: dict[str, float] = read_outcomes(seconds)
         self._good: set[str] = set()
         """Tests that pass on the original."""
         prepare(copy)
@@ -67,7 +69,8 @@ class Judge:
                 return "survived"
             if self._passes_on_original(node, is_slow=run.failure is None):
                 return "killed"
-            self.known[node] = float("inf")  # this test does not run again
+            print(f"     fails on the original, and runs no more: {node}", flush=True)
+            self.known[node] = float("inf")
         return "tests fail"
 
     def _run(self, mutant: Mutant, original: str, target: str, files: Sequence[str]) -> TestRun:
@@ -76,6 +79,8 @@ class Judge:
         if run is None:  # code that runs at import, or a module that no test file imports
             run = self._fresh.run(files, self.known)
         self.known |= run.seconds
+        with self._file.open("a", encoding="utf-8") as file:
+            file.writelines(json.dumps(entry) + "\n" for entry in run.seconds.items())
         return run
 
     def _passes_on_original(self, node: str, *, is_slow: bool) -> bool:
@@ -99,7 +104,8 @@ def main() -> int:
     results: dict[str, int] = dict.fromkeys(OUTCOMES, 0)
     known = read_outcomes(options.results)
     with tempfile.TemporaryDirectory(prefix="gsgen-mutants-") as name:
-        judge = Judge(copy_of_tree(Path(name)))
+        seconds = options.results.with_suffix(".seconds.jsonl")
+        judge = Judge(copy_of_tree(Path(name)), seconds)
         for number in range(options.first, options.first + options.count):
             if time.monotonic() > deadline:
                 break
@@ -108,7 +114,7 @@ def main() -> int:
             key = f"{mutant.path} {mutant.operator} {mutant.diff}"
             if known.get(key) != "killed":
                 key += f" {_digest(files, judge.copy)}"
-            if key not in known:
+            if known.get(key, "tests fail") == "tests fail":
                 known[key] = judge.outcome(mutant, files) if files else "without tests"
                 saved = key if known[key] != "killed" else key.rpartition(" ")[0]
                 with options.results.open("a", encoding="utf-8") as file:
@@ -135,8 +141,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def read_outcomes(path: Path) -> dict[str, str]:
-    """Return the outcomes of earlier runs by mutant; create the result file's folder."""
+def read_outcomes(path: Path) -> dict[str, Any]:
+    """Return what earlier runs wrote, by mutant or test; create the file's folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = path.read_text("utf-8").splitlines() if path.exists() else []
     return dict(map(json.loads, lines))

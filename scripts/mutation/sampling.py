@@ -145,7 +145,7 @@ class _Essence(ast.NodeTransformer):
         return node
 
     def visit_If(self, node: ast.If) -> ast.AST:
-        is_static = isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+        is_static = "TYPE_CHECKING" in ast.dump(node.test)
         return ast.Pass() if is_static else self.generic_visit(node)  # Case 6
 
 

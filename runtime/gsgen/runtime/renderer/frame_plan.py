@@ -248,7 +248,7 @@ class Plan:
         return stages
 
     def _lay_inputs(self, count: int) -> Layers:
-        """Allocate GPU buffers of image layers that the caller writes."""
+        """Allocate GPU buffers for image layers (colours and depths) that the application fills."""
         layers = allocate_layers(self._storage, count, self._size, normal=False)
         self.inputs |= {"layer colors": layers.colors, "layer depths": layers.depths}
         return layers

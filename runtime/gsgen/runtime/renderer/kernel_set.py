@@ -117,12 +117,12 @@ class Kernels:
         return MOST_GROUPS * WALK_THREADS * self.cut.walk
 
     def records(self, gaussians: int) -> bool:
-        """Return whether projected splats are structs that fit one GPU buffer's binding limit."""
+        """Return whether splats are projected to structs, which have to fit one GPU buffer."""
         is_possible = self.cut.tile != TILE and not self._one_shape
         return is_possible and RECORD * gaussians <= self._largest_binding
 
     def tile_bits(self, last: int) -> int:
-        """Return the number of key bits for tile indices, whole radix digits if ``one_shape``."""
+        """Return the number of sort-key bits for tile indices up to ``last``."""
         bits = max(1, last.bit_length())
         digit = self.cut.digit_bits
         return -(-bits // digit) * digit if self._one_shape else bits
