@@ -90,7 +90,7 @@ def slab_ranges(tally: Tally, capacity: int) -> list[tuple[int, int]]:
 def _bins(
     tally: Tally, low: int, shift: int, capacity: int, *, bins: int = BINS
 ) -> Iterator[tuple[int, int]]:
-    """Yield first key and splat count of each histogram bin, in parts if above ``capacity``."""
+    """Yield first depth key and splat count of histogram bins; too full bins are divided."""
     amounts = tally(low, shift)[:bins]
     for number in np.flatnonzero(amounts).tolist():
         start, amount = low + (number << shift), int(amounts[number])

@@ -292,5 +292,5 @@ class PooledSet:
         object.__setattr__(self, "transform", matrix)
         require_affine(matrix)
         if not (np.isfinite(self.opacity_scale) and self.opacity_scale >= 0):
-            message = f"is {self.opacity_scale}, expected a number from 0"
+            message = f"is {self.opacity_scale}, expected a finite number ≥ 0"
             raise SceneInvalid(message, where="opacity_scale")

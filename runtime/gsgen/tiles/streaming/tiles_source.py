@@ -162,7 +162,7 @@ class TilesSource(Source):
             self._neural.interrupt()
 
     def abandon(self) -> None:
-        """Do nothing: tiles that arrive wait for the next frame."""
+        """Discard nothing: tiles that arrive after this frame are drawn in the next one."""
 
     @property
     def count(self) -> int:
@@ -221,7 +221,7 @@ class TilesSource(Source):
         return (1,)
 
     def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
-        """Do nothing, since a tileset's extent is the box of the root tile."""
+        """Compute no frames: the extent of a tileset is the bounding box of its root tile."""
 
     def close(self) -> None:
         """Cancel all tile requests, and close the tileset's file store."""
