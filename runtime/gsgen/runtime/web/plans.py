@@ -140,7 +140,7 @@ def plans_document() -> dict[str, Any]:
 
 
 def pool_kinds(tables: PlanTables, slot_rows: int = SLOT_ROWS) -> dict[str, Any]:
-    """Return a splat pool's GPU buffers by page format, with sizes as formulas in ``slots``."""
+    """Return a splat pool's GPU buffers for each data format; sizes are formulas of ``slots``."""
     device, slots = Device(RecordingDevice()), Formula(1, "slots", [])
     placed = recorded_pool_pages(device, APPEARANCES, [slots] * len(APPEARANCES), slot_rows)
     return {page_kind(page): tables.pool_buffers(page, "slots") for _, page in placed}
@@ -168,7 +168,7 @@ def _contract() -> dict[str, Any]:
 
 
 def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
-    """Return the kernels that copy model outputs to GPU buffers, and the ONNX operators that copy.
+    """Return the kernels that copy model outputs to GPU buffers, and ONNX operators that only copy.
 
     Rows that a page can bind as they are have no kernel. Operators that copy buffers spoil the
     captured graph of a model whose outputs they produce.
