@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench exactness web ort adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants clean
+.PHONY: setup demo test check types style drivers bench exactness web ort adversarial fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery hero docs wheel release owner mutants neighbours clean
 
 setup: $(READY)
 
@@ -119,7 +119,7 @@ wheel: setup
 	$(BIN)/python -m build --wheel --outdir dist
 
 # Mutants of the code, drawn over all rooms, each against the tests nearest to its module, in forks of
-# one process. A run that was stopped goes on where it was.
+# a process that has collected them. A run that was stopped goes on where it was.
 MUTANTS ?= 300
 mutants: setup
 	$(PIP) --group mutants
@@ -135,6 +135,10 @@ release: setup
 	git tag -a "$$tag" -m "gsgen $$tag" && \
 	echo "$$tag is tagged here, and dist/ holds its files. To publish it:" && \
 	echo "  git push origin $$tag && $(BIN)/python -m twine upload dist/*"
+
+# Exchange splats and frames with gsplat, nerfstudio, viser and Rerun, in .venv/neighbours.
+neighbours: setup
+	scripts/neighbours.sh
 
 # Write the repository's owner into every file that has the placeholder: make owner OWNER=name
 owner:

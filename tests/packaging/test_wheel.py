@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import pytest
 
 from gsgen.conformance.fixtures import find
 from support.commands import ROOT
+from support.web.packages import package
 
 ACME = Path(__file__).parent / "acme"
 Acme = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -98,6 +100,39 @@ def test_without_extras_models_are_validated(fresh: Path, tmp_path: Path) -> Non
     assert "GV003 error" in ran.stdout
 
 
+def test_the_container_s_stages_build_the_wheel_and_run_it(
+    wheel: Path, fresh: Path, tmp_path: Path
+) -> None:
+    """By hand: the files that the recipe copies build the same wheel, and its entry point runs."""
+    first, last = (ROOT / "Containerfile").read_text("utf-8").split("\nFROM ")[1:]
+    source = tmp_path / "source"
+    source.mkdir()
+    for line in re.findall(r"^COPY (.+)$", first, re.MULTILINE):
+        *names, target = line.split()
+        for name in names:
+            if (ROOT / name).is_dir():
+                shutil.copytree(ROOT / name, source / target)
+            else:
+                shutil.copy(ROOT / name, source / target)
+    (build,) = re.findall(r"^RUN pip (wheel .+) --wheel-dir /wheels \.$", first, re.MULTILINE)
+    pip = [sys.executable, "-m", "pip", *build.split(), "--quiet", "--no-build-isolation"]
+    done = run(*pip, "--wheel-dir", tmp_path / "wheels", source, cwd=source)
+    assert done.returncode == 0, done.stderr
+    (copy,) = (tmp_path / "wheels").glob("gsgen-*.whl")
+    contents = [
+        {entry.filename: entry.CRC for entry in zipfile.ZipFile(path).infolist()}
+        for path in (copy, wheel)
+    ]
+    assert contents[0] == contents[1]
+    words = [
+        json.loads(re.findall(rf"^{name} (.+)$", last, re.MULTILINE)[0])
+        for name in ("ENTRYPOINT", "CMD")
+    ]
+    ran = run(fresh / words[0][0], *words[0][1:], *words[1], cwd=tmp_path)
+    assert ran.returncode == 0
+    assert "validate" in ran.stdout
+
+
 def test_the_environment_is_small(fresh: Path) -> None:
     """As `scripts/check_wheel.py` measures it, with pip and without compiled files."""
     files = [path for path in fresh.parent.rglob("*") if not path.is_symlink()]
@@ -114,6 +149,18 @@ def test_a_consumer_s_types_are_checked(fresh: Path, tmp_path: Path) -> None:
     assert wrong.returncode == 1, wrong.stdout
     assert "[arg-type]" in wrong.stdout
     assert "[attr-defined]" in wrong.stdout
+
+
+def test_pyright_agrees(fresh: Path) -> None:
+    pyright = package("pyright-1.1.414", needs_node=True) / "index.js"
+    files = [Path(__file__).parent / "consumer" / name for name in ("consumer.py", "wrong.py")]
+    command = ["node", pyright, "--outputjson", "--pythonpath", fresh / "python"]
+    report = json.loads(run(*command, *files, cwd=fresh).stdout)
+    errors = [(Path(entry["file"]).name, entry["rule"]) for entry in report["generalDiagnostics"]]
+    assert sorted(errors) == [
+        ("wrong.py", "reportArgumentType"),
+        ("wrong.py", "reportAttributeAccessIssue"),
+    ]
 
 
 def test_packed_rows_export_without_torch(fresh: Path, tmp_path: Path) -> None:

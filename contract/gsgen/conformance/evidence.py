@@ -132,7 +132,7 @@ def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
 
 
 def _enough(rerun: Replay, case: Case, numbers: list[int]) -> Probe | None:
-    """Return the first probe (set of test inputs) with which alone the model breaks a rule."""
+    """Return the first of given sets of test inputs that by itself makes a model break a rule."""
     if case.rule.scope not in ONE_PROBE:
         return None
     breaking = (number for number in numbers if rerun.findings(case.rule, number))

@@ -68,13 +68,18 @@ def require_generator(path: Path) -> tuple[GeneratorManifest, Report]:
     if report.verdict != "conforms":
         rules = ", ".join(dict.fromkeys(f.rule for f in report.findings if f.counts))
         raise TilesetInvalid(
-            f"breaks {rules}", expected="a model that conforms", fault=Fault.NEURAL
+            f"the neural tile's ONNX model breaks the rules {rules}",
+            expected="a model that conforms",
+            hint="`gsgen validate MODEL` explains each rule.",
+            fault=Fault.NEURAL,
         )
     text = open_model(path).manifest_text
     manifest = parse(text).manifest if text is not None else None
     if not isinstance(manifest, GeneratorManifest):
         raise TilesetInvalid(
-            f"is of kind {report.kind}", expected="a generator", fault=Fault.NEURAL
+            f"the neural tile's ONNX model is of kind {report.kind}",
+            expected="a generator",
+            fault=Fault.NEURAL,
         )
     return manifest, report
 

@@ -1,4 +1,4 @@
-"""Finds the content files of tiles at several qualities, which sibling tilesets name."""
+"""Finds each tile's content files at several qualities, in tilesets beside the main one."""
 
 __all__ = ["QualityLadder", "load_ladder"]
 
@@ -35,7 +35,7 @@ class QualityLadder:
 
 
 def load_ladder(store: Store, index: str, tileset: Tileset) -> QualityLadder | None:
-    """Read the files ``tileset-qN.json`` beside a tileset, down from the tileset's quality.
+    """Read the files ``tileset-qN.json`` beside a tileset, in descending order of quality.
 
     Args:
         store: Of the tileset.

@@ -25,7 +25,7 @@ def splats_of_rows(rows: PackedRows) -> Splats:
             where="gaussians",
             expected="finite numbers",
         )
-    scales, quaternions = scales_and_quaternions(rows64[:, 4:])
+    scales, quaternions = scales_and_quaternions(rows.gaussians[:, 4:])
     return Splats(
         position=rows.gaussians[:, :3].astype(np.float32),
         rotation=quaternions,

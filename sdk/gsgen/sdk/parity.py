@@ -243,7 +243,7 @@ def _compare_probe(
     roundings: int,
     nearby: Nearby | None,
 ) -> tuple[list[FieldParity], int]:
-    """Return each field's largest error for one set of test inputs, and the excused row count."""
+    """Return fields' largest errors, and how many rows agree only at slightly changed inputs."""
     label, n = reference.probe.label, reference.count
     if output.count != n:
         return [_failure("count", abs(output.count - n), label)], 0
@@ -284,7 +284,7 @@ def _failure(field: str, error: float, probe: str) -> FieldParity:
 def _excused(
     measured: "_Measure", reference: Reference, rows: np.ndarray, nearby: Iterable[Reference]
 ) -> tuple["_Errors", int]:
-    """Return each Gaussian's least error against the source's rows at equal or nearby inputs."""
+    """Return each Gaussian's least error against torch outputs at the same or nearby inputs."""
     errors = measured(rows, reference)
     jumps = np.zeros(len(rows), bool)
     for neighbour in nearby:

@@ -42,10 +42,10 @@ TREE_BAR, TREE_CERTIFICATE_BAR = 5.0, 1e-2
 _ROUNDS = 30
 
 
-def cpu_ms(call: Callable[[], object]) -> float:
+def cpu_ms(call: Callable[[], object], rounds: int = _ROUNDS) -> float:
     """The least CPU time of a call, in milliseconds."""
     best = np.inf
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         start = time.process_time()
         call()
         best = min(best, time.process_time() - start)
@@ -53,18 +53,25 @@ def cpu_ms(call: Callable[[], object]) -> float:
 
 
 def bench_choice() -> None:
-    rng = np.random.default_rng(0)
-    size = rng.lognormal(10, 1, (1000, 1)) * np.linspace(0.05, 1, 12)
-    value = np.log1p(size / 1000) * rng.uniform(0.8, 1.2, size.shape)
-    weight, budget = rng.exponential(1, 1000), float(size[:, -1].sum() * 0.2)
-    hulls = OptionHulls.of_options(size, value)
-    spent = cpu_ms(lambda: choose_options(hulls, weight, budget))
-    gap = choose_options(hulls, weight, budget).certificate
-    print(
-        f"\n1,000 tiles × 12 options: {spent:.2f} CPU-ms (bar {CHOICE_BAR}), {gap:.4%} (bar 0.1 %)"
-    )
-    assert gap <= CERTIFICATE_BAR
-    assert spent <= CHOICE_BAR
+    """1,000 tiles × 12 options, of two kinds: worth that follows the bytes, and any worth."""
+    print("\n1,000 tiles × 12 options; share of all bytes: CPU-ms, below the bound (mean, at most)")
+    for share in (0.001, 0.003, 0.01, 0.05, 0.2, 0.5, 0.9):
+        spent, gaps = [], []
+        for seed in range(20):
+            rng = np.random.default_rng(seed)
+            size = rng.lognormal(10, 1, (1000, 1)) * np.linspace(0.05, 1, 12)
+            value = np.log1p(size / 1000) * rng.uniform(0.8, 1.2, size.shape)
+            if seed % 2:
+                size = np.sort(rng.lognormal(10, 1, (1000, 12)), axis=1)
+                value = np.sort(rng.uniform(0, 1, (1000, 12)), axis=1)
+            weight, budget = rng.exponential(1, 1000), float(size[:, -1].sum() * share)
+            hulls = OptionHulls.of_options(size, value)
+            gaps.append(choose_options(hulls, weight, budget).certificate)
+            spent.append(cpu_ms(partial(choose_options, hulls, weight, budget), rounds=3))
+        print(f"{share:6.1%}  {np.mean(spent):.2f}  {np.mean(gaps):.4%}  {max(gaps):.4%}")
+        assert np.mean(spent) <= CHOICE_BAR
+        # A thousandth of the bytes buys a few steps; the best choice then lacks more of the bound.
+        assert max(gaps) <= CERTIFICATE_BAR or share < 0.003
 
 
 def bench_tree_choice() -> None:
@@ -96,7 +103,7 @@ def bench_tree_choice_of_independent_worth() -> None:
     """Tiles whose worth has nothing to do with that of the tiles below them."""
     parent = np.r_[-1, np.repeat(np.arange(341), 4)]
     points, filled, spent = [], [], []
-    for seed in range(5):
+    for seed in range(10):
         rng = np.random.default_rng(seed)
         cost = 2e5 * np.array([0.5, 0.7, 1]) * rng.uniform(0.7, 1.3, (len(parent), 1))
         worth = np.sort(rng.uniform(0, 1, (len(parent), 3)), axis=1)
@@ -112,8 +119,9 @@ def bench_tree_choice_of_independent_worth() -> None:
             spent.append(1e3 * (time.process_time() - start))
     print(
         f"\nindependent worth, {len(parent):,} nodes × 3: below the bound {np.mean(points):.2%} on "
-        f"average, {max(points):.1%} at most; filled {np.mean(filled):.3%}, {max(filled):.1%} in "
-        f"{np.mean(spent):.1f} CPU-ms (bar 0.1 % on average)"
+        f"average, {max(points):.1%} at most; filled {np.mean(filled):.3%}, {max(filled):.2%} in "
+        f"{np.mean(spent):.1f} CPU-ms (bar 0.1 % on average); above 0.1 % in "
+        f"{np.mean(np.array(filled) > CERTIFICATE_BAR):.0%}"
     )
     assert np.mean(filled) <= CERTIFICATE_BAR
 

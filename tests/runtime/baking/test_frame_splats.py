@@ -1,10 +1,13 @@
 """Rows of a frame become scales, quaternions and SH without a loss that float32 shows."""
 
 import numpy as np
+import pytest
 
 from gsgen.contract.spec.geometry import covariance_upper
 from gsgen.contract.spec.layout import DecodedGaussians
-from gsgen.runtime.baking.frame_splats import drawn_mask, splats_of_frame
+from gsgen.formats import Splats
+from gsgen.runtime.baking import frame_splats
+from gsgen.runtime.baking.frame_splats import FrameConverter
 
 
 def _cloud(count: int, **changes: np.ndarray) -> DecodedGaussians:
@@ -19,16 +22,24 @@ def _cloud(count: int, **changes: np.ndarray) -> DecodedGaussians:
     return DecodedGaussians(**(arrays | changes))
 
 
+def _splats(cloud: DecodedGaussians) -> Splats:
+    return _converted(FrameConverter(), cloud)
+
+
+def _converted(converter: FrameConverter, cloud: DecodedGaussians) -> Splats:
+    return converter.convert(cloud, converter.drawn_mask(cloud)[0])
+
+
 def test_flat_balls_and_rounded_covariances_have_finite_parameters() -> None:
     flat = [[1, 0, 0, 1, 0, 0], [0, 0, 0, 0, 0, 0], [1, 0, 0, 1, 0, 1], [1, 1, 1, 1, 1, 0.999]]
-    splats = splats_of_frame(_cloud(4, covariance=np.array(flat, np.float32)))
+    splats = _splats(_cloud(4, covariance=np.array(flat, np.float32)))
     assert np.isfinite(splats.log_scale).all()
     assert np.isfinite(splats.rotation).all()
 
 
 def test_colors_opacities_and_positions_survive() -> None:
     cloud = _cloud(100)
-    splats = splats_of_frame(cloud)
+    splats = _splats(cloud)
     assert splats.degree == 0
     np.testing.assert_array_equal(splats.position, cloud.position)
     color = 0.5 + splats.sh[:, 0] / (2 * np.sqrt(np.pi))
@@ -40,6 +51,55 @@ def test_invisible_and_nonfinite_rows_are_not_drawn() -> None:
     opacity = np.array([1 / 255, 0.0039, 0.0, np.nan, 0.5, 0.5], np.float32)
     position = np.zeros((6, 3), np.float32)
     position[4, 1] = np.inf
-    mask, nonfinite = drawn_mask(_cloud(6, opacity=opacity, position=position))
+    mask, nonfinite = FrameConverter().drawn_mask(_cloud(6, opacity=opacity, position=position))
     assert mask.tolist() == [True, False, False, False, False, True]
     assert nonfinite == 2
+
+
+def test_huge_numbers_are_finite_although_their_sum_is_not() -> None:
+    position = np.full((3, 3), 3e38, np.float32)
+    position[1, 2] = -np.inf
+    mask, nonfinite = FrameConverter().drawn_mask(_cloud(3, position=position))
+    assert (mask.tolist(), nonfinite) == ([True, False, True], 1)
+
+
+def test_frames_in_sequence_are_as_frames_alone() -> None:
+    """Rows keep, change, lose and regain covariances, colours and drawing; one row is added."""
+    first, other = _cloud(50), _cloud(51)
+    assert first.rgb is not None
+    broken = first.rgb.copy()
+    broken[4, 0] = np.nan
+    covariance = first.covariance.copy()
+    covariance[::3] = other.covariance[:50:3]
+    opacity = np.where(np.arange(50) % 2, first.opacity, 0).astype(np.float32)
+    sequence = FrameConverter()
+    for cloud in (
+        _cloud(50, opacity=opacity),
+        first,
+        _cloud(50, covariance=covariance, opacity=opacity),
+        _cloud(50, covariance=covariance),
+        _cloud(50, rgb=broken),
+        first,
+        other,
+    ):
+        actual, expected = _converted(sequence, cloud), _splats(cloud)
+        for name in ("position", "rotation", "log_scale", "logit_opacity", "sh"):
+            np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name))
+
+
+def test_an_unchanged_covariance_is_not_decomposed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts: list[int] = []
+    decompose = frame_splats.scales_and_quaternions
+
+    def counting(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        counts.append(len(covariance))
+        return decompose(covariance)
+
+    monkeypatch.setattr(frame_splats, "scales_and_quaternions", counting)
+    cloud = _cloud(20)
+    covariance = cloud.covariance.copy()
+    covariance[7, 3] += 1
+    sequence, every = FrameConverter(), np.ones(20, bool)
+    for values in (cloud.covariance, cloud.covariance, covariance):
+        sequence.convert(_cloud(20, covariance=values), every)
+    assert counts == [20, 0, 1]

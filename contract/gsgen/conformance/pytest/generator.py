@@ -44,12 +44,12 @@ class GeneratorConformance:
 
     @pytest.fixture
     def target(self) -> str | None:
-        """Pytest fixture: the target runtime to validate for; None selects option or default."""
+        """Pytest fixture: the target runtime; None takes pytest's option or gsgen's default."""
         return None
 
     @pytest.fixture
     def level(self) -> str | None:
-        """Pytest fixture: the validation level, such as static; None selects option or default."""
+        """Pytest fixture: the validation level; None takes pytest's option or gsgen's default."""
         return None
 
     @pytest.fixture

@@ -80,7 +80,7 @@ def read_expected(kit: Path, name: str) -> np.ndarray:
 
 
 def suspected_faults(index: dict[str, Any], failed: set[str]) -> list[dict[str, Any]]:
-    """Return the most specific viewer faults for which every test case has failed."""
+    """Return the viewer faults whose test cases all failed, unless another explains more."""
     whole = {
         fault["id"]: set(fault["cases"])
         for fault in index["faults"]
@@ -197,7 +197,8 @@ def decode_png(raw: bytes) -> np.ndarray:
     size = width * _CHANNELS[color]
     if (size + 1) * height > _MAX_BYTES:
         raise PictureUnreadable(
-            f"the picture is {width}×{height} pixels, expected at most {_MAX_BYTES:,} bytes"
+            f"the picture of {width}×{height} pixels takes {(size + 1) * height:,} bytes, "
+            f"expected at most {_MAX_BYTES:,}"
         )
     inflated = zlib.decompressobj().decompress(chunks[b"IDAT"], (size + 1) * height)
     lines = np.frombuffer(inflated, np.uint8).reshape(height, size + 1)

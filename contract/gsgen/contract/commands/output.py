@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def show(lines: "Iterable[Line]") -> None:
-    """Print styled lines to stdout, in colour on a terminal or by FORCE_COLOR, not by NO_COLOR."""
+    """Print styled lines to stdout; colour needs a terminal or FORCE_COLOR, and no NO_COLOR."""
     is_coloured = sys.stdout.isatty() or os.environ.get("FORCE_COLOR")
     if not is_coloured or "NO_COLOR" in os.environ:
         for line in lines:
@@ -36,7 +36,7 @@ def show(lines: "Iterable[Line]") -> None:
 
 
 def echo_error(error: GsgenError) -> None:
-    """Print an error to stderr; a missing file gets the nearest name of its folder as a hint."""
+    """Print an error to stderr; for a missing file, suggest a similar file name in its folder."""
     clear()
     if not error.hint and "No such file" in error.message:
         error.hint = similar_file_hint(str(error).partition(": ")[0])

@@ -1,1 +1,1 @@
-"""What can be read from an ONNX file without running it: manifest, graph, GPU placement?"""
+"""Reads an ONNX file without running it: manifest, graph, and predicted GPU placement."""

@@ -308,7 +308,7 @@ def _constant(tensor: TensorProto) -> NodeProto:
 
 
 def _fill_nodes(body: GraphProto | FunctionProto) -> None:
-    """Replace tensors in node attributes whose data were not read by valid empty tensors."""
+    """Put valid empty tensors in place of node attributes' tensors whose data were not read."""
     for index in reversed(range(len(body.node))):
         node = body.node[index]
         for attribute in node.attribute:

@@ -94,7 +94,7 @@ class InspectedModel:
 
     @cached_property
     def declared_cells(self) -> CellsOutput | None:
-        """The manifest's declaration of the output with cells for weighted blending."""
+        """The manifest's declaration of the output with cells (groups of Gaussians to blend)."""
         return self.generator.outputs.cells if self.generator else None
 
     @property

@@ -1,1 +1,1 @@
-"""What does a model compute? Test inputs (probes), the sandbox that runs it, and outputs."""
+"""Runs models on test inputs (probes) in a sandbox, and keeps their outputs for rules."""

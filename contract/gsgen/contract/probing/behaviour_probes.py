@@ -108,7 +108,7 @@ def _of_role(manifest: Manifest, role: str) -> list[Input]:
 
 
 def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """Yield test inputs of the camera: unchanged, moved, and moved in the other matrix order."""
+    """Yield test inputs of the camera: unchanged, moved, and moved by the transposed matrix."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "view")[:1]:
         view = base.inputs[entry.name]

@@ -1,4 +1,4 @@
-"""The input of value rules: a model's outputs for one set of test inputs, or row chunks."""
+"""Gives value rules a model's outputs for one set of test inputs, whole or in chunks of rows."""
 
 __all__ = ["CHUNK", "ModelOutputs", "Rows", "chunks", "read_outputs"]
 
@@ -28,7 +28,7 @@ _WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOutputs:
-    """The model outputs for one set of test inputs: Gaussians, colours, row count and cells.
+    """The model outputs for one set of test inputs: Gaussians, colours, row count, cells (groups).
 
     Attributes:
         probe: The probe's label.

@@ -239,7 +239,7 @@ def thinned(value: np.ndarray) -> np.ndarray:
 
 
 def thinning_step(rows: int) -> int:
-    """Return n if every n-th row of an output is stored for additional test inputs."""
+    """Return n for which every n-th row of an output is stored for additional test inputs."""
     return max(1, rows // _THIN_ROWS)
 
 

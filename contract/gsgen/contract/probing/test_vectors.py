@@ -102,7 +102,7 @@ def vector_probes(
     seed: int,
     count: int,
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield test inputs that test vectors contain, or that another seed than ``seed`` gives.
+    """Yield test inputs that a manifest's test vectors store, or that their own seeds generate.
 
     Args:
         manifest: Holds the test vectors.

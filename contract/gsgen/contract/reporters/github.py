@@ -13,7 +13,7 @@ _COMMANDS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO
 
 
 def to_github(entries: Sequence[Entry]) -> str:
-    """Return GitHub annotations: one for each finding that counts, and each model's result."""
+    """Return GitHub annotations for each model's result and each finding that affects it."""
     lines: list[str] = []
     for entry in entries:
         if isinstance(entry, Unreadable):

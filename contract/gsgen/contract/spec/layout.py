@@ -205,7 +205,10 @@ def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
     """
     if rows.ndim != 2 or rows.shape[1] != ROW:
         raise LayoutMismatch(
-            f"the cells have shape {list(rows.shape)}, expected [C, {ROW}]", where="cells"
+            f"the rows of cells (groups of Gaussians) have shape {list(rows.shape)}, "
+            f"expected [C, {ROW}]",
+            where="cells",
+            hint="A row has a centre (3 numbers), a visibility (1) and a covariance (6).",
         )
     float_rows = rows.astype(np.float32)
     return Cells(float_rows[:, POSITION], float_rows[:, VISIBILITY], float_rows[:, COVARIANCE])

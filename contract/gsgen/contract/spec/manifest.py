@@ -148,7 +148,7 @@ class PostProcessManifest(_Common):
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryTolerances:
-    """The largest differences between two executions of a trajectory predictor."""
+    """The largest allowed differences between two runs of a trajectory predictor."""
 
     position: Annotated[Fraction, Hint(text="In units of length.")] = 1e-3
     rotation: Annotated[Fraction, Hint(text="Angle between two rotations, in radians.")] = 1e-3

@@ -261,7 +261,7 @@ class _Validation:
         return f"{count} did not run, {probes[0]!r} first: {share} (see --timeout)"
 
     def _check_backend_levels(self, probe_runs: ProbeRuns) -> None:
-        """Check the validation levels that registered backends run."""
+        """Evaluate the rules of the validation levels for which a backend is registered."""
         for level, scope in _BACKEND_SCOPES.items():
             backend = self.registry.backends.get(level)
             if backend is not None and level <= self.settings.level:
@@ -297,7 +297,7 @@ class _Validation:
                     self.results.settle([rule], items=context.items)
 
     def _settle_remaining(self) -> None:
-        """Record all validation rules and levels that were not reached as skipped."""
+        """Mark every validation rule and level that was not executed as skipped."""
         requested_level = self.settings.level
         settled = {outcome.level for outcome in self.levels}
         for level, reason in _MISSING_BACKEND.items():

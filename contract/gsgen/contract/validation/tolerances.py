@@ -13,7 +13,7 @@ from gsgen.contract.validation.report import Tolerance
 
 
 def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
-    """Return the tolerances for comparing two runs of an ONNX generator; else an empty mapping.
+    """Return the tolerances for comparing two runs of an ONNX generator; none for other models.
 
     The user's settings take precedence over the manifest, and the manifest over the contract.
     """
@@ -37,7 +37,7 @@ def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
 
 
 def as_tolerances(subject: InspectedModel) -> Tolerances:
-    """Return the effective tolerances as the manifest's dataclass."""
+    """Return a model's tolerances in effect as one object with a value for each field."""
     return Tolerances(
         **{tolerance.field: tolerance.value for tolerance in effective_tolerances(subject)}
     )

@@ -149,7 +149,7 @@ class AnchorGenerator(GaussianGenerator):
         )
 
     def placements(self) -> tuple[Tensor, ...]:
-        """Return the centres of all anchors' Gaussians, then what a subclass derives from anchors."""
+        """Return the Gaussians' centres, and in subclasses more tensors, such as scale limits."""
         tensors: tuple[Tensor, ...] = self.placement(self.anchor, self.scale)
         return tensors
 
@@ -166,7 +166,7 @@ class AnchorGenerator(GaussianGenerator):
         return opacity
 
     def cells(self, frame: Decoding) -> Cells | None:
-        """Return the anchors as cells for weighted blending; None if the method blends by depth."""
+        """Return anchors as cells (groups of Gaussians) to be summed; None for depth sorting."""
         return None
 
     def _combined_share(

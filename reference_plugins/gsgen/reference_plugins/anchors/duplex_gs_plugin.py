@@ -11,6 +11,7 @@ from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
     AppearanceId,
     Checkpoint,
+    FrustumCull,
     Iteration,
     MaxAnchors,
     note,
@@ -37,12 +38,6 @@ BlendOption = Annotated[
         "by cell; the model also emits the cells."
     ),
 ]
-CullOption = Annotated[
-    Literal["none", "frustum"],
-    typer.Option(
-        "--cull", help="Hide cells whose Gaussians are all out of view (adds projection)."
-    ),
-]
 _PUBLICATION = Publication(
     paper="Liu et al. 2025",
     arxiv="2508.03180",
@@ -57,7 +52,7 @@ def build(
     opacity: OpacityOption = "decoded",
     blend: BlendOption = "alpha",
     appearance_id: AppearanceId = None,
-    cull: CullOption = "none",
+    cull: FrustumCull = "none",
     max_anchors: MaxAnchors = None,
 ) -> "DuplexGS":
     """Read a checkpoint of Duplex-GS, report its contents, and return a Gaussian generator."""

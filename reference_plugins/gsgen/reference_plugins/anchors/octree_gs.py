@@ -152,7 +152,7 @@ class OctreeGS(AnchorGenerator):
 
     @property
     def hides_anchors(self) -> bool:
-        """Return True: a distant camera does not see anchors of fine levels of detail."""
+        """Whether anchors of fine levels of detail are hidden from distant cameras: always True."""
         return True
 
     def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:

@@ -59,7 +59,7 @@ def _cross(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
 def nearest_rotation(
     matrix: Float[Tensor, "k 3 3 n"], stiff: Float[Tensor, "1 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Return the rotation nearest to each matrix; the identity for stiff Gaussians."""
+    """Return the rotation nearest to each matrix; the identity for Gaussians that must not turn."""
     rows = [row.unbind(dim=1) for row in matrix.unbind(dim=1)]
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
     squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)

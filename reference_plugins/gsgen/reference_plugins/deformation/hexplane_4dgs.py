@@ -93,7 +93,7 @@ class HexPlane4DGS(GaussianGenerator):
     def _deformed(
         self, head: str, canonical: Tensor, hidden: Tensor, share: Tensor | None
     ) -> Tensor:
-        """Return canonical Gaussian attributes, times the static share, plus predicted changes."""
+        """Return canonical attributes times a voxel grid's factor, plus predicted changes."""
         if head not in self.heads:
             return canonical
         masked = canonical if share is None else canonical * share
@@ -101,7 +101,7 @@ class HexPlane4DGS(GaussianGenerator):
         return moved
 
     def _rotation(self, hidden: Tensor) -> list[Tensor]:
-        """Return the deformed quaternions, one tensor per component; static shares do not apply."""
+        """Return the deformed quaternions, a tensor per component; no voxel grid scales them."""
         rotation = planes_of(self.rotation)
         if "rotations" not in self.heads:
             return rotation
@@ -124,7 +124,7 @@ def _quaternion_product(a: Sequence[Tensor], b: Sequence[Tensor]) -> list[Tensor
 
 
 def _static_share(canonical: Canonical, nets: HexPlaneNets) -> Float[Tensor, "n 1"]:
-    """Interpolate the static share of each Gaussian in a voxel grid; outside the grid, it is 0."""
+    """Interpolate factors that scale each Gaussian's canonical attributes in a voxel grid."""
     assert nets.voxels is not None
     grid, low, high = nets.voxels
     position = (canonical.position - low) / (high - low) * 2 - 1

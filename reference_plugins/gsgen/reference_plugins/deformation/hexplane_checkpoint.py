@@ -55,7 +55,9 @@ class Flags:
         if cfg.flag("no_grid"):
             hint = "The published code fails with it, too."
             raise CheckpointInvalid(
-                "the training option no_grid is True", where=str(cfg.path), hint=hint
+                "the training option no_grid is True, expected False",
+                where=str(cfg.path),
+                hint=hint,
             )
         if cfg.integer("grid_pe", 0) > 1:
             message = f"grid_pe is {cfg.values['grid_pe']}, expected 0 or 1"

@@ -1,1 +1,1 @@
-"""How are head avatars exported that a face model moves: GaussianAvatars?"""
+"""Exports head avatars that a face model moves, such as GaussianAvatars."""

@@ -1,1 +1,1 @@
-"""How are networks exported that post-process rendered images: denoisers, style transfer?"""
+"""Exports networks that post-process rendered images, such as denoisers and style transfer."""

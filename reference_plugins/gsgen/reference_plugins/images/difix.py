@@ -39,7 +39,9 @@ def read_difix(path: Path) -> Difix:
     """Read a ``model.pkl`` of Difix."""
     hint = "Give the model.pkl of Difix; use --lora FILE for a LoRA alone."
     if is_safetensors(required_file(path, "the model.pkl of Difix")):
-        raise CheckpointInvalid("is a safetensors file", where=str(path), hint=hint)
+        raise CheckpointInvalid(
+            "is a safetensors file, expected a pickle file", where=str(path), hint=hint
+        )
     state = load_state(path, "the model.pkl of Difix")
     if not all(isinstance(state.get(part), dict) for part in _PARTS):
         actual = ", ".join(map(str, list(state)[:4])) or "no entries"

@@ -1,8 +1,8 @@
 """Command-line options and console messages that several plugins share."""
 
 __all__ = [
-    "AppearanceId", "Checkpoint", "CloudFile", "CullOption", "Fps", "Iteration", "Loop", "MaxAnchors", "note",
-    "report_checkpoint", "warn_unsupported", "with_time_options",
+    "AppearanceId", "Checkpoint", "CloudFile", "CullOption", "Fps", "FrustumCull", "Iteration", "Loop", "MaxAnchors",
+    "note", "report_checkpoint", "warn_unsupported", "with_time_options",
 ]  # fmt: skip
 
 import functools
@@ -41,6 +41,13 @@ CullOption = Annotated[
         "--cull",
         help="Hide anchors out of view: frustum, if no part is visible (adds the input projection); "
         "published, as the method's renderer does (adds projection and viewport).",
+    ),
+]
+FrustumCull = Annotated[
+    Literal["none", "frustum"],
+    typer.Option(
+        "--cull",
+        help="frustum: hide anchors and cells of which no part is in view (adds the input projection).",
     ),
 ]
 MaxAnchors = Annotated[

@@ -41,7 +41,7 @@ _COLORS = ("logit_opacity", "sh")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplicitColors:
-    """Opacities and colours that anchors of one Gaussian each store, without networks."""
+    """Opacities and colours stored at anchors of one Gaussian each, instead of networks."""
 
     logit_opacity: Float[Tensor, "n 1"]
     sh: Float[Tensor, "n k 3"]

@@ -3,15 +3,14 @@
 __all__ = ["PLUGIN"]
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-import typer
+from typing import TYPE_CHECKING
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.reference_plugins.loading.method_detection import is_octree_anygs
 from gsgen.reference_plugins.loading.options import (
     AppearanceId,
     Checkpoint,
+    FrustumCull,
     Iteration,
     MaxAnchors,
     note,
@@ -32,17 +31,13 @@ _PUBLICATION = Publication(
     code="https://github.com/city-super/Octree-AnyGS",
     licence="Inria and MPII, for research only",
 )
-Cull = Annotated[
-    Literal["none", "frustum"],
-    typer.Option(help="Hide anchors of which no part is in view (adds the input projection)."),
-]
 
 
 def build(
     checkpoint: Checkpoint,
     iteration: Iteration = None,
     appearance_id: AppearanceId = None,
-    cull: Cull = "none",
+    cull: FrustumCull = "none",
     max_anchors: MaxAnchors = None,
 ) -> "GaussianGenerator | ConstantSource":
     """Read a checkpoint of Octree-AnyGS, report its contents, and return a Gaussian generator."""

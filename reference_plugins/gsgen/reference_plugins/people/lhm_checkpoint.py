@@ -1,4 +1,4 @@
-"""Reads avatars of LHM, as the inference code of Visionary's fork saves them.
+"""Reads LHM avatars that a fork of LHM for the Visionary web viewer saves at inference.
 
 LHM itself saves no Gaussians. The fork's ``runners/infer/human_lrm.py`` saves a list, which
 ``torch.load(weights_only=True)`` reads: offsets, query points, colours, opacities, scales,

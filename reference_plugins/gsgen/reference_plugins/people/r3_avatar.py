@@ -170,7 +170,7 @@ class R3Avatar(GaussianGenerator):
         return attributes, scale, vertex
 
     def _mixed_look(self, frames: tuple[Int[Tensor, "1"], ...]) -> _Look:
-        """Return the look of Gaussians where each part of the body has a frame of its own.
+        """Return the Gaussians' appearance if each part of the body shows its own video frame.
 
         As in the published code, the last part's frame determines the weights of the parts. Of the
         vertices that are nearest in one of the frames, the one nearest to the mixed offset counts.

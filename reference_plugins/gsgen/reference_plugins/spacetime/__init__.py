@@ -1,1 +1,1 @@
-"""How are Gaussians exported that store their own motion: SpacetimeGaussians and rotor 4DGS?"""
+"""Exports Gaussians that store their own motion: SpacetimeGaussians and rotor 4DGS."""

@@ -1,9 +1,10 @@
-"""Bakes frames of an ONNX generator into splat files, one frame in memory at a time."""
+"""Bakes frames of an ONNX generator into splat files, with few frames in memory at a time."""
 
 __all__ = ["bake", "bake_source"]
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,12 +16,12 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.atomic_files import refuse_itself
-from gsgen.contract.spec.layout import DecodedGaussians, decode
+from gsgen.contract.spec.layout import COVARIANCE, OPACITY, POSITION, DecodedGaussians, decode
 from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.formats import Splats
 from gsgen.formats.shared.files import make_folder
 from gsgen.runtime.baking.fidelity import generator_images, psnr_of_file, renderer_or_none
-from gsgen.runtime.baking.frame_splats import drawn_mask, splats_of_frame
+from gsgen.runtime.baking.frame_splats import FrameConverter
 from gsgen.runtime.baking.frame_values import FrameValues
 from gsgen.runtime.baking.report import BakedFrame, BakeReport
 from gsgen.runtime.baking.sh_fit import best_degree, color_errors, fit_sh
@@ -136,8 +137,11 @@ def bake_source(
     job = _Job(
         source=source, values=values, cameras=cameras, files=files, views=views,
         max_degree=max_degree, psnr=psnr, frames=frames, progress=progress,
+        converter=FrameConverter(
+            antialiased=source.antialias == "mip", color_space=source.color_space
+        ),
     )  # fmt: skip
-    written = tuple(job.write(number) for number in range(frames))
+    written = job.write_all()
     return BakeReport(
         model=source.name,
         format=files.codec.name,
@@ -174,6 +178,10 @@ class _Job:
     psnr: bool | None
     frames: int
     progress: Progress
+    converter: FrameConverter
+    started: int = -1  # the frame that the model computes, or has computed
+    decoded: DecodedGaussians | None = None
+    version: tuple[int, int] = (-1, -1)  # of the decoded colours, and the live count
     view_dependence: str = "none"
     fit_error: tuple[float, ...] = ()
     test_cameras: int = 0
@@ -181,48 +189,64 @@ class _Job:
     degree: int | None = None  # chosen in the first frame, the same in all
     renderer: "Renderer | None" = None
 
-    def write(self, number: int) -> BakedFrame:
-        """Compute, write and measure one frame of a bake."""
-        source = self.source
-        head = f"frame {number + 1} of {self.frames}" if self.frames > 1 else "frame"
-        values = self.values.at(number if self.values.frames > 1 else 0)
+    def write_all(self) -> tuple[BakedFrame, ...]:
+        """Write all frames: a thread writes one while the next one is converted.
+
+        Where no camera is sampled, the model computes the frame after that meanwhile.
+        """
+        written: list[BakedFrame] = []
+        pending: Future[BakedFrame] | None = None
+        with ThreadPoolExecutor(1, thread_name_prefix="gsgen writing") as writer:
+            for number in range(self.frames):
+                head = f"frame {number + 1} of {self.frames}" if self.frames > 1 else "frame"
+                splats, skipped = self._converted(number, head)
+                if pending is not None:
+                    written.append(pending.result())
+                self.progress(f"{head}: writing {self.files.path(number).name}")
+                pending = writer.submit(self._write, number, splats, skipped)
+                if self._is_measured(number):
+                    frame, pending = pending.result(), None
+                    psnr = self._measured_psnr(number, Path(frame.file), head)
+                    written.append(replace(frame, psnr=psnr))
+            if pending is not None:
+                written.append(pending.result())
+        return tuple(written)
+
+    def _converted(self, number: int, head: str) -> tuple[Splats, int]:
+        """Compute a frame; return its drawn Gaussians, and the number of the other live rows."""
         self.progress(f"{head}: running the model")
-        gaussians = self._gaussians(number, values, head)
-        mask, nonfinite = drawn_mask(gaussians)
+        gaussians = self._gaussians(number, head)
+        mask, nonfinite = self.converter.drawn_mask(gaussians)
         if nonfinite:
             self._note(f"frame {number}: {nonfinite:,} Gaussians are not finite and were left out")
-        drawn = _rows(gaussians, mask)
-        splats = splats_of_frame(
-            drawn, antialiased=source.antialias == "mip", color_space=source.color_space
-        )
-        path = self.files.path(number)
+        splats = self.converter.convert(gaussians, mask)
         self._note_losses(splats)
-        self.progress(f"{head}: writing {path.name}")
-        write = self.files.codec.write
-        assert write is not None  # OutputFiles has checked it
+        return splats, len(gaussians) - len(splats)
+
+    def _write(self, number: int, splats: Splats, skipped: int) -> BakedFrame:
+        path, codec = self.files.path(number), self.files.codec
+        assert codec.write is not None  # OutputFiles has checked it
         make_folder(path)
-        write(path, splats)
+        codec.write(path, splats)
         return BakedFrame(
             file=str(path),
             count=len(splats),
-            skipped=len(gaussians) - len(splats),
-            sh_degree=min(splats.degree, self.files.codec.most_degree),
+            skipped=skipped,
+            sh_degree=min(splats.degree, codec.most_degree),
             bytes=path.stat().st_size,
-            time=self.values.time(number if self.values.frames > 1 else 0),
-            psnr=self._measured_psnr(number, values, path, head),
+            time=self.values.time(self._value_index(number)),
         )
 
     # ---- The Gaussians of a frame
 
-    def _gaussians(self, number: int, values: Mapping[str, object], head: str) -> DecodedGaussians:
+    def _gaussians(self, number: int, head: str) -> DecodedGaussians:
         """Return the live Gaussians of a frame, with colours that a file can hold."""
         source = self.source
         if self.cameras or not _camera_inputs(source):
-            source.update(self._camera(number), values, number)
             if self.cameras:
                 self._note_camera()
-            data = source.data
-            return decode(data.rows[: data.count], data.appearance[: data.count], data.space)
+            return self._computed(number)
+        values = self._values(number)
         if number == 0:
             source.survey([(0, values)])  # the sphere of cameras stays the same in all frames
         samples = sample_views(
@@ -237,6 +261,41 @@ class _Job:
             return samples.union
         self.progress(f"{head}: fitting SH")
         return replace(samples.union, sh=self._fitted(samples), rgb=None)
+
+    def _computed(self, number: int) -> DecodedGaussians:
+        """Return the live Gaussians of a frame, and begin to compute the next one."""
+        source = self.source
+        if self.started != number:
+            source.start(self._camera(number), self._values(number), number)
+        source.finish()
+        gaussians = self._decoded()
+        # The model runs for other cameras when PSNR is measured.
+        if number + 1 < self.frames and not self._is_measured(number):
+            self.started = number + 1
+            source.start(self._camera(number + 1), self._values(number + 1), number + 1)
+        return gaussians
+
+    def _decoded(self) -> DecodedGaussians:
+        """Copy the live Gaussians of the source; of colours that stay one copy is kept."""
+        data = self.source.data
+        rows, version = data.rows[: data.count], (data.appearance_version, data.count)
+        if self.decoded is None or self.version != version:
+            self.decoded = decode(rows, data.appearance[: data.count], data.space)
+            self.version = version
+            return self.decoded
+        float_rows = rows.astype(np.float32)
+        return replace(
+            self.decoded,
+            position=float_rows[:, POSITION],
+            opacity=float_rows[:, OPACITY],
+            covariance=float_rows[:, COVARIANCE],
+        )
+
+    def _value_index(self, number: int) -> int:
+        return number if self.values.frames > 1 else 0
+
+    def _values(self, number: int) -> Mapping[str, object]:
+        return self.values.at(self._value_index(number))
 
     def _camera(self, number: int) -> Camera | None:
         return self.cameras[number % len(self.cameras)] if self.cameras else None
@@ -291,14 +350,15 @@ class _Job:
 
     # ---- PSNR
 
-    def _measured_psnr(
-        self, number: int, values: Mapping[str, object], path: Path, head: str
-    ) -> float | None:
-        """Measure the PSNR of the first, the middle or the last frame; None for others."""
+    def _is_measured(self, number: int) -> bool:
+        """Return whether PSNR is measured: at most in the first, the middle and the last frame."""
+        if number not in {0, self.frames // 2, self.frames - 1}:
+            return False
         is_exact = self.view_dependence in ("none", "camera") and self.source.weighted is None
-        is_measured = self.psnr if self.psnr is not None else not is_exact
-        if not is_measured or number not in {0, self.frames // 2, self.frames - 1}:
-            return None
+        return self.psnr if self.psnr is not None else not is_exact
+
+    def _measured_psnr(self, number: int, path: Path, head: str) -> float | None:
+        """Measure the PSNR of a written frame; None, and a note, where nothing can be drawn."""
         if self.renderer is None:
             self.renderer, reason = renderer_or_none()
             if self.renderer is None:
@@ -308,7 +368,7 @@ class _Job:
         source, camera = self.source, self._camera(number)
         cameras = [camera] if camera else cameras_around(source, _TEST_CAMERAS, offset=0.2)
         self.test_cameras = len(cameras)
-        images = generator_images(source, cameras, values, number, self.renderer)
+        images = generator_images(source, cameras, self._values(number), number, self.renderer)
         return psnr_of_file(
             path, cameras, images, source.antialias, source.color_space, self.renderer
         )
@@ -321,13 +381,3 @@ def _camera_inputs(source: GeneratorSource) -> list[str]:
         for spec in source.inputs
         if spec.role in _CAMERA_ROLES and source.manifest.depends(spec)
     ]
-
-
-def _rows(gaussians: DecodedGaussians, mask: np.ndarray) -> DecodedGaussians:
-    return DecodedGaussians(
-        position=gaussians.position[mask],
-        opacity=gaussians.opacity[mask],
-        covariance=gaussians.covariance[mask],
-        sh=None if gaussians.sh is None else gaussians.sh[mask],
-        rgb=None if gaussians.rgb is None else gaussians.rgb[mask],
-    )

@@ -20,7 +20,7 @@ _PSNR: Final = 40.0
 def draw_source_frames(
     manifest: GeneratorManifest, frames: Sequence[tuple[Probe, Mapping[str, np.ndarray]]]
 ) -> list[tuple[bytes, ReferenceImage]]:
-    """Draw the outputs of a torch module for some test inputs; return PNGs with declarations.
+    """Draw a torch module's outputs for some test inputs; return PNGs with manifest entries.
 
     Args:
         manifest: Declares outputs, conventions and bounds.

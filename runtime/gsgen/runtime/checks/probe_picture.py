@@ -36,7 +36,11 @@ def draw_probe(path: Path, label: str, settings: Settings) -> bytes:
     probes = make_plan(subject, Level.VALUES, settings.seed).probes if manifest else ()
     probe = next((probe for probe in probes if probe.label == label), None)
     if manifest is None or probe is None:
-        raise RecordingRefused(f"the model has no probe inputs called {label!r}", where=str(path))
+        raise RecordingRefused(
+            f"the model has no test inputs (probe) of the label {label!r}",
+            where=str(path),
+            hint=f"The labels are {', '.join(repr(probe.label) for probe in probes) or 'unknown'}.",
+        )
     with run_at_probes(subject, fetched_outputs(subject), [probe]) as execution:
         scene = scene_of(manifest, execution.samples[execution.runs[0].sample].outputs)
         camera = probe_camera(manifest, probe)

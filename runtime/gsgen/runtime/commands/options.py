@@ -243,7 +243,7 @@ def read_tracks(
 
 
 def _source_with(name: str, sources: "Sequence[Source]", where: str) -> "Source":
-    """Return the first source that has an input of this name or role."""
+    """Return the first of a scene's files and models that has an input of this name or role."""
     for source in sources:
         if source.named(name):
             return source

@@ -216,7 +216,7 @@ def _serve_page(
 def _files_and_background(
     scenes: Sequence[Path], text: str | None
 ) -> "tuple[list[SceneFile], tuple[float, float, float, float]]":
-    """Return the scene files, and the colour of --background, or else of the first with one."""
+    """Return the scene files and the background: --background, or else the first file's own."""
     from gsgen.runtime.commands.opening import read_scene_files
     from gsgen.runtime.playback.scene_camera import first_setting
     from gsgen.runtime.scene.colors import color_of
@@ -245,7 +245,7 @@ def _title(scenes: Sequence[Path]) -> str:
 
 
 def _file_opener(*, play: bool) -> "Callable[[Sequence[Path]], LivePlayback]":
-    """Return a function that opens dropped files as a playback."""
+    """Return a function that opens dropped files for live playback."""
     from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.sources.scene_source import sources_of
 

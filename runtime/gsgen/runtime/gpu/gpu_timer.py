@@ -49,7 +49,7 @@ class StageClock:
         }
 
     def encode(self, encoder: Encoder) -> None:
-        """Encode the resolution of all GPU timestamps into a readable buffer."""
+        """Encode the copy of all GPU timestamp query results into a readable buffer."""
         if self._names:
             count = 2 * len(self._names)
             encoder.resolve_query_set(self._ticks, 0, count, self._resolved, 0)

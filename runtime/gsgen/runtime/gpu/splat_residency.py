@@ -32,16 +32,16 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.scene.splat_pool import SplatPool
 
 PAGE_ROWS: Final = 1 << 18
-"""Gaussians of a page: float32 SH of degree 3 take 48 of the 128 MiB that every device binds."""
+"""Gaussians of a page (GPU buffers): degree-3 SH take 48 of the 128 MiB that devices bind."""
 
 GPU_PAGE_ROWS: Final = 2 * PAGE_ROWS
-"""Gaussians of a page on a GPU, where each dispatch waits for the one before."""
+"""Gaussians of a page (GPU buffers) on a hardware GPU, where dispatches wait for each other."""
 
 SLOT_BYTES: Final = 96
-"""Bytes of a row of the slot table, ``struct Slot`` in slots.wgsl."""
+"""Bytes of a row in the table of tile slots, ``struct Slot`` in slots.wgsl."""
 
 PAGE_SLOTS: Final = 64
-"""Most slots of a pool's page: their table is a uniform, of which every device binds 64 KiB."""
+"""Most tile slots in a page (GPU buffer) of a pool: every device binds uniforms of 64 KiB."""
 
 _WORD: Final = 16
 
@@ -56,7 +56,7 @@ def stride(channels: int, *, half: bool) -> int:
 
 
 def bytes_of(data: SplatData, *, compact: bool) -> int:
-    """Return the bytes of GPU memory for a splat set's Gaussians, colours and cells."""
+    """Return the bytes of GPU memory of a splat set: Gaussians, colours and cells (groups)."""
     half = compact or data.appearance.dtype == np.float16
     row = _bytes_of_row(packed=compact and data.cells is None)
     row += _bytes_of_appearance(stride(data.appearance.shape[1], half=half))
@@ -75,7 +75,7 @@ def _bytes_of_appearance(stride: int) -> int:
 @final
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PageSlots:
-    """The slots of the splat pool (for streamed tiles) in one GPU page, and their buffers.
+    """Slots (row ranges for streamed tiles) in one page (GPU buffers) of the splat pool.
 
     Attributes:
         pool: The pool.
@@ -213,7 +213,7 @@ class _State(NamedTuple):
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
 class _Resident:
-    """The GPU pages of one ``SplatData``, and the uploaded part of each of its arrays.
+    """The pages (GPU buffers) of one ``SplatData``, and the uploaded part of each of its arrays.
 
     Attributes:
         state: Versions at the start of the last frame.
@@ -231,7 +231,7 @@ class _Resident:
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
-    """Yield each GPU page with its part of a splat set's Gaussians, and the part's page offset."""
+    """Yield each page (GPU buffers) with the rows of a slice that it holds, and their offset."""
     for page in pages:
         first = max(live.start, page.first)
         last = min(live.stop, page.first + page.capacity)
@@ -241,7 +241,7 @@ def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
 
 @final
 class Residency:
-    """Keeps each ``SplatData`` in GPU pages for as long as the object exists.
+    """Keeps the pages (GPU buffers) of each ``SplatData`` for as long as that object exists.
 
     Args:
         device: Device of the buffers.
@@ -262,7 +262,7 @@ class Residency:
         self._pools: WeakKeyDictionary[SplatPool, list[Page]] = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
-        """Begin a frame that draws a splat set; from its second frame on, rows are sorted in space.
+        """Begin a frame that draws a splat set; sort its rows in space if it was drawn before.
 
         Neighbours in memory are then read together by a tile, which nearly halves the time of a
         frame of a million Gaussians. Rows that change keep the order of an earlier frame if they
@@ -333,7 +333,7 @@ class Residency:
         return self._held[data]
 
     def pages(self, data: SplatData) -> list[Page]:
-        """Return the GPU pages of a splat set, after uploading the rows that changed."""
+        """Return the pages (GPU buffers) of a splat set, after uploading changed rows."""
         resident = self._hold(data)
         for live in resident.rows.missing(data.rows_version, data.count):
             self._upload(resident, live, data.rows, _rows_of)
@@ -343,7 +343,7 @@ class Residency:
         return resident.pages
 
     def pool_pages(self, pool: SplatPool) -> list[Page]:
-        """Return the GPU pages of a splat pool, after uploading Gaussians of newly arrived tiles.
+        """Return the pages (GPU buffers) of a pool of streamed tiles, after uploading new tiles.
 
         Writes of the queue come before the next frame and after all earlier ones, so that no frame
         in flight reads a slot that is written.

@@ -166,7 +166,7 @@ def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
 
 
 def _edges(depth: np.ndarray, color: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Return the pixels whose depth, colour or normal differs slightly off the pixel's centre."""
+    """Return the pixels whose depth, colour or normal changes if sampled slightly off centre."""
     is_hit = np.isfinite(depth)
     edge = (is_hit != is_hit[0]).any(axis=0)
     near = np.where(is_hit, depth, 0)

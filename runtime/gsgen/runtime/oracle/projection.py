@@ -243,7 +243,7 @@ def _colors(splat_set: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
 
 
 def _thinnest(sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Return normals of Gaussians: shortest axes turned to the camera; balls face the camera."""
+    """Return Gaussians' normals: shortest axes turned to the camera; spheres face the camera."""
     values, vectors = np.linalg.eigh(sigma)
     ball = values[:, 1] - values[:, 0] <= 1e-5 * values[:, 2]
     toward = -position / np.linalg.norm(position, axis=1, keepdims=True)

@@ -202,8 +202,8 @@ class _PlannedFrame:
         plan = renderer.plan(placed, camera, frozenset({"color"}), meshes)
         if plan.slabs is not None:
             raise CapacityExceeded(
-                f"the stages of {renderer.device.name} draw {plan.slabs.capacity:,} splats at once,"
-                " and this scene has more",
+                f"the scene has more than {plan.slabs.capacity:,} splats, the most that "
+                f"{renderer.device.name} draws at once; expected fewer to time each GPU stage",
                 where="scene",
                 hint="Measure fewer Gaussians; `gsgen convert --decimate 50%` halves a file.",
             )

@@ -163,7 +163,7 @@ class FrameSequence(Playback):
     def _pictures(
         self, on_frame: Callable[[int], None], bits: Literal[8, 16] = 8
     ) -> Iterator[np.ndarray]:
-        """Yield each frame as an image of integers; the first frame's depths scale all grey images."""
+        """Yield frames as integer images; the depth range of the first frame scales all of them."""
         depths: tuple[float, float] | None = None
         for frame in self._drawn(on_frame):
             if depths is None and "depth" in self._mode:

@@ -120,7 +120,7 @@ def _loaded(path: Path) -> Shaped[np.ndarray, "..."]:
 
 
 def numbers_of(array: Shaped[np.ndarray, "..."], where: str) -> Shaped[np.ndarray, "..."]:
-    """Check that an array holds finite numbers, and convert whole ones to integers."""
+    """Check that an array holds finite numbers; convert an array of whole numbers to integers."""
     if array.dtype.kind not in "iuf" or not array.size:
         message = f"holds {array.dtype} {list(array.shape)}, expected numbers"
         raise ConfigInvalid(message, where=where)

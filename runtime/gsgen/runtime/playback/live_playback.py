@@ -129,7 +129,7 @@ class LivePlayback(Playback):
         self.take(wait=True)
 
     def player(self, renderer: Renderer, background: Sequence[float], output: Output) -> Player:
-        """Return a player of Gaussian sources; post-process models run where it draws colours."""
+        """Return a player of Gaussian sources; post-process models run for the colour output."""
         post = self.post if output == "color" else ()
         return self.make_player(renderer, background, output, post)
 

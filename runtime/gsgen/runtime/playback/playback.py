@@ -72,7 +72,7 @@ class Playback:
         return FrameRequest(camera, self.values(number), number)
 
     def scene(self) -> Scene:
-        """Return all files and models as one scene, with current harmonics and antialiasing."""
+        """Return files and models as one scene, with the playback's SH degree and antialiasing."""
         return compose_scene(self.sources, self.sh_degree, self.antialias)
 
     def make_player(

@@ -1,4 +1,4 @@
-"""Completes the camera options of a command by the scene files that it draws."""
+"""Completes a command's camera options with settings from the scene files that it draws."""
 
 __all__ = ["first_setting", "scene_viewpoint"]
 

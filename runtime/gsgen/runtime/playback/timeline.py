@@ -116,7 +116,7 @@ def _rounded(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, "..."]:
 
 
 def _moment(spec: Input, ends: tuple[float, float], number: int, frames: int) -> object:
-    """Return the time or frame number of a video frame; a loop ends before its first value."""
+    """Return the time or frame number of a video frame; loops leave out the end of the range."""
     low, high = ends
     if spec.role == "frame_index":
         return int(low + number % (high - low + 1))

@@ -11,11 +11,11 @@ from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.scene.scene import SplatSet
 
 Placed = tuple[SplatSet, Page]
-"""A splat set with one of its GPU pages."""
+"""A splat set with one of its pages (GPU buffers)."""
 
 
 def scene_order(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
-    """Return each GPU row's index in the scene's order of Gaussians; None if both are the same."""
+    """Return each Gaussian's index in the scene, in GPU buffer order; None if both orders agree."""
     if all(page.rows_of is None for _, page in placed):
         return None
     parts, base = [], 0
@@ -27,15 +27,15 @@ def scene_order(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
 
 
 def slot_rows(page: Page) -> int:
-    """Return the Gaussians per slot of a GPU page in the splat pool; 0 for other pages."""
+    """Return how many rows of GPU buffers each streamed tile's slot has; 0 without slots."""
     return 0 if page.slots is None else page.slots.pool.slot_rows
 
 
 def weighted_pages(placed: Sequence[Placed]) -> list[Placed]:
-    """Return the GPU pages of splat sets that are blended by weighted sums."""
+    """Return the pages (GPU buffers) of splat sets that are blended by weighted sums."""
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is not None]
 
 
 def sorted_pages(placed: Sequence[Placed]) -> list[Placed]:
-    """Return the GPU pages of splat sets that are sorted by depth."""
+    """Return the pages (GPU buffers) of splat sets that are sorted by depth."""
     return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]

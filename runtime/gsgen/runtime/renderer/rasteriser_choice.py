@@ -1,4 +1,4 @@
-"""Chooses a GPU's faster rasteriser and tiles by drawing one test frame with each, once.
+"""Chooses a GPU's fastest rasteriser and image-tile size: each draws one test frame.
 
 Compute tiles stop at finished pixels, but first list the splats of each tile. The hardware's quads
 need no list, but blend every fragment. Which is faster depends on how fast a GPU's fixed-function
@@ -184,7 +184,7 @@ def _crowd(n: int, tall: float) -> SplatData:
 def _roomy(
     device: Device, kernels: Kernels, placed: list[Placed], camera: Camera, *, quads: bool
 ) -> Plan:
-    """Return recorded GPU work with enough capacity for all splat-tile pairs of a frame."""
+    """Record a frame's GPU commands with buffers large enough for all splat-tile pairs."""
     room, size = _PAIRS, (camera.width, camera.height)
     while True:
         plan = Plan(device, kernels, placed, size, frozenset({"color"}), room, quads=quads)

@@ -33,7 +33,7 @@ from gsgen.runtime.renderer.rasteriser_choice import (
     choose,
     chosen_cut,
 )
-from gsgen.runtime.renderer.slabs import most_splats
+from gsgen.runtime.renderer.slabs import most_splats, require_pools_fit
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene, SplatSet
@@ -242,6 +242,7 @@ class Renderer:
 
     def _uploaded(self, scene: Scene) -> tuple[list[Placed], list[PlacedMesh]]:
         """Upload changed splats and meshes of a scene; return the GPU buffers of both."""
+        require_pools_fit(scene, self.device, self._kernels)
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         # A frame that needs more pairs is drawn twice: a flight through a pool has no such frame.
         pooled_rows = sum(len(pooled.pool) for pooled in scene.pools)
@@ -259,7 +260,7 @@ class Renderer:
         *,
         fetch: bool = True,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
-        """Draw again until splat-tile pairs fit and ties are sorted; read images if ``fetch``."""
+        """Redraw until all splat-tile pairs fit their buffer and equal depth keys are ordered."""
         while True:
             plan = self.plan(placed, band.camera, requested, meshes)
             counts, images = plan.draw(placed, band, behind[:3], meshes=meshes, fetch=fetch)
@@ -298,7 +299,7 @@ class Renderer:
         return plan, self._steady[1]
 
     def _take(self, parts: list[np.ndarray]) -> bool:
-        """Read an earlier frame's counters; return whether it lacked splats or depth order."""
+        """Read an earlier frame's counters; return whether splats were missing or unsorted."""
         counts = frame_counts(self.device, self._kernels, parts)
         try:
             incomplete = self._must_redraw(counts)
@@ -362,7 +363,7 @@ class Renderer:
         outputs: frozenset[Output],
         meshes: Sequence[PlacedMesh] = (),
     ) -> Plan:
-        """Return the GPU plan of a frame of given pages, camera and outputs; reuse the last one."""
+        """Return the recorded GPU work of a frame; reuse the last if only buffer values changed."""
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
         pages = tuple((page, splat_set.weighted is None) for splat_set, page in placed)
         contents = (pages, tuple(mesh.buffers for mesh in meshes))
@@ -392,7 +393,7 @@ class Renderer:
         return self._plan
 
     def _takes_quads(self, outputs: frozenset[Output]) -> bool:
-        """Return whether quads draw the colours; not in "auto" if another output needs tiles."""
+        """Return whether quads draw the colours; "auto" uses tiles if other outputs are asked."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
     def _slab_splats(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> int | None:
@@ -402,7 +403,7 @@ class Renderer:
         return most if is_large and _fits_slabs(placed, meshes) else None
 
     def _halve_slabs(self, placed: Sequence[Placed], meshes: Sequence[PlacedMesh]) -> bool:
-        """Halve the most splats of a depth slab; return whether the scene is drawn in slabs at all."""
+        """Halve the limit of splats per depth slab; return whether that is possible."""
         splats = sum(page.capacity for _, page in placed)
         most = min(splats, most_splats(self.device, self._kernels), self._most_in_slab)
         if most < 2 or not _fits_slabs(placed, meshes):

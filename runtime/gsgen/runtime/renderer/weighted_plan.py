@@ -212,7 +212,7 @@ class WeightedPart:
         ]
 
     def _sort(self, columns: tuple[Columns, Columns], lows: Buffer) -> tuple[list[Step], Buffer]:
-        """Return the GPU dispatches that sort cells by depth, and the buffer of sorted cells."""
+        """Return GPU dispatches that sort cells (groups) by depth, and their result buffer."""
         n = self._cells
         spare = self._storage("keys of cells c", 4 * n) if self._deep else None
         return self._kernels.order.steps(n, self.counts, columns, lows, None, spare)
@@ -229,7 +229,7 @@ class WeightedPart:
         return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
-        """Return the GPU dispatches that sort cell-tile pairs by tile, and the buffer of pairs."""
+        """Return GPU dispatches that sort pairs of cell (group) and tile, and their buffer."""
         last = self._tiles[0] * self._tiles[1] - 1
         steps, side = self._kernels.sort.steps(
             self.counts,
@@ -280,12 +280,12 @@ def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, P
 
 
 def _cells(page: Page) -> int:
-    """Return the number of cells (groups of Gaussians) in a GPU page's splat set."""
+    """Return the number of cells (groups of Gaussians) of the splat set in a page (GPU buffers)."""
     return 0 if page.cells is None else page.cells.size // (4 * layout.ROW)
 
 
 def _weighing(uniform: Shaped[np.ndarray, ""], splat_set: SplatSet) -> Shaped[np.ndarray, ""]:
-    """Fill a GPU page's uniform data with a splat set's weighting parameters, and return it."""
+    """Fill the uniform data of a page (GPU buffers) with weighting parameters, and return it."""
     weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None
     uniform["per_cell"] = splat_set.data.per_cell

@@ -335,7 +335,8 @@ class Camera:
         _require_number("distance", distance, positive=True)
         if self.kind == "panorama":
             raise SceneInvalid(
-                "is panorama, expected pinhole or orthographic to flatten", where="camera.kind"
+                "is panorama, expected pinhole or orthographic for an orthographic view",
+                where="camera.kind",
             )
         scale = distance if self.kind == "pinhole" else 1.0
         return replace(self, fx=self.fx / scale, fy=self.fy / scale, kind="orthographic")
@@ -397,7 +398,7 @@ def _require_sphere(camera: Camera) -> None:
     top, bottom = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
     if max(-top, bottom) > math.pi / 2 * (1 + _ROUNDING):
         raise SceneInvalid(
-            f"and fy show latitudes from {math.degrees(-bottom):.6g} to "
+            f"is such that the image shows latitudes from {math.degrees(-bottom):.6g} to "
             f"{math.degrees(-top):.6g} degrees, expected −90 to 90 at most",
             where="camera.cy",
             hint="A full panorama has cy = height / 2 and fy = height / π.",

@@ -1,4 +1,4 @@
-"""Gaussians in the packed layout of the contract; their values may change between frames."""
+"""Gaussians in packed rows of ten numbers, whose values may change between frames."""
 
 __all__ = ["SplatData"]
 
@@ -116,7 +116,7 @@ class SplatData:
         count: int | None = None,
         cells: Float[np.ndarray, "c 10"] | None = None,
     ) -> None:
-        """Replace packed Gaussians, colours or cells by arrays of equal shapes and dtypes.
+        """Replace packed Gaussians, colours or cells (groups) by arrays of equal shapes and dtypes.
 
         Arrays that are None stay as they are; ``count`` rows are live, or all if it is None.
 
@@ -149,8 +149,9 @@ class SplatData:
     def _next_cells(self, cells: np.ndarray) -> np.ndarray:
         checked = _checked_cells(cells, self.per_cell, len(self.rows))
         if self.cells is None or checked.dtype != self.cells.dtype:
-            before = "none" if self.cells is None else str(self.cells.dtype)
-            raise SceneInvalid(f"is {checked.dtype}, expected {before} as before", where="cells")
+            before = "no cells" if self.cells is None else str(self.cells.dtype)
+            message = f"the new cells are {checked.dtype}, expected {before} as in the frame before"
+            raise SceneInvalid(message, where="cells")
         return checked
 
     @property

@@ -5,7 +5,7 @@ neither buffers nor the frame plan. A tile takes slots anywhere; what is drawn o
 the slot table, which is written every frame.
 """
 
-__all__ = ["SLOT_ROWS", "PooledSet", "SlotWrite", "SplatPool"]
+__all__ = ["SLOT_ROWS", "PooledSet", "SlotWrite", "SplatPool", "pool_row_bytes"]
 
 import heapq
 from collections.abc import Mapping
@@ -21,10 +21,17 @@ from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
 from gsgen.runtime.scene.transforms import identity, require_affine
 
 SLOT_ROWS: Final = 4096
-"""Rows of a slot: few enough that half a slot is a small waste, and slots can be culled."""
+"""Rows of a tile slot: few, so that half a slot is a small waste and slots can be culled."""
+
+_VECTOR: Final = 16  # bytes: shaders read colours in whole vectors
 
 # A splat is drawn up to this many standard deviations from its centre: √(2 ln 255) = 3.33.
 _REACH = 3.5
+
+
+def pool_row_bytes(channels: int) -> int:
+    """Return the most bytes that a Gaussian of a splat pool takes on the GPU."""
+    return 4 * layout.ROW + -(-4 * channels // _VECTOR) * _VECTOR
 
 
 @final
@@ -60,7 +67,8 @@ class SplatPool:
     def __init__(self, rows: int, channels: int, *, slot_rows: int = SLOT_ROWS) -> None:
         if rows < 1 or slot_rows < 64 or slot_rows % 64:
             raise SceneInvalid(
-                f"the splat pool has {rows} rows and {slot_rows} rows a slot, expected a multiple of 64 a slot",
+                f"the splat pool has {rows} rows in slots (tile parts) of {slot_rows} rows, "
+                "expected at least one row, and slots of a multiple of 64 rows",
                 where="pool",
             )
         if channels not in layout.APPEARANCE_CHANNELS["sh"]:
@@ -82,7 +90,7 @@ class SplatPool:
 
     @property
     def degree(self) -> int:
-        """The SH degree of the colours of all tiles in a splat pool."""
+        """The SH degree of all streamed tiles' colours in a splat pool (GPU memory)."""
         return degree_of(self.channels // 3)
 
     @property
@@ -159,6 +167,32 @@ class SplatPool:
         self._drop_writes(slots)
         self._write(slots, rows, appearance, origin)
 
+    def extend(
+        self,
+        tile: int,
+        rows: Float32[np.ndarray, "n 10"],
+        appearance: Float32[np.ndarray, "n c"],
+        origin: Float[np.ndarray, "3"],
+        *,
+        first_row: int,
+    ) -> None:
+        """Write some of a tile's Gaussians in the splat pool, from a slot's first row on.
+
+        Raises:
+            SceneInvalid: The tile is not in the pool, or the arrays have other shapes.
+        """
+        slots = self._held_slots(tile)[first_row // self.slot_rows :]
+        self._require_shapes(tile, rows, appearance)
+        if first_row % self.slot_rows or len(rows) > len(slots) * self.slot_rows:
+            raise SceneInvalid(
+                f"rows {first_row} to {first_row + len(rows)} do not begin a slot of "
+                f"{self.slot_rows:,}, or exceed the tile's slots",
+                where=f"tile {tile}",
+            )
+        slots = slots[: -(-len(rows) // self.slot_rows)]
+        self._drop_writes(slots)
+        self._write(slots, rows, appearance, origin)
+
     def _require_shapes(self, tile: int, rows: np.ndarray, appearance: np.ndarray) -> None:
         if rows.shape != (len(rows), layout.ROW) or appearance.shape != (len(rows), self.channels):
             raise SceneInvalid(
@@ -174,7 +208,7 @@ class SplatPool:
         appearance: Float32[np.ndarray, "n c"],
         origin: Float[np.ndarray, "3"],
     ) -> None:
-        """Update the splat pool's table of a tile's slots, and queue GPU writes of the tile."""
+        """Record a tile's slots (row ranges) in the splat pool, and queue its upload to the GPU."""
         reach = _REACH * np.sqrt(np.maximum(rows[:, [4, 7, 9]], 0))
         lows, highs = rows[:, :3] - reach, rows[:, :3] + reach
         for index, slot in enumerate(slots):
@@ -220,7 +254,7 @@ class SplatPool:
             self.fade[self._held_slots(tile)] = fade
 
     def take_writes(self) -> list[SlotWrite]:
-        """Return and clear the splat pool's queue of rows that one renderer has to upload."""
+        """Return and clear the splat pool's queue of Gaussians that a renderer has to upload."""
         writes, self._writes = self._writes, []
         return writes
 
@@ -258,5 +292,5 @@ class PooledSet:
         object.__setattr__(self, "transform", matrix)
         require_affine(matrix)
         if not (np.isfinite(self.opacity_scale) and self.opacity_scale >= 0):
-            message = f"is {self.opacity_scale}, expected a number from 0"
+            message = f"is {self.opacity_scale}, expected a finite number ≥ 0"
             raise SceneInvalid(message, where="opacity_scale")

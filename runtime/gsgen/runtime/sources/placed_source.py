@@ -97,7 +97,7 @@ class PlacedSource(Source):
 
     @property
     def state(self) -> tuple[int, ...]:
-        """Version numbers of the data of a file or model: one changes if the Gaussians change."""
+        """Version numbers of a file's or model's data, which change when its Gaussians change."""
         return self._inner.state
 
     @property
@@ -187,7 +187,7 @@ def _scale(linear: Float[np.ndarray, "3 3"]) -> float:
 
 
 def _rotation(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
-    """Return the orthogonal factor of a transform's polar decomposition, with a reflection."""
+    """Return the rotation or reflection nearest to a transform, by polar decomposition."""
     left, _, right = np.linalg.svd(transform[:3, :3])
     return np.asarray(left @ right)
 

@@ -152,7 +152,7 @@ class Fields:
         return Fields(value, self.location(name))
 
     def parts(self, name: str) -> Iterator["Fields"]:
-        """Yield a field reader for each object of a list; a text item is the object's path."""
+        """Yield a field reader for each object in a list; a string means an object's path."""
         entries = self.peek(name)
         if entries is not None and not isinstance(entries, list):
             self._mismatch(name, "a list")

@@ -32,7 +32,7 @@ def beside_the_first(sources: Sequence[Source]) -> list[Source]:
 
 
 def _between(space: Space, first: Space) -> Float64[np.ndarray, "4 4"]:
-    """Return the transform from a local space to that of the first, whose origins are declared."""
+    """Return the transform from one local space to another, given the world origins of both."""
     assert space.origin is not None
     assert first.origin is not None
     scale = 1.0

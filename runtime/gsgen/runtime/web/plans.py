@@ -71,7 +71,7 @@ PAGE_RULES: Final = (
 """Rules that the client checks by itself (findings.js)."""
 
 LAYERS: Final = 2
-"""Image layers of a page's other renderer: translucent surfaces, and those behind them."""
+"""Image layers of a web page's other renderer: translucent surfaces, and those behind them."""
 
 SHAPES: Final = tuple(
     Shape(outputs=outputs, weighted=weighted, panorama=panorama, deep=deep, size=(side, side))
@@ -140,14 +140,14 @@ def plans_document() -> dict[str, Any]:
 
 
 def pool_kinds(tables: PlanTables, slot_rows: int = SLOT_ROWS) -> dict[str, Any]:
-    """Return the GPU buffers of a splat pool's page, as formulas in its ``slots``, by its kind."""
+    """Return a splat pool's GPU buffers for each data format; sizes are formulas of ``slots``."""
     device, slots = Device(RecordingDevice()), Formula(1, "slots", [])
     placed = recorded_pool_pages(device, APPEARANCES, [slots] * len(APPEARANCES), slot_rows)
     return {page_kind(page): tables.pool_buffers(page, "slots") for _, page in placed}
 
 
 def _contract() -> dict[str, Any]:
-    """Return the contract data for the browser client: version, model kinds, rules to check."""
+    """Return facts of the generator contract for the browser: version, model kinds, rules."""
     rules = {entry.id: entry for entry in builtin_rules()}
     limits = load_target("webgpu").limits
     return {
@@ -167,7 +167,7 @@ def _contract() -> dict[str, Any]:
 
 
 def _generator_kernels(tables: PlanTables) -> dict[str, Any]:
-    """Return the kernels that copy model outputs to GPU pages, and ONNX copy operators.
+    """Return the kernels that copy model outputs to GPU buffers, and ONNX operators that only copy.
 
     Rows that a page can bind as they are have no kernel. Operators that copy buffers spoil the
     captured graph of a model whose outputs they produce.

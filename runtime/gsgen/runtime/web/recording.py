@@ -35,7 +35,7 @@ from gsgen.runtime.web.recording_device import RecordedBuffer, RecordingDevice
 @final
 @dataclass(frozen=True, slots=True)
 class Appearance:
-    """The format of SH coefficients or colours in a GPU page: dtype, row stride and channels.
+    """The format of SH coefficients or colours in a GPU buffer: dtype, row stride and channels.
 
     Attributes:
         half: Whether they are float16.
@@ -157,7 +157,7 @@ def record(shape: Shape) -> RecordedPlan:
 def recorded_pages(
     kinds: Sequence[Appearance], capacities: Sequence[int], cells: Sequence[int] | None = None
 ) -> list[Placed]:
-    """Return an empty GPU page of Gaussians, with a splat set, per appearance and capacity.
+    """Return empty pages (GPU buffers) with an empty splat set: one per format and capacity.
 
     Args:
         kinds: The format of each page's appearance.
@@ -187,7 +187,7 @@ def recorded_pages(
 def recorded_pool_pages(
     device: Device, kinds: Sequence[Appearance], slots: Sequence[int], slot_rows: int = SLOT_ROWS
 ) -> list[Placed]:
-    """Return an empty GPU page of a splat pool per appearance and number of slots."""
+    """Return empty pages (GPU buffers) of splat pools: one for each appearance format."""
     empty = SplatSet(SplatData(np.zeros((0, ROW), np.float32), np.zeros((0, 3), np.float32), "sh"))
     placed = []
     for kind, count in zip(kinds, slots, strict=True):
@@ -198,7 +198,7 @@ def recorded_pool_pages(
 
 
 def page_kind(page: Page) -> str:
-    """Return the name of a GPU page's format: dtype and stride of the appearance, and its pool."""
+    """Name a page's (GPU buffers) data format: dtype, row stride, and whether of a splat pool."""
     name = f"{'float16' if page.half else 'float32'} {page.stride}"
     return name if page.slots is None else f"pool of {name}"
 

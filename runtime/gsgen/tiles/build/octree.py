@@ -115,7 +115,7 @@ def build_top(plan: Plan, location: int) -> int:
 
 
 def _places(plan: Plan) -> dict[str, int]:
-    """Return the names of octree partitions and upper cells, depth first, with parent cells."""
+    """Map each octree partition and each cell above the partitions to its parent, depth first."""
     entries: list[tuple[int, int, bool, str]] = []
     for partition in plan.partitions:
         name = f"partition-{partition.index:06}"

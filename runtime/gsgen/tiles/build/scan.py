@@ -83,7 +83,7 @@ def _digest(splats: Splats, first: int) -> str:
 
 
 def anchor_depths(log_scale: Float32[np.ndarray, "n 3"], cube: Cube) -> Int64[np.ndarray, " n"]:
-    """Return the deepest octree level for each splat: the last with tiles twice as long as 3σ."""
+    """Return each splat's deepest octree level: the last whose tiles are at least 6σ long."""
     x, y, z = log_scale.T  # a maximum along rows of three would take ten times as long
     largest = np.maximum(np.maximum(x, y), z).astype(np.float64)
     ratio = math.log(cube.side / (2 * SIGMAS)) - largest
@@ -95,7 +95,7 @@ def anchor_depths(log_scale: Float32[np.ndarray, "n 3"], cube: Cube) -> Int64[np
 def location_codes(
     codes: UInt64[np.ndarray, " n"], anchors: Int64[np.ndarray, " n"], depth: int
 ) -> UInt64[np.ndarray, " n"]:
-    """Return each splat's octree cell, as 1 and a Morton code; large splats stay in coarse cells.
+    """Return each splat's octree cell: a 1, then a Morton code; large splats stay in coarse cells.
 
     The leading 1 makes the number name the depth, too (I. Gargantini 1982, "An effective way to
     represent quadtrees", in three dimensions).

@@ -46,7 +46,7 @@ def bin_chunk(plan: Plan, chunk: Chunk) -> int:
 
 
 def anchors_of(plan: Plan, rows: Rows) -> np.ndarray:
-    """Return the deepest octree level for each splat; in implicit octrees, the deepest of all."""
+    """Return each splat's deepest octree level; in implicit octrees, the tree's deepest level."""
     if plan.parameters.implicit:
         return np.full(len(rows), DEPTH, np.int64)
     return anchor_depths(rows["log_scale"], plan.cube)

@@ -19,7 +19,7 @@ def plan(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False,
 ) -> None:
-    """Choose the tiles and qualities of PROBLEM that have the greatest utility, exactly.
+    """Choose the optimal tiles and file qualities within the limits that the file PROBLEM states.
 
     A cut takes one option on every path from the root to a leaf, within a budget of bytes; tiles
     with deadlines are sent in their order over one link. Exits 0, or 4 if PROBLEM cannot be read

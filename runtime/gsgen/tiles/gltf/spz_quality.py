@@ -124,7 +124,7 @@ def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
 
 
 def _rounded(data: bytes, bits: int, *, least: int) -> bytes:
-    """Round bytes to multiples of 2^(8 − bits); nonzero bytes keep a least value."""
+    """Round bytes to multiples of 2^(8 − bits); nonzero bytes stay at or above ``least``."""
     if bits == 8:
         return data
     step = 1 << (8 - bits)

@@ -152,7 +152,7 @@ class HorizonPrefetch:
 
 @final
 class PathPrefetch:
-    """Prefetches tiles along a known camera path: the upper bound of every prediction.
+    """Prefetches tiles along a camera path known in advance: the best case of prediction.
 
     Args:
         tree: The tiles.

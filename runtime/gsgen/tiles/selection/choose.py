@@ -1,6 +1,6 @@
 """Chooses one quality per tile within a byte budget, by concave hulls and a prefix sum."""
 
-__all__ = ["Choice", "choose_options"]
+__all__ = ["TOLERANCE", "Choice", "choose_options"]
 
 from dataclasses import dataclass
 from typing import Final, final
@@ -8,7 +8,11 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from gsgen.tiles.selection.change_sets import CORE_CHANGES, LEAST_GAIN, MOST_ROUNDS, best_changes
 from gsgen.tiles.selection.hulls import OptionHulls
+
+TOLERANCE: Final = 1e-3
+"""Gap between utility and upper bound, as a share of the bound, that is not worth closing."""
 
 _STEPS_BEYOND: Final = 64  # steps after the budget's end: each costs a microsecond
 
@@ -41,7 +45,8 @@ def choose_options(hulls: OptionHulls, weight: Float64[np.ndarray, " n"], budget
 
     The linear relaxation of the multiple-choice knapsack takes steps of the hulls by falling
     gain for cost (Sinha and Zoltners 1979). Its last, partial step gives the bound; then every
-    later step that still fits is taken whole.
+    later step that still fits is taken whole. Where that leaves more than a thousandth to the
+    bound, tiles are exchanged.
 
     Args:
         hulls: Of all tiles.
@@ -74,4 +79,40 @@ def choose_options(hulls: OptionHulls, weight: Float64[np.ndarray, " n"], budget
     # Steps ascend within a tile, so that the last one that is assigned is the highest.
     chosen = np.flatnonzero(is_taken)
     option[hulls.tile[chosen]] = hulls.option[chosen]
-    return Choice(option, utility, spent, max(bound, utility))
+    choice = Choice(option, utility, spent, max(bound, utility))
+    if choice.certificate <= TOLERANCE or fitting == len(order):
+        return choice
+    return _exchanged(hulls, weight, choice, budget, float(gain[fitting] / cost[fitting]))
+
+
+def _exchanged(
+    hulls: OptionHulls,
+    weight: Float64[np.ndarray, " n"],
+    choice: Choice,
+    budget: float,
+    price: float,
+) -> Choice:
+    """Improve the chosen file qualities of tiles by sets of four changes within the budget."""
+    value = hulls.values * weight[:, None]
+    exists = np.isfinite(hulls.costs)
+    cost = np.where(exists, hulls.costs, 0.0)
+    profit = np.where(exists, value - price * cost, -np.inf)
+    rows, columns = np.arange(len(cost)), choice.option + 1
+    for _ in range(MOST_ROUNDS):
+        spent, utility = cost[rows, columns].sum(), value[rows, columns].sum()
+        loss = profit[rows, columns][:, None] - profit
+        loss[rows, columns] = np.inf  # no change
+        core = np.argpartition(loss, min(CORE_CHANGES, loss.size) - 1, axis=None)[:CORE_CHANGES]
+        tile, column = np.divmod(core[np.isfinite(loss.ravel()[core])], cost.shape[1])
+        changes = best_changes(
+            cost[tile, column] - cost[tile, columns[tile]],
+            value[tile, column] - value[tile, columns[tile]],
+            tile[:, None] != tile,
+            budget - spent,
+            LEAST_GAIN * utility,
+        )
+        columns[tile[changes]] = column[changes]
+        if not changes or value[rows, columns].sum() >= choice.bound * (1 - TOLERANCE):
+            break
+    spent, utility = float(cost[rows, columns].sum()), float(value[rows, columns].sum())
+    return Choice(columns - 1, utility, spent, max(choice.bound, utility))

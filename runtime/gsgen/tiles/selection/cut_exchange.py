@@ -1,70 +1,54 @@
-"""Improves a choice of drawn tiles by exchanges: one tile's change pays for another's.
+"""Improves a set of drawn tiles by exchanges: bytes saved on some tiles pay for finer other tiles.
 
 A greedy choice leaves a part of the budget that no single step fits. Each round, in this order:
 
-1. List the changes of single tiles: another quality, its children in its place, or the parent in
-   place of its children.
+1. List the changes of tiles: another quality, the best tiles below in a tile's place, or a tile in
+   place of all that are drawn below it.
 2. Keep the changes that lose least at the price of a byte, as the linear relaxation gives it: only
    those can be part of a better choice.
-3. Make the change, or the pair of changes, that fits the budget and gains most.
+3. Make up to four changes that together fit the budget and gain most.
 """
 
 __all__ = ["exchange_tiles"]
 
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Final, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from gsgen.tiles.selection.change_sets import CORE_CHANGES, LEAST_GAIN, MOST_ROUNDS, best_changes
 from gsgen.tiles.selection.choose import Choice
 from gsgen.tiles.selection.tree_choice import CutOptions
-
-_CORE: Final = 150  # changes of which pairs are tried: 22,500 pairs take a quarter of a millisecond
-_MOST_ROUNDS: Final = 12
-_LEAST_GAIN: Final = 1e-12  # of the utility: less is rounding
 
 Rows = Int64[np.ndarray, " m"]
 Amounts = Float64[np.ndarray, " m"]
 
 
-class _Kind(IntEnum):
-    QUALITY = 0
-    SPLIT = 1
-    MERGE = 2
-
-
 @final
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Changes:
-    """Possible changes of a choice of tiles, each of one tile, or of a tile and its children.
+    """Possible changes of the set of drawn tiles; each replaces the drawn tiles of one subtree.
 
     Attributes:
-        kind: As ``_Kind``.
         node: The tile.
-        option: The quality that the tile gets; −1 for a split.
+        option: The quality that the tile gets; −1 for the best tiles below it.
         cost: What the change costs.
         utility: What it gains.
     """
 
-    kind: Rows
     node: Rows
     option: Rows
     cost: Amounts
     utility: Amounts
 
     def core(self, price: float) -> "_Changes":
-        """Return the changes of tiles that lose least at a given price per byte."""
+        """Return the changes of drawn tiles that gain most utility, less ``price`` per byte."""
         loss = price * self.cost - self.utility
-        rows = np.argpartition(loss, _CORE)[:_CORE] if len(loss) > _CORE else np.arange(len(loss))
-        return _Changes(
-            kind=self.kind[rows],
-            node=self.node[rows],
-            option=self.option[rows],
-            cost=self.cost[rows],
-            utility=self.utility[rows],
-        )
+        if len(loss) <= CORE_CHANGES:
+            return self
+        rows = np.argpartition(loss, CORE_CHANGES)[:CORE_CHANGES]
+        return _Changes(self.node[rows], self.option[rows], self.cost[rows], self.utility[rows])
 
 
 def exchange_tiles(
@@ -80,10 +64,10 @@ def exchange_tiles(
         tolerance: Gap to the bound, as a share of it, that is not worth closing.
     """
     exchange = _Exchange(options, choice.option, price)
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(MOST_ROUNDS):
         cost, utility = exchange.totals()
         is_close = utility >= choice.bound * (1 - tolerance)
-        if is_close or not exchange.improve(budget - cost, _LEAST_GAIN * abs(utility)):
+        if is_close or not exchange.improve(budget - cost, LEAST_GAIN * abs(utility)):
             break
     cost, utility = exchange.totals()
     if cost > budget or utility <= choice.utility:
@@ -93,7 +77,7 @@ def exchange_tiles(
 
 @final
 class _Exchange:
-    """A choice of tiles to be improved by exchanges, and the constants of the problem."""
+    """The tiles drawn so far, improved step by step, with the costs and utilities of all tiles."""
 
     def __init__(self, options: CutOptions, option: Int64[np.ndarray, " n"], price: float) -> None:
         self.option = option.copy()
@@ -101,22 +85,36 @@ class _Exchange:
         self._exists = np.isfinite(options.cost)
         self._cost = np.where(self._exists, options.cost, 0.0)
         self._utility = np.where(self._exists, options.utility, 0.0)
-        count = len(option)
-        self._child_count = np.bincount(self._parent[self._parent >= 0], minlength=count)
-        # A split gives each child its best option at the price.
-        profit = np.where(self._exists, self._utility - price * self._cost, -np.inf)
-        self._best = profit.argmax(axis=1)
-        rows = np.arange(count)
-        can_stand = self._exists.any(axis=1)
-        self._can_split = (self._child_count > 0) & (self._below(~can_stand) == 0)
-        self._split_cost = self._below(self._cost[rows, self._best])
-        self._split_utility = self._below(self._utility[rows, self._best])
+        depth = options.depths()
+        order = np.argsort(depth, kind="stable")
+        limits = np.searchsorted(depth[order], np.arange(1, int(depth.max()) + 1))
+        self._levels = np.split(order, limits)
+        self._has_children = np.zeros(len(option), bool)
+        self._has_children[self._parent[self._parent >= 0]] = True
+        self._solve_at_price()
 
-    def _below(self, values: np.ndarray) -> Float64[np.ndarray, " n"]:
-        """Return the sum of a value over the children of each tile."""
-        is_child = self._parent >= 0
-        sums = np.bincount(self._parent[is_child], values[is_child], len(self._parent))
-        return np.asarray(sums, np.float64)
+    def _solve_at_price(self) -> None:
+        """Choose the tiles to draw in every subtree that maximise utility minus price × bytes."""
+        count = len(self.option)
+        rows = np.arange(count)
+        profit = np.where(self._exists, self._utility - self._price * self._cost, -np.inf)
+        self._best = profit.argmax(axis=1)
+        own = np.stack([table[rows, self._best] for table in (self._cost, self._utility, profit)])
+        self._is_drawn = np.zeros(count, bool)
+        self._split = np.zeros((3, count))  # cost, utility and profit of the best tiles below
+        for nodes in reversed(self._levels):
+            below = np.where(self._has_children[nodes], self._split[2, nodes], -np.inf)
+            self._is_drawn[nodes] = own[2, nodes] >= below
+            subtree = np.where(self._is_drawn[nodes], own[:, nodes], self._split[:, nodes])
+            self._add_to_parents(self._split, nodes, subtree)
+
+    def _add_to_parents(
+        self, sums: Float64[np.ndarray, "c n"], nodes: Rows, values: Float64[np.ndarray, "c m"]
+    ) -> None:
+        """Add each node's values to the sums of the node above it in the tile tree."""
+        is_child = self._parent[nodes] >= 0
+        for row, added in zip(sums, values, strict=True):
+            np.add.at(row, self._parent[nodes[is_child]], added[is_child])
 
     def totals(self) -> tuple[float, float]:
         """Return the total cost and utility of the chosen tiles."""
@@ -125,83 +123,58 @@ class _Exchange:
         return float(self._cost[rows, columns].sum()), float(self._utility[rows, columns].sum())
 
     def improve(self, left: float, least_gain: float) -> bool:
-        """Make the change or pair of changes that gains most; return whether one exists."""
+        """Apply up to four changes of drawn tiles that add most utility; return whether any."""
         changes = self._changes().core(self._price)
-        if not len(changes.node):
-            return False
-        single = np.where(changes.cost <= left, changes.utility, -np.inf)
-        pair = np.where(
-            (changes.cost[:, None] + changes.cost <= left) & self._are_apart(changes),
-            changes.utility[:, None] + changes.utility,
-            -np.inf,
-        )
-        gain, rows = float(pair.max()), list(divmod(int(pair.argmax()), len(single)))
-        if single.max() >= gain:
-            gain, rows = float(single.max()), [int(single.argmax())]
-        if gain <= least_gain:
-            return False
+        is_apart = self._are_apart(changes.node)
+        rows = best_changes(changes.cost, changes.utility, is_apart, left, least_gain)
         for row in rows:
-            self._make(changes, row)
-        return True
+            self._make(int(changes.node[row]), int(changes.option[row]))
+        return bool(rows)
 
     def _changes(self) -> _Changes:
         chosen = np.flatnonzero(self.option >= 0)
         column = self.option[chosen]
-        cost, utility = self._cost[chosen, column], self._utility[chosen, column]
-        # Case 1: another quality.
-        is_other = self._exists[chosen] & (np.arange(self._exists.shape[1]) != column[:, None])
-        row, quality = np.nonzero(is_other)
-        lists = [
-            (
-                np.full(len(row), _Kind.QUALITY),
-                chosen[row],
-                quality,
-                self._cost[chosen[row], quality] - cost[row],
-                self._utility[chosen[row], quality] - utility[row],
-            )
-        ]
-        # Case 2: the children instead of the tile.
-        row = np.flatnonzero(self._can_split[chosen])
-        node = chosen[row]
-        lists.append(
-            (
-                np.full(len(node), _Kind.SPLIT),
-                node,
-                np.full(len(node), -1),
-                self._split_cost[node] - cost[row],
-                self._split_utility[node] - utility[row],
-            )
+        drawn = np.zeros((3, len(self.option)))  # cost, utility and number of a subtree's tiles
+        drawn[0, chosen], drawn[1, chosen] = (
+            self._cost[chosen, column],
+            self._utility[chosen, column],
         )
-        # Case 3: the tile instead of its children, where all of those are chosen themselves.
-        is_chosen = self.option >= 0
-        is_parent = (self._child_count > 0) & (self._below(is_chosen) == self._child_count)
-        node, quality = np.nonzero(self._exists & is_parent[:, None])
-        drawn = np.zeros((2, len(self.option)))
-        drawn[:, chosen] = cost, utility
-        lists.append(
-            (
-                np.full(len(node), _Kind.MERGE),
-                node,
-                quality,
-                self._cost[node, quality] - self._below(drawn[0])[node],
-                self._utility[node, quality] - self._below(drawn[1])[node],
-            )
+        drawn[2, chosen] = 1
+        for nodes in reversed(self._levels):
+            self._add_to_parents(drawn, nodes, drawn[:, nodes])
+        # Case 1: another quality of a drawn tile, or a tile in place of those below.
+        tiles = np.flatnonzero(drawn[2])
+        is_new = np.arange(self._exists.shape[1]) != self.option[tiles, None]
+        row, quality = np.nonzero(self._exists[tiles] & is_new)
+        node = tiles[row]
+        # Case 2: the best tiles below, in place of a tile or of others below.
+        can_split = self._has_children[tiles] & np.isfinite(self._split[2, tiles])
+        split = tiles[can_split & (self._split[0, tiles] != drawn[0, tiles])]
+        nodes = np.append(node, split)
+        return _Changes(
+            nodes,
+            np.append(quality, np.full(len(split), -1)),
+            np.append(self._cost[node, quality], self._split[0, split]) - drawn[0, nodes],
+            np.append(self._utility[node, quality], self._split[1, split]) - drawn[1, nodes],
         )
-        kind, node, option, cost, utility = map(np.concatenate, zip(*lists, strict=True))
-        return _Changes(kind=kind, node=node, option=option, cost=cost, utility=utility)
 
-    def _are_apart(self, changes: _Changes) -> Bool[np.ndarray, "m m"]:
-        """Return which pairs of changes touch different tiles only."""
-        node, is_merge = changes.node, changes.kind == _Kind.MERGE
-        family = np.where(is_merge, node, self._parent[node])
-        shares_family = (family[:, None] == family) & (is_merge[:, None] | is_merge)
-        return np.asarray(~((node[:, None] == node) | shares_family))
+    def _are_apart(self, node: Rows) -> Bool[np.ndarray, "m m"]:
+        """Return which pairs of tile changes are in disjoint subtrees: both can be applied."""
+        is_apart = np.ones((len(node), len(node)), bool)
+        above = node
+        while (above >= 0).any():
+            is_apart &= above[:, None] != node
+            above = np.where(above >= 0, self._parent[above], -1)
+        return np.asarray(is_apart & is_apart.T)
 
-    def _make(self, changes: _Changes, row: int) -> None:
-        node = int(changes.node[row])
-        children = np.flatnonzero(self._parent == node)
-        self.option[node] = changes.option[row]
-        if changes.kind[row] == _Kind.SPLIT:
-            self.option[children] = self._best[children]
-        elif changes.kind[row] == _Kind.MERGE:
-            self.option[children] = -1
+    def _make(self, node: int, option: int) -> None:
+        """Draw a subtree's root instead, or if ``option`` < 0 the best tiles below the root."""
+        opened, is_split = np.array([node]), np.array([option < 0])
+        self.option[node] = option
+        while len(opened):
+            children = np.flatnonzero(np.isin(self._parent, opened))
+            row = np.searchsorted(opened, self._parent[children])
+            is_below_split = is_split[row]
+            is_drawn = is_below_split & self._is_drawn[children]
+            self.option[children] = np.where(is_drawn, self._best[children], -1)
+            opened, is_split = children, is_below_split & ~is_drawn

@@ -15,12 +15,9 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Int64
 
-from gsgen.tiles.selection.choose import Choice
+from gsgen.tiles.selection.choose import TOLERANCE, Choice
 from gsgen.tiles.selection.cut_exchange import exchange_tiles
 from gsgen.tiles.selection.tree_choice import TreeFrontier
-
-TOLERANCE: Final = 1e-3
-"""Gap between utility and upper bound, as a share of the bound, that is not worth closing."""
 
 MAX_DEPTH: Final = 128
 """Depth of a tile tree above which choices stay as they are, since subtrees are recursive."""
@@ -44,7 +41,7 @@ def fill_cut(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
 
 
 def _refined(frontier: TreeFrontier, choice: Choice, budget: float) -> Choice:
-    """Return a choice of tiles that spends the rest of the budget in subtrees, if better."""
+    """Improve a choice of tiles by spending the remaining bytes in subtrees, if that helps."""
     solver = _SubtreeSolver(frontier, TOLERANCE * choice.bound)
     solution = solver.solve(0, 0, budget)
     if solution is None or solution.utility <= choice.utility:
@@ -89,7 +86,7 @@ class _SubtreeSolver:
         self._children = [self._children_of(depth) for depth in range(len(self._levels) - 1)]
 
     def _children_of(self, depth: int) -> list[Int64[np.ndarray, " m"]]:
-        """Return the children of all tile-tree nodes at a depth, as positions at the next depth."""
+        """Return the children of all tile-tree nodes of a depth, as indices into the next depth."""
         level, below = self._levels[depth], self._levels[depth + 1]
         owner = np.searchsorted(level.nodes, self._options.parent[below.nodes])
         order = np.argsort(owner, kind="stable")
@@ -158,7 +155,7 @@ class _SubtreeSolver:
         )
 
     def _potential(self, depth: int, child: int, point: dict[int, int], left: float) -> float:
-        """Return the utility of a child node's next improvement, scaled to the remaining budget."""
+        """Estimate a child's utility gain from the budget left, at its next upgrade's rate."""
         row, costs, values = point[child], self._costs[depth], self._values[depth]
         return (values[row + 1] - values[row]) * left / (costs[row + 1] - costs[row])
 

@@ -14,7 +14,7 @@ Table = Float64[np.ndarray, "n m"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OptionHulls:
-    """Upgrades of many tiles' file qualities, on the concave hulls of value over cost.
+    """The worthwhile quality upgrades of many tiles: edges of concave hulls of value over cost.
 
     A step leads from one option on a tile's hull to the next; the first of each tile leads from
     nothing (cost 0, value 0). Steps of a tile follow each other with falling efficiency.
@@ -24,18 +24,25 @@ class OptionHulls:
         option: The option that the step leads to.
         cost: What the step costs more than the option before.
         value: What it is worth more, before the weight of the tile.
-        count: Number of tiles.
+        costs: Of each tile's options; before them stands nothing, which costs 0.
+        values: Of each tile's options, before the weight of the tile; nothing is worth 0.
     """
 
     tile: Int64[np.ndarray, " s"]
     option: Int64[np.ndarray, " s"]
     cost: Float64[np.ndarray, " s"]
     value: Float64[np.ndarray, " s"]
-    count: int
+    costs: Table
+    values: Table
+
+    @property
+    def count(self) -> int:
+        """The number of tiles."""
+        return len(self.costs)
 
     @classmethod
     def of_options(cls, cost: Table, value: Table) -> "OptionHulls":
-        """Build the concave hulls (value over cost) of the file qualities of many tiles.
+        """Find the worthwhile quality upgrades of many tiles, by concave hulls of value over cost.
 
         Args:
             cost: Of each option, ≥ 0; infinite for options that a tile does not have.
@@ -43,7 +50,7 @@ class OptionHulls:
         """
         count = len(cost)
         nothing = np.zeros((count, 1))
-        costs, values = np.hstack([nothing, cost]), np.hstack([nothing, value])
+        costs, values = table = np.hstack([nothing, cost]), np.hstack([nothing, value])
         order, on_hull = upper_hulls(costs, values)
         rows = np.arange(count)[:, None]
         costs, values = costs[rows, order], values[rows, order]
@@ -61,7 +68,8 @@ class OptionHulls:
             option=option[is_step],
             cost=step_cost[is_step],
             value=step_value[is_step],
-            count=count,
+            costs=table[0],
+            values=table[1],
         )
 
 

@@ -1,4 +1,4 @@
-"""States the choice of levels of detail and file qualities for tiles that a camera sees.
+"""Formulates the optimisation problem of detail levels and file qualities for visible tiles.
 
 The files of tiles above others are requested before those of finer levels: a finer level costs all
 missing files above it, too. A tile with seen children therefore has one child more in this problem,
@@ -25,7 +25,7 @@ _HALF_WORTH: Final = 228.0
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SeenTiles:
-    """The tiles that a camera sees, as nodes of a choice within bytes and Gaussians.
+    """The optimisation problem of choosing visible tiles' files by bytes and Gaussians.
 
     Attributes:
         options: Costs in bytes, and utilities, of each quality; the last option draws nothing.
@@ -47,7 +47,7 @@ class SeenTiles:
         held: Int64[np.ndarray, " t"],
         dead: Bool[np.ndarray, " t"],
     ) -> "SeenTiles":
-        """State the choice of levels of detail and file qualities for tiles that a camera sees.
+        """Formulate the optimisation problem of detail levels and qualities of visible tiles.
 
         Args:
             tree: The tiles.

@@ -156,7 +156,8 @@ class HttpStore(Store):
             raise _AnswerBroken(
                 f"the web server's response ended early ({error})",
                 location=f"{self.name}/{path}",
-                expected="the file",
+                expected="the whole file",
+                hint="Load the file again; if it fails again, check the server's log.",
                 fault=Fault.CONTENT,
             ) from error
         return bytes(body if count is None else body[:count])

@@ -80,7 +80,8 @@ class ZipStore(Store):
         members = [member for name, member in by_name.items() if name != INDEX_NAME]
         if index.file_size != _RECORD.size * len(members):
             raise self._damaged(
-                f"the index of the archive has {index.file_size} bytes for {len(members)} files"
+                f"the index of the archive has {index.file_size} bytes, but {len(members)} files "
+                f"need {_RECORD.size * len(members)}"
             )
         expected = {index_record(m.filename, m.header_offset) for m in members}
         data = self._member(index, 0, index.file_size)
@@ -122,7 +123,10 @@ class ZipStore(Store):
         elif member.compress_type == _DEFLATED:
             data = self._inflated(first, member.compress_size, start + count)[start:]
         else:
-            raise self._damaged(f"{member.filename} has compression method {member.compress_type}")
+            method = member.compress_type
+            raise self._damaged(
+                f"{member.filename} has compression method {method}, not 0 (stored) or 8 (deflate)"
+            )
         if len(data) < count:
             raise self._damaged(f"{member.filename} is truncated")
         return data

@@ -159,7 +159,7 @@ class FetchLink(Generic[Decoded]):
                 self._decode_and_answer(request.tile, data)
 
     def _finish(self, request: _Request) -> bool:
-        """Free a finished request's network connection; return whether the request still counts."""
+        """Free a finished request's connection; return False if the request was cancelled."""
         with self._lock:
             if request.is_cancelled:
                 return False

@@ -175,7 +175,7 @@ class NeuralTiles:
 
     @property
     def unsettled(self) -> tuple[int, ...]:
-        """The tiles whose ONNX generators have not yet computed the last frame's inputs."""
+        """The tiles whose ONNX generators have not yet run with the last frame's inputs."""
         return self._unsettled
 
     def arrive(self, arrival: TileArrival) -> None:
@@ -409,7 +409,7 @@ class NeuralTiles:
         return self._contents[tile] if entry is None or entry.result is None else entry.result
 
     def _updates(self, uploaded: int) -> list[TileArrival]:
-        """Return Gaussians that tiles should show and the splat pool lacks, by upload budget."""
+        """Return Gaussians of tiles to write to the splat pool, within the upload budget."""
         updates: list[TileArrival] = []
         for tile in sorted(self._in_pool):
             rows = self._expected(tile)

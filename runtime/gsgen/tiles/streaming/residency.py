@@ -87,7 +87,7 @@ class ResidentTiles:
         self.used_slots -= int(self._slots[tile])
 
     def _victims(self, lack: int) -> tuple[int, ...] | None:
-        """Return tiles to evict so that ``lack`` slots of the splat pool get free, or None."""
+        """Return tiles to evict that free ``lack`` slots of GPU memory; None if impossible."""
         if lack <= 0:
             return ()
         rows = np.flatnonzero(self.resident & ~self._protected)

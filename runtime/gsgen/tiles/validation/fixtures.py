@@ -305,7 +305,7 @@ def tiles_invisible_root() -> TilesetSketch:
 
 @_example("GT022", level=Level.RENDER)
 def tiles_unlike_root() -> TilesetSketch:
-    """Fixture: a tileset whose root has splats of one unit in place of a tenth."""
+    """Fixture: a tileset whose root has splats ten times as large as those of other tiles."""
 
     def inflate(splats: Splats) -> Splats:
         return replace(splats, log_scale=np.zeros_like(splats.log_scale))

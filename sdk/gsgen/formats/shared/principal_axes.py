@@ -2,20 +2,19 @@
 
 __all__ = ["scales_and_quaternions"]
 
-import math
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-_ROWS: Final = 1 << 13  # at a time, which stay in the cache
-# Off-diagonal entries shrink quadratically: four sweeps usually reach float64's rounding.
-_SWEEPS: Final = 5
+_ROWS: Final = 1 << 14  # at a time, which stay in the cache
+# Off-diagonal entries shrink quadratically: of random rows in float32, one in twenty needs a fourth
+# sweep. More than six were never needed.
+_SWEEPS: Final = 3
+_MOST_SWEEPS: Final = 12
+_NEGLIGIBLE: Final = 1e-3  # of the rounding of the trace: what may be left off the diagonal
+_TINY: Final = float(np.finfo(np.float64).tiny)
 _ORDER: Final = (2, 0, 2)  # the axes about which swaps sort three scales
-# Of q = (w, x, y, z), a half turn about an own axis makes (-x, w, z, -y), (-y, -z, w, x) or
-# (-z, y, -x, w): the same covariance.
-_COMPONENTS: Final = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
-_SIGNS: Final = np.array([[1, 1, 1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1], [-1, 1, -1, 1.0]])
 
 Column = Float64[np.ndarray, " n"]
 
@@ -37,64 +36,117 @@ def scales_and_quaternions(
     """
     scales = np.empty((len(covariance), 3))
     quaternions = np.empty((len(covariance), 4), np.float32)
+    scratch = np.empty((4, min(_ROWS, len(covariance))))
     for start in range(0, len(covariance), _ROWS):
         part = slice(start, start + _ROWS)
-        variances, turn = _eigenvalues(np.array(covariance[part].T, np.float64, order="C"))
-        scales[part] = np.sqrt(np.maximum(variances, 0)).T
-        quaternions[part] = _smallest_turn(turn).T
+        state = _diagonalised(covariance[part], scratch)
+        _sort(state, scratch[:, : state.shape[1]])
+        scales[part] = np.sqrt(np.maximum(state[:3], 0)).T
+        quaternions[part] = _smallest_turn(state[6:]).T
     return scales, quaternions
 
 
-def _eigenvalues(
-    upper: Float64[np.ndarray, "6 n"],
-) -> tuple[Float64[np.ndarray, "3 n"], Float64[np.ndarray, "4 n"]]:
-    """Return ascending eigenvalues of covariances, and the rotations to their eigenvectors.
+def _diagonalised(
+    covariance: Float[np.ndarray, "n 6"], scratch: Float64[np.ndarray, "4 m"]
+) -> Float64[np.ndarray, "10 n"]:
+    """Return the eigenvalues of covariances, 0 0 0, and quaternions to their eigenvectors.
 
     Jacobi's method (1846): each turn about an own axis makes the entry of the other two axes zero.
+    The quaternions are not normalised.
     """
-    diagonal = upper[[0, 3, 5]]
-    between = upper[[4, 2, 1]]  # between[axis]: the entry of the other two axes
-    turn = np.zeros((4, upper.shape[1]))
-    turn[0] = 1
-    for axis in (0, 1, 2) * _SWEEPS:
+    count = len(covariance)
+    state = np.zeros((10, count))  # three on the diagonal, yz xz xy, w x y z
+    state[:6] = covariance.T[[0, 3, 5, 4, 2, 1]]
+    state[6] = 1
+    limit = _NEGLIGIBLE * float(np.finfo(covariance.dtype).eps) * np.abs(state[:3]).sum(axis=0)
+    for _ in range(_SWEEPS):
+        _sweep(state, scratch[:, :count])
+    for _ in range(_SWEEPS, _MOST_SWEEPS):
+        between = np.abs(state[3:6]).max(axis=0)
+        unfinished = np.flatnonzero(between > limit)
+        if not unfinished.size:
+            break
+        columns = state[:, unfinished]
+        _sweep(columns, scratch[:, : unfinished.size])
+        state[:, unfinished] = columns
+    return state
+
+
+def _sweep(state: Float64[np.ndarray, "10 n"], scratch: Float64[np.ndarray, "4 n"]) -> None:
+    """Turn about each axis once, in place; whole columns are fast, and new arrays are not."""
+    diagonal, between, turn = state[:3], state[3:6], state[6:]
+    first, tangent, length, second = scratch
+    for axis in range(3):
         p, q = (axis + 1) % 3, (axis + 2) % 3
         # tan φ = ± 2 b / (|d| + √(d² + 4 b²)): the smaller angle, 0 where there is nothing to do
-        twice = 2 * between[axis]
-        difference = diagonal[q] - diagonal[p]
-        length = np.abs(difference) + np.sqrt(difference * difference + twice * twice)
-        tangent = np.copysign(1, difference) * twice / np.where(length > 0, length, 1)
-        cosine = 1 / np.sqrt(1 + tangent * tangent)
-        sine = tangent * cosine
-        shift = tangent * between[axis]
+        difference = np.subtract(diagonal[q], diagonal[p], out=first)
+        twice = np.add(between[axis], between[axis], out=tangent)
+        np.multiply(difference, difference, out=length)
+        length += np.multiply(twice, twice, out=second)
+        np.sqrt(length, out=length)
+        length += np.abs(difference, out=second)
+        np.maximum(length, _TINY, out=length)
+        np.divide(twice, np.copysign(length, difference, out=length), out=tangent)
+        shift = np.multiply(tangent, between[axis], out=length)
         diagonal[p] -= shift
         diagonal[q] += shift
         between[axis] = 0
-        between[q], between[p] = (
-            cosine * between[q] - sine * between[p],
-            cosine * between[p] + sine * between[q],
-        )
-        half = np.sqrt((1 + cosine) / 2)
-        _turn_about(turn, axis, half, -sine / (2 * half))
+        secant = np.multiply(tangent, tangent, out=length)
+        secant += 1
+        np.sqrt(secant, out=secant)
+        np.multiply(tangent, between[p], out=first)
+        np.multiply(tangent, between[q], out=second)
+        between[q] -= first
+        between[p] += second
+        between[q] /= secant
+        between[p] /= secant
+        secant += 1
+        _turn_about(turn, axis, np.divide(tangent, secant, out=tangent), scratch)
+
+
+def _turn_about(
+    turn: Float64[np.ndarray, "4 n"],
+    axis: int,
+    tangent: Column,
+    scratch: Float64[np.ndarray, "4 n"],
+) -> None:
+    """Multiply quaternions from the right by 1 - t e, for an axis e and t, a half angle's tangent.
+
+    ``tangent`` may be the second column of ``scratch``.
+    """
+    first, _, second, _ = scratch
+    w, r, p, q = (turn[index] for index in (0, *(1 + (axis + step) % 3 for step in range(3))))
+    for a, b in ((w, r), (q, p)):
+        np.multiply(tangent, b, out=first)
+        np.multiply(tangent, a, out=second)
+        a += first
+        b -= second
+
+
+def _sort(state: Float64[np.ndarray, "10 n"], scratch: Float64[np.ndarray, "4 n"]) -> None:
+    """Sort eigenvalues in place by swaps of two axes, which are quarter turns about the third."""
     for axis in _ORDER:
-        p, q = (axis + 1) % 3, (axis + 2) % 3
-        is_swapped = diagonal[p] > diagonal[q]
-        diagonal[[p, q]] = np.where(is_swapped, diagonal[[q, p]], diagonal[[p, q]])
-        quarter = math.sqrt(0.5)
-        _turn_about(turn, axis, np.where(is_swapped, quarter, 1), is_swapped * -quarter)
-    return diagonal, turn
-
-
-def _turn_about(turn: Float64[np.ndarray, "4 n"], axis: int, cosine: Column, sine: Column) -> None:
-    """Multiply quaternions from the right by a rotation about an axis, given its half angle."""
-    w, r, p, q = turn[[0, 1 + axis, 1 + (axis + 1) % 3, 1 + (axis + 2) % 3]]
-    turn[0] = cosine * w - sine * r
-    turn[1 + axis] = cosine * r + sine * w
-    turn[1 + (axis + 1) % 3] = cosine * p + sine * q
-    turn[1 + (axis + 2) % 3] = cosine * q - sine * p
+        low, high = state[(axis + 1) % 3], state[(axis + 2) % 3]
+        smaller, is_swapped = scratch[:2]
+        np.greater(low, high, out=is_swapped, casting="unsafe")  # 0 or 1: tan 0° or tan 45°
+        np.minimum(low, high, out=smaller)
+        np.maximum(low, high, out=high)
+        low[:] = smaller
+        _turn_about(state[6:], axis, is_swapped, scratch)
 
 
 def _smallest_turn(turn: Float64[np.ndarray, "4 n"]) -> Float64[np.ndarray, "4 n"]:
-    """Rotate the axes of ellipsoids by half turns until w is the quaternions' largest component."""
-    largest = np.abs(turn).argmax(axis=0)
-    result = np.take_along_axis(turn, _COMPONENTS[:, largest], axis=0) * _SIGNS.T[:, largest]
-    return np.asarray(np.where(result[0] < 0, -result, result))
+    """Rotate the axes of ellipsoids by half turns until w is the quaternions' largest component.
+
+    Half turns about own axes keep the covariance. The quaternions are normalised.
+    """
+    w, x, y, z = turn
+    # 1. Where y or z is the largest, a half turn about y makes it w or x.
+    length = np.abs(turn)
+    is_far = np.maximum(length[2], length[3]) > np.maximum(length[0], length[1])
+    w, x, y, z = (np.where(is_far, *pair) for pair in ((-y, w), (-z, x), (w, y), (x, z)))
+    # 2. Where x is larger than w, a half turn about x exchanges them.
+    is_far = np.abs(x) > np.abs(w)
+    w, x, y, z = (np.where(is_far, *pair) for pair in ((-x, w), (w, x), (z, y), (-y, z)))
+    scale = np.copysign(1 / np.sqrt(w * w + x * x + y * y + z * z), w)
+    return np.asarray((w * scale, x * scale, y * scale, z * scale))

@@ -1,4 +1,4 @@
-"""Checks arrays of splats: an invalid value raises with column, first row and number."""
+"""Checks arrays of splats; errors name the column, the first invalid row and its value."""
 
 from collections.abc import Sequence
 

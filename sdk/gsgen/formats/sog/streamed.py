@@ -105,12 +105,16 @@ def _leaves(root: object) -> Iterator[dict[str, Any]]:
     while nodes:
         node, depth = nodes.pop()
         count += 1
-        if not isinstance(node, dict) or depth > _MOST_DEPTH or count > _MOST_LEAVES:
-            raise HeaderMalformed(
-                f"node {count} of the tree is a {type(node).__name__} at depth {depth}",
-                where=f"{STREAMED_META}, tree",
-                expected=f"at most {_MOST_LEAVES} nodes, all of them objects, of depth {_MOST_DEPTH} or less",
-            )
+        where = f"{STREAMED_META}, tree"
+        if not isinstance(node, dict):
+            actual = f"node {count} of the tree is a {type(node).__name__}"
+            raise HeaderMalformed(actual, where=where, expected="an object")
+        if depth > _MOST_DEPTH:
+            actual = f"node {count} of the tree is at depth {depth}"
+            raise HeaderMalformed(actual, where=where, expected=f"a depth of {_MOST_DEPTH} or less")
+        if count > _MOST_LEAVES:
+            actual = f"the tree has {count:,} nodes or more"
+            raise HeaderMalformed(actual, where=where, expected=f"at most {_MOST_LEAVES:,}")
         children = node.get("children")
         if isinstance(children, list) and children:
             nodes += [(child, depth + 1) for child in reversed(children)]

@@ -161,7 +161,7 @@ class _Images:
 def _column(
     splats: SplatParts, select: Callable[[Splats], Float32[np.ndarray, "m ..."]]
 ) -> Float32[np.ndarray, "n ..."]:
-    """Return one array of all splats, by a function that returns the array of each part."""
+    """Concatenate the arrays that a function selects from each part of the splats."""
     table = np.empty(0, np.float32)
     end = 0
     for part in splats:
@@ -327,7 +327,7 @@ def _labels(splats: SplatParts, palette: Float32[np.ndarray, "p d"]) -> UInt16[n
 
 
 def _palette_size(count: int) -> int:
-    """Return the number of SH palette entries: one per splat if few, else half to all of them."""
+    """Return the number of SH palette entries: the splat count, rounded down if it is large."""
     if count <= _SMALL:
         return count
     size = 1 << (count.bit_length() - 1)

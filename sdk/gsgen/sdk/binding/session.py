@@ -317,6 +317,6 @@ def _lock_of(choice: Choice) -> AbstractContextManager[object]:
 
 @atexit.register
 def _close_all() -> None:
-    """Close all ONNX Runtime sessions before the interpreter exits, when drivers may crash."""
+    """Close all ONNX Runtime sessions before interpreter shutdown, in which drivers may crash."""
     for session in list(_open_sessions):
         session.close()

@@ -286,7 +286,7 @@ def _check_parity(
     parity = Parity((worst,), len(probes))
     if not parity.holds:
         message = (
-            f"the image is off by {worst.error:.3g} of its range at probe inputs {worst.probe!r}, "
+            f"the image is off by {worst.error:.3g} of its range for the test inputs {worst.probe!r}, "
             f"{worst.excess:.3g} times the tolerance"
         )
         raise ParityFailed(message, where=path.name, parity=parity)

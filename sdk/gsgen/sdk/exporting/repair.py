@@ -37,7 +37,7 @@ from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
 @dataclass(frozen=True, slots=True)
 class RepairRequest:
-    """Facts that a model file lacks, and repairs that the user has to ask for."""
+    """The user's choices for repairing a model file: facts that it lacks, optional repairs."""
 
     sizes: Mapping[str, int] = field(default_factory=dict)  # symbolic dimension → its size
     manifest: GeneratorManifest | None = None  # the manifest to embed; the model's own if absent

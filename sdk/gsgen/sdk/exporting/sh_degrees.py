@@ -1,4 +1,4 @@
-"""Chooses the SH degree to store: rows must fill words, and some viewers read one degree only."""
+"""Chooses the SH degree to store, by row alignment and for viewers that read one degree only."""
 
 __all__ = ["HALF_RGB", "REQUIRED_DEGREES", "stored_degree"]
 

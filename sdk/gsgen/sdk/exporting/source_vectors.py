@@ -32,7 +32,7 @@ _MOST_NUMBERS = 4096
 
 
 class RowRecorder:
-    """Keeps some output rows of an exported model for some of the compared test inputs.
+    """Records some torch output rows, for test vectors in an exported model's manifest.
 
     Args:
         references: The compared test inputs.
@@ -54,7 +54,7 @@ class RowRecorder:
         self.digests: dict[int, str] = {}
 
     def observe(self, index: int, outputs: Mapping[str, np.ndarray]) -> None:
-        """Keep a part of one run's outputs, and the digest of all, in the manifest's order."""
+        """Record a sample of one run's output rows and a digest of all rows, for a test vector."""
         if index in self.indices:
             self.outputs[index] = {
                 name: np.array(thinned(array)) for name, array in outputs.items()
@@ -127,7 +127,7 @@ def _vector(
 
 
 def _drawn(packed: np.ndarray, opacity: int, capacity: int) -> list[int]:
-    """Return indices of a few finite rows that are drawn, among those that a validator keeps."""
+    """Return indices of a few finite, visible rows, chosen from the rows that validators sample."""
     step = thinning_step(capacity)
     sample = packed[::step]
     is_drawn = (sample[:, opacity] >= CULL_OPACITY) & np.isfinite(sample).all(axis=1)

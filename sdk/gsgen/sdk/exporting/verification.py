@@ -71,7 +71,7 @@ def check_parity(
     element = "cell" if worst.field.startswith("cell") else "Gaussian"
     reason, hint = diagnose(suspects, manifest, references, run)
     raise ParityFailed(
-        f"{worst.field} of {element} {worst.row} is off by {worst.error:.3g} at probe inputs "
+        f"{worst.field} of {element} {worst.row} differs by {worst.error:.3g} for the test inputs "
         f"{worst.probe!r}, {worst.excess:.3g} times the tolerance{reason} "
         f"({parity.describe()})",
         where=path.name,
@@ -149,7 +149,7 @@ def check_memory(generator: GaussianGenerator, watch: Watch, references: EagerRu
         return
     changes = [hazard for hazard in watch.hazards if hazard.kind == "state"]
     raise GeneratorInvalid(
-        f"forward remembers earlier frames: at probe inputs {reference.probe.label!r}, its result from the "
+        f"forward remembers earlier frames: for the test inputs {reference.probe.label!r}, its result from the "
         "initial state differs from its result after other frames",
         where="; ".join(hazard.where for hazard in changes[:3]),
         hint=changes[0].hint if changes else "",

@@ -328,7 +328,7 @@ def _convert(
 
 
 def _with_slack(manifest: GeneratorManifest, allowed: Tolerances) -> GeneratorManifest:
-    """Return a manifest whose recorded source rows may also differ by float16 errors."""
+    """Return a manifest whose recorded torch output rows may also differ by float16 errors."""
     vectors = []
     for vector in manifest.test_vectors:
         own = vector.tolerances or manifest.tolerances or Tolerances()

@@ -27,7 +27,7 @@ _UNSEEN = 12
 
 
 class ErrorProbe:
-    """Measures the output error of rounding nodes or weights to float16, in the contract's units.
+    """Measures output errors of nodes or weights rounded to float16, relative to tolerances.
 
     With ``half_outputs``, outputs are stored in float16, too; their rounding is added to the
     tolerances ``roundings`` times.
@@ -115,18 +115,18 @@ class ErrorProbe:
         return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
     def __call__(self, selected: Collection[int]) -> tuple[float, str]:
-        """Return the output field most affected by rounding nodes, and the used tolerance share."""
+        """Return the largest share of a tolerance that float16 nodes use, and its output field."""
         used = {field.field: self._used(field) for field in self.parity(selected).fields}
         worst = max(used, key=lambda field: used[field], default="")
         return used.get(worst, 0.0), worst
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the output field most affected by 16-bit weights, and the used tolerance share."""
+        """Return the largest share of a tolerance that 16-bit weights use, and its output field."""
         self.stored = stored
         return self(())
 
     def _used(self, field: FieldParity) -> float:
-        """Return the share of a field's tolerance that rounding uses, beyond float16 outputs."""
+        """Return which share of a field's tolerance is used, without rounding of the outputs."""
         base = self._stored.get(field.field, 0.0)
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 

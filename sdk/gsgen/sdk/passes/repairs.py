@@ -33,7 +33,7 @@ class _OutputRepair(_Repair):
 
 
 class CastCount(_OutputRepair):
-    """Cast the row count output to int32 [1], of which runtimes bind four bytes (rule GO011).
+    """Cast the row count output to int32 [1], because runtimes read four bytes (rule GO011).
 
     ::
 

@@ -152,7 +152,7 @@ def compare_files(
         _must_repeat(before, outputs, probes, limits)
         difference = max(violations, key=_excess)
         raise RewriteFailed(
-            f"output {difference.output!r} differs by {difference.largest:.3g} at probe inputs {difference.probe!r}, "
+            f"output {difference.output!r} differs by {difference.largest:.3g} for the test inputs {difference.probe!r}, "
             f"expected at most {difference.allowed:.3g} ({allowed.describe()})",
             where=passes,
             hint="Nothing was written. Leave the pass out with --skip, and please report it.",

@@ -1,1 +1,1 @@
-"""Do a model's outputs depend on camera, time, pose and run order as the contract requires?"""
+"""Validation rules: do outputs depend on camera, time, pose and run order as required?"""

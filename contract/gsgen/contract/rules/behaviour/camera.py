@@ -95,7 +95,7 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017"),
 )
 def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
-    """Gaussians in mid-view that another camera sees are drawn, or other Gaussians replace them.
+    """A Gaussian well inside the view, or one near it, is drawn if another camera draws it.
 
     Why:
         Models cull what their camera cannot see by setting its opacity to zero. Culling with a

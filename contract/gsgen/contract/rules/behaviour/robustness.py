@@ -132,7 +132,7 @@ def _too_far(error: FieldError, emission: ModelOutputs) -> Violation:
 
 
 def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[Violation]:
-    """Compare an output without a declared tolerance, relative to its largest value."""
+    """Report an output (without tolerance) changed by graph optimisation over 1 % of its peak."""
     peak = float(np.abs(value.astype(np.float64)).max(initial=0))
     least = 1.0 if value.dtype.kind in "iu" else 0.0
     largest = difference(value, unoptimised)
@@ -182,7 +182,7 @@ def _input_bytes(probe: Probe) -> tuple[bytes, ...]:
     needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003"),
 )
 def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
-    """With an exact row count, most Gaussians before the count are not fully transparent.
+    """If the row count is declared exact, most Gaussians before it are not fully transparent.
 
     Why:
         A renderer sorts and visits all rows before an exact count. If most are inert, the live ones

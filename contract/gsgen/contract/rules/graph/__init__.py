@@ -1,1 +1,1 @@
-"""Is an ONNX graph well formed and portable, and can WebGPU record it once and replay it?"""
+"""Validation rules: is an ONNX graph well formed, portable and replayable by WebGPU?"""

@@ -1,1 +1,1 @@
-"""Do the manifest and the graph inputs declare what the generator contract requires?"""
+"""Validation rules: do the manifest and graph inputs declare what the contract requires?"""

@@ -149,7 +149,7 @@ def _numbers(entry: Input) -> tuple[float, ...]:
     kinds=KINDS,
 )
 def input_convention_known(subject: InspectedModel) -> Iterator[Violation]:
-    """A declared input convention is one that the input's role has, and fits the input's shape.
+    """A declared input convention (such as axis-angle) suits the input's role and shape.
 
     Why:
         A runtime that drives an avatar writes rotations as the convention says. It cannot follow

@@ -1,1 +1,1 @@
-"""Do the declared outputs have the names, types, shapes and counts that the contract requires?"""
+"""Validation rules: do declared outputs have the required names, types, shapes and counts?"""

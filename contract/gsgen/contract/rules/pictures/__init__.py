@@ -1,1 +1,1 @@
-"""Do statistics of valid output values suggest that the picture is not what was intended?"""
+"""Validation rules: do statistics of valid outputs suggest a picture that was not intended?"""

@@ -193,7 +193,7 @@ _DARKEST = 1.02 / 255
     needs=(*VALID_ROWS, *COLORED_ROWS, "GV012", "GV046"),
 )
 def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
-    """Raw RGB look like the result of one conversion: not of two, and not of one without offset.
+    """Raw RGB look converted once from stored colours: not twice, and not without the offset 0.5.
 
     Why:
         A sigmoid of a colour lies between 0.5 and 0.7311: everything is pale. A division by 255 of
@@ -216,7 +216,7 @@ def rgb_converted_once(sample: DrawnSample) -> Iterator[Violation]:
 
 
 def _rgb_mistake(rgb: Float[np.ndarray, "e 3"]) -> str:
-    """Return the wrong conversion that raw RGB look like; empty if none."""
+    """Return the conversion error that RGB values suggest, such as a second sigmoid, or empty."""
     low, high = float(rgb.min()), float(rgb.max())
     if 0 < high <= _DARKEST:
         return "they were divided by 255 twice"

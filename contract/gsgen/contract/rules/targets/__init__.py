@@ -1,1 +1,1 @@
-"""Does a model fit a target runtime: GPU buffer limits, and the Visionary web viewer?"""
+"""Validation rules of target runtimes: GPU buffer limits, and the Visionary web viewer."""

@@ -1,1 +1,1 @@
-"""Do the output values of a model run describe Gaussians?"""
+"""Validation rules: do the output values of a model run describe Gaussians?"""

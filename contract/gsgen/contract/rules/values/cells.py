@@ -1,4 +1,4 @@
-"""Rules of cells for weighted blending (GM, GO, GV): declarations, sizes and values."""
+"""Validation rules of cells (groups of Gaussians) for weighted blending: sizes and values."""
 
 import json
 from collections.abc import Iterator
@@ -67,7 +67,7 @@ def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
     needs=MANIFEST_PARSED,
 )
 def weighted_sum_has_cells(subject: InspectedModel) -> Iterator[Violation]:
-    """A manifest that declares `blend: wsr` is of contract 1.1 or newer.
+    """A manifest with `blend: wsr` (weighted-sum rendering) has contract version 1.1 or newer.
 
     Why:
         1.0 had the word and no way to say which rows form a cell, so no renderer can draw such a model
@@ -323,7 +323,7 @@ def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     needs=CELLS,
 )
 def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
-    """Every drawn Gaussian's centre is within twice the size of its cell from the cell's centre.
+    """Every drawn Gaussian's centre is within two sizes of its cell (group) from the cell's centre.
 
     Why:
         A renderer draws a cell's Gaussians only where the cell is, within twice its longest

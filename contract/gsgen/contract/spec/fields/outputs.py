@@ -76,7 +76,7 @@ class CellsOutput:
 
 @dataclass(frozen=True, slots=True)
 class GeneratorOutputs:
-    """The outputs of a Gaussian Generator: Gaussians, appearance, row count, optionally cells."""
+    """The outputs of a Gaussian Generator: Gaussians, appearance, row count, cells (groups)."""
 
     gaussians: GaussiansOutput | None = None
     appearance: AppearanceOutput | None = None

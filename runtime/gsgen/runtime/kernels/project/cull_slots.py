@@ -15,7 +15,7 @@ from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import JACOBIAN_MARGIN, PANORAMA_CONSTANTS
 
 CULL_MARGIN: Final = JACOBIAN_MARGIN / 2
-"""How far beyond the image a slot counts as seen, in images: as far as Jacobians still vary."""
+"""How far beyond the image a tile slot counts as seen, in images: where Jacobians still vary."""
 
 
 @final
@@ -44,7 +44,7 @@ class CullSlots:
     def step(
         self, frame: Buffer, keys: Buffer, lows: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> Step:
-        """Return the dispatch that lists the slots (streamed tiles) in view, of one GPU page."""
+        """Return the dispatch that lists visible slots (of streamed tiles) in a page (buffers)."""
         assert page.slots is not None
         page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (

@@ -15,7 +15,7 @@ from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
 @final
 class LiveCounts:
-    """The kernel ``live_counts.wgsl``: counts live Gaussians in each of up to 64 GPU pages."""
+    """The kernel ``live_counts.wgsl``: counts live Gaussians in each of up to 64 GPU buffers."""
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(
@@ -23,7 +23,7 @@ class LiveCounts:
         )
 
     def step(self, total: Buffer, live: Buffer) -> Step:
-        """Return the dispatch that writes the number of live Gaussians of each GPU page.
+        """Return the dispatch that counts the live Gaussians of each page (GPU buffers).
 
         Args:
             total: The number of live rows, as int32.
@@ -33,6 +33,6 @@ class LiveCounts:
 
 
 def live_counts_reference(total: int, pages: int) -> UInt32[np.ndarray, " n"]:
-    """Return the live Gaussians of each GPU page: the NumPy reference of ``live_counts.wgsl``."""
+    """Count live Gaussians per page (GPU buffers): the NumPy reference of ``live_counts.wgsl``."""
     first = np.arange(pages) * PAGE_ROWS
     return np.clip(total - first, 0, PAGE_ROWS).astype(np.uint32)

@@ -20,7 +20,7 @@ PLACE_BLOCK: Final = THREADS * _ROWS
 """Rows of a workgroup."""
 
 PAGE_BYTES: Final = 256
-"""Bytes from the end of one page to that of the next: an offset that every device can bind at."""
+"""Bytes between the entries of two pages (splat buffers): every device binds such offsets."""
 
 
 @final

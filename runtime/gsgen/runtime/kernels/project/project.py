@@ -31,7 +31,7 @@ from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
 NO_HARMONICS: Final = 0xFF
-"""The SH degree in page uniforms that stands for RGB colours."""
+"""The SH degree that stands for RGB colours in the uniforms of pages (GPU buffers)."""
 
 
 def _bytes(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
@@ -206,6 +206,7 @@ class ProjectKernel:
         records: Whether each splat is one record.
         slab: "keys" computes nothing but the keys of a page; "splats" projects Gaussians that are
             in a slab, to the indices of ``place_splats.wgsl``.
+        windows: Whether tiles are told by a word of ``tile_window.wgsl`` instead of their number.
     """
 
     def __init__(
@@ -221,6 +222,7 @@ class ProjectKernel:
         tile: int = TILE,
         records: bool = False,
         slab: Literal["keys", "splats"] | None = None,
+        windows: bool = False,
     ) -> None:
         name = "project_weighted" if weighted else "project_pooled" if slot_rows else "project"
         name = "project_placed" if slab == "splats" else name
@@ -241,13 +243,14 @@ class ProjectKernel:
             NO_HARMONICS=NO_HARMONICS,
             WEIGHTED=weighted,
             PACKED=packed,
+            WINDOWS=windows,
             **(PANORAMA_CONSTANTS if panorama else {}),
         )
 
     def step(
         self, outputs: tuple[Buffer, ...], uniform: Buffer, slot: int, page: Page, *others: Buffer
     ) -> Step:
-        """Return the dispatch that projects the Gaussians of a GPU page.
+        """Return the dispatch that projects the Gaussians of a page (GPU buffers).
 
         Args:
             outputs: Resources of bind group 0 of the shader, in order.

@@ -64,7 +64,7 @@ def circle_reference(
 def box_reference(
     mean: Float[np.ndarray, "2"], radius: float, size: tuple[int, int]
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Return the mask of image tiles that a cell's circle touches: NumPy ``cell_box.wgsl``.
+    """Return the mask of image tiles that a cell's (group's) circle touches: ``cell_box.wgsl``.
 
     ``mean``, ``radius`` and the image ``size`` are in pixels; panoramas are not covered.
     """

@@ -27,7 +27,7 @@ class TallyKeys:
     def step(
         self, slab: Buffer, keys: Buffer, tally: Buffer, uniform: Buffer, slot: int, page: Page
     ) -> Step:
-        """Return the dispatch that adds the sort keys of a GPU page to a histogram of keys.
+        """Return the dispatch that adds the sort keys of a page (GPU buffers) to a histogram.
 
         Args:
             slab: Uniform of the counted range of keys.

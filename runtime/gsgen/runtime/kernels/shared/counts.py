@@ -28,7 +28,7 @@ class Counts(IntEnum):
     """Pairs of a splat and a tile that it touches, without the limit."""
     PAIR_CAPACITY = 4
     DRAWN = 5
-    """Gaussians of the drawn cells, for weighted sums."""
+    """Gaussians of the drawn cells (groups of Gaussians), for weighted sums."""
     TIED = 6
     """1 if more splats share one depth than the tie pass can sort by their sets."""
     UNSORTED = 7

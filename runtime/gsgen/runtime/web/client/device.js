@@ -24,9 +24,7 @@ export async function openDevice() {
       hint: "Switch hardware acceleration on, or update the graphics driver.",
     });
   }
-  const requiredLimits = Object.fromEntries(
-    WANTED_LIMITS.map((name) => [name, adapter.limits[name]]),
-  );
+  const requiredLimits = Object.fromEntries(WANTED_LIMITS.map((name) => [name, adapter.limits[name]]));
   const requiredFeatures = WANTED_FEATURES.filter((name) => adapter.features.has(name));
   return adapter.requestDevice({ label: "gsgen", requiredLimits, requiredFeatures });
 }

@@ -17,12 +17,7 @@ const shortJson = (value) => short(typeof value === "string" ? value : JSON.stri
 const listed = (parts) => `[${parts.join(", ")}]`;
 const decimal = (number) => (Number.isInteger(number) ? number.toFixed(1) : String(number));
 
-/**
- * Return what is wrong with a model, as far as a page checks it.
- * @param {Uint8Array} bytes
- * @param {import("./plan.js").PlanDocument} plans
- * @returns {PageFinding[]}
- */
+/** Return what is wrong with a model, as far as a page checks it. @returns {PageFinding[]} */
 export function findingsOf(bytes, plans) {
   const { rules } = plans.contract;
   return [...violationsOf(bytes, plans.contract)].map(([rule, where, actual, expected]) => {

@@ -19,12 +19,7 @@ import { onnxRuntime, openSession } from "./onnx_runtime.js";
 const BYTES = { float32: 4, float16: 2, int32: 4, uint32: 4, int64: 8 };
 
 export class GeneratorSession {
-  /**
-   * @param {import("./host.js").KernelCache} kernels
-   * @param {Uint8Array} bytes
-   * @param {Record<string, any>} manifest
-   * @param {string} name
-   */
+  /** @param {import("./host.js").KernelCache} kernels */
   static async open({ device, plans }, bytes, manifest, name) {
     const ort = await onnxRuntime();
     const { all, constant, copied } = outputsByOrigin(bytes, plans.generators.copies);

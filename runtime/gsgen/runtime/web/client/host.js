@@ -93,7 +93,6 @@ export class KernelCache {
 /**
  * Encode dispatches in one pass.
  * @param {GPUCommandEncoder} encoder
- * @param {string} label
  * @param {any[]} steps Pipeline, bind groups, and counts or an indirect buffer of each dispatch.
  */
 export function encodePass(encoder, label, steps) {

@@ -57,7 +57,6 @@ export function solve(a, b) {
  * Return the stretch of a 3×3 matrix A = Q S (polar decomposition), over its largest eigenvalue.
  *
  * S² = AᵀA; its eigenvectors are found by Jacobi rotations.
- * @param {Matrix} a
  * @returns {Matrix}
  */
 export function relativeStretch(a) {
@@ -106,11 +105,7 @@ export function plus(a, s, b) {
   return [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
 }
 
-/**
- * Return the rotation about a unit axis (Rodrigues' formula).
- * @param {Matrix} axis
- * @param {number} angle
- */
+/** Return the rotation about a unit axis (Rodrigues' formula). @param {Matrix} axis */
 export function rotation([x, y, z], angle) {
   const [c, s, d] = [Math.cos(angle), Math.sin(angle), 1 - Math.cos(angle)];
   return [

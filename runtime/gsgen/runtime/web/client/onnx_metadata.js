@@ -11,7 +11,6 @@ const NODE_PARTS = { input: 1, output: 2, operator: 4 }; // NodeProto
 
 /**
  * Yield the fields of a protobuf message: number, and bytes or a number.
- * @param {Uint8Array} bytes
  * @returns {Generator<[number, any]>}
  */
 function* fieldsOf(bytes) {
@@ -70,7 +69,6 @@ function graphBytes(bytes) {
 
 /**
  * Return the inputs and outputs of a model's graph, as it declares them.
- * @param {Uint8Array} bytes
  * @returns {Record<"inputs" | "outputs", import("./findings.js").Tensor[]>}
  */
 export function graphOf(bytes) {
@@ -97,7 +95,6 @@ function tensorOf(bytes) {
  *
  * A buffer copy is not recorded: its output is stale, or overwritten, in all frames but the first.
  * Outputs that depend on no input are constants, which ONNX Runtime folds: nothing computes them.
- * @param {Uint8Array} bytes
  * @param {{always: string[], "of one input": string[]}} copies Operators without kernels.
  * @returns {{copied: string[], constant: string[], all: string[]}}
  */

@@ -21,11 +21,8 @@ export const ortSettings = { folder: null };
 async function load() {
   const isInlined = Boolean(document.querySelector(INLINED.bundle));
   const base = document.baseURI.startsWith("http") ? document.baseURI : undefined;
-  const folder = isInlined
-    ? ""
-    : ortSettings.folder
-      ? String(new URL(ortSettings.folder, base))
-      : String(new URL("ort/", import.meta.url));
+  const given = ortSettings.folder && new URL(ortSettings.folder, base);
+  const folder = isInlined ? "" : String(given ?? new URL("ort/", import.meta.url));
   const address = isInlined
     ? URL.createObjectURL(new Blob([inlined(INLINED.bundle)], { type: "text/javascript" }))
     : new URL(BUNDLE, folder);
@@ -50,11 +47,7 @@ export const onnxRuntime = once(load);
 
 /**
  * Open a session on a device.
- * @param {any} ort
  * @param {GPUDevice} device
- * @param {Uint8Array} bytes
- * @param {string} name
- * @param {{capture: boolean}} options
  * @returns {Promise<any>} The session; null if the model cannot be captured as a graph.
  */
 export async function openSession(ort, device, bytes, name, { capture }) {

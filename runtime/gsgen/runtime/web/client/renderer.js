@@ -1,7 +1,7 @@
 /** Draws sets of Gaussians from a camera into an image in GPU memory. */
 
 import { PlanHost } from "./host.js";
-import { readBuffer } from "./gpu_buffers.js";
+import { readBuffer, readingBuffer } from "./gpu_buffers.js";
 import { frameUniform, pageUniforms } from "./uniforms.js";
 
 const READERS = 2; // copies of the counts that may be in flight
@@ -132,12 +132,7 @@ export class Renderer {
   _freeReader() {
     const free = this._readers.find((reader) => !reader.busy);
     if (free || this._readers.length === READERS) return free;
-    const usage = GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST;
-    const buffer = this.device.createBuffer({
-      label: "read counts",
-      size: this.plans.counts.BYTES,
-      usage,
-    });
+    const buffer = readingBuffer(this.device, "read counts", this.plans.counts.BYTES);
     const reader = { buffer, busy: false, done: Promise.resolve() };
     this._readers.push(reader);
     return reader;
@@ -178,11 +173,7 @@ export class Renderer {
     }
   }
 
-  /**
-   * Read an image back: four numbers per pixel, row by row.
-   * @param {string} output
-   * @returns {Promise<Float32Array>}
-   */
+  /** Read an image back: four numbers per pixel, row by row. @returns {Promise<Float32Array>} */
   readImage(output) {
     const image = this.host.image(output);
     return readBuffer(this.device, image, Float32Array, image.size / 4);

@@ -39,7 +39,7 @@ def add_neural_tiles(
         splats = replace(generator.first_frame, antialiased=antialiased)
         if splats.color_space != color_space:
             raise ConfigInvalid(
-                f"color_space is {splats.color_space}; expected {color_space}, as of the scenes",
+                f"color_space is {splats.color_space}; expected {color_space}, as in the splat scenes",
                 where=str(generator.extension["uri"]),
             )
         encoded = write_content(splats, splats.position.mean(axis=0, dtype=np.float64), codec=codec)

@@ -149,6 +149,8 @@ def open_session(model: Path | bytes, opening: SessionOptions) -> Any:
     settings.log_severity_level = FATAL
     settings.intra_op_num_threads = opening.threads
     settings.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
+    # Between frames, its threads would keep cores busy that draw or write the last frame.
+    settings.add_session_config_entry("session.force_spinning_stop", "1")
     for symbol, size in opening.sizes.items():
         settings.add_free_dimension_override_by_name(symbol, size)
     provider = opening.choice.provider

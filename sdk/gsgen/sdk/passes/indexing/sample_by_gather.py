@@ -108,7 +108,7 @@ def _replace(node: ir.Node) -> None:
         start = before.constant(first.astype(np.int32)[:, None], "frame")
 
     def interpolated(axis: int, start: ir.Value | None) -> ir.Value:
-        """Return the weighted mean of both neighbours along an axis, after the later axes."""
+        """Interpolate linearly between neighbours along an axis and, recursively, later axes."""
         parts = []
         for index, weight in neighbours[axis]:
             stride = math.prod(sizes[axis + 1 :])

@@ -61,7 +61,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
             self._use_narrow_index(node)  # Case 3
 
     def _can_narrow(self, node: ir.Node) -> bool:
-        """Return whether a node computes in int64 that a runtime's release does not capture."""
+        """Return whether a node computes in int64 where the target does not capture int64."""
         if not is_op(node, *_COMPUTED_INPUTS):
             return False
         values = [*_computed(node), *node.outputs]

@@ -121,7 +121,7 @@ class _Attempt:
         return self._new_outputs()
 
     def finish(self, outputs: Sequence[ir.Value | None]) -> None:
-        """Add the created nodes to the graph, and replace the values and outputs."""
+        """Add the created nodes to the graph, and use their results for the original values."""
         for node, input_index, value in self.draft.input_replacements:
             node.replace_input_with(input_index, value)
         self.draft.join(self.graph)
@@ -163,7 +163,7 @@ class _Attempt:
             raise Blocked(node, "it may mix rows, or its shape depends on the count", _masks(facts))
 
     def _fixed_size_value(self, node: ir.Node, facts: Sequence[Fact | None]) -> ir.Value | None:
-        """Create the output of a node whose size no longer depends on a row mask (cases 2 to 4)."""
+        """Create a fixed-size output of a node whose own output size depends on a row mask."""
         if len(_masks(facts)) != 1:
             return None
         if is_op(node, "ScatterND"):  # Case 2: rows are written back
@@ -253,7 +253,7 @@ class _Attempt:
         return True
 
     def _new_outputs(self) -> list[ir.Value | None]:
-        """Create outputs of N rows instead of K selected rows, if another output is K (case 1)."""
+        """Replace outputs of K selected rows by N rows, if another output is the row count K."""
         facts = [self.facts.get(value) for value in self.graph.outputs]
         counted = {
             fact.mask.unrepeated

@@ -1,0 +1,55 @@
+"""ONNX Runtime Web is fetched as the pinned package, or not at all."""
+
+import hashlib
+import io
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.web import onnxruntime_web
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> bytes:
+    """The archive that a program in npm's place writes into its working folder."""
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w:gz") as archive:
+        for name in onnxruntime_web.ORT_FILES:
+            entry = tarfile.TarInfo(f"package/dist/{name}")
+            entry.size = len(name)
+            archive.addfile(entry, io.BytesIO(name.encode()))
+    (tmp_path / "saved.tgz").write_bytes(stream.getvalue())
+    npm = tmp_path / "npm"
+    npm.write_text(f'#!/bin/sh\ncp "{tmp_path}/saved.tgz" package.tgz\n', "utf-8")
+    npm.chmod(0o755)
+    monkeypatch.setattr(onnxruntime_web, "which", lambda _: str(npm))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return stream.getvalue()
+
+
+def test_the_pinned_package_is_unpacked_once(
+    package: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(onnxruntime_web, "_SHA256", hashlib.sha256(package).hexdigest())
+    folder = onnxruntime_web.ort_folder(None)
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {
+        name: name for name in onnxruntime_web.ORT_FILES
+    }
+    monkeypatch.setattr(onnxruntime_web, "which", lambda _: None)
+    assert onnxruntime_web.ort_folder(None) == folder
+
+
+def test_another_package_is_refused(package: bytes) -> None:
+    with pytest.raises(ConfigInvalid, match=hashlib.sha256(package).hexdigest()):
+        onnxruntime_web.ort_folder(None)
+    assert not onnxruntime_web.cached_ort().exists()
+
+
+def test_without_npm_the_package_to_fetch_is_named(
+    package: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(onnxruntime_web, "which", lambda _: None)
+    with pytest.raises(ConfigInvalid, match="npm is not installed"):
+        onnxruntime_web.ort_folder(None)
