@@ -19,7 +19,7 @@ SLOW_FOLDERS = tuple(
 
 
 @dataclass(frozen=True)
-class Tests:
+class SuiteFiles:
     """The test files of a tree.
 
     Attributes:

@@ -7,8 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.formats import write_ply
+from gsgen.reference_plugins.synthetic import torus_knot
 from gsgen.runtime.web import onnxruntime_web
+from support.commands import gsgen_here
 
 
 @pytest.fixture
@@ -53,3 +57,16 @@ def test_without_npm_the_package_to_fetch_is_named(
     monkeypatch.setattr(onnxruntime_web, "which", lambda _: None)
     with pytest.raises(ConfigInvalid, match="npm is not installed"):
         onnxruntime_web.ort_folder(None)
+
+
+def test_a_page_of_splats_needs_no_onnx_runtime(
+    package: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(onnxruntime_web, "which", lambda _: None)
+    write_ply(tmp_path / "knot.ply", torus_knot(20))
+    page = gsgen_here("export", "html", tmp_path / "knot.ply", "-o", tmp_path / "page.html")
+    assert page.code == 0, page.err
+    model = find("drift").write(tmp_path)
+    page = gsgen_here("export", "html", model, "-o", tmp_path / "model.html")
+    assert page.code == 2
+    assert "npm is not installed" in page.err

@@ -1,4 +1,4 @@
-"""Predicts from operator tables where a WebGPU provider runs each node of a graph."""
+"""Predicts where a WebGPU provider runs each graph node, from tables of supported operators."""
 
 __all__ = ["SIZED_BY_DATA", "Cause", "Placement", "frame_nodes", "placements", "shape_arguments"]
 

@@ -471,7 +471,7 @@ def _require_alone(scene: Scene) -> None:
     summed = [splat_set.weighted is not None for splat_set in scene.sets]
     if any(summed) and (scene.meshes or not all(summed)):
         raise SceneInvalid(
-            "is True, but the scene has depth-sorted sets or meshes besides weighted-sum splats",
+            "is True, but the scene has depth-sorted sets or meshes, expected weighted sums alone",
             where="published",
             hint="Draw sorted sets and meshes with a renderer that has published=False.",
         )
