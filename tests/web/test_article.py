@@ -12,6 +12,7 @@ from gsgen.runtime.web.onnxruntime_web import ORT_FILES
 from support.browser import serving
 from support.commands import ROOT
 from support.web.pages import CLIENT
+from support.web.steady_frames import steady_frames
 
 _GUIDE = ROOT / "docs/guides/models-in-a-page.md"
 _ELEMENT = "document.querySelector('gsgen-model')"
@@ -130,6 +131,13 @@ def test_one_finger_turns_and_two_come_nearer(article: Any) -> None:
     assert turned[9] == before[9]
     drag(((-20, 0), (20, 0)), ((-30, 0), (30, 0)), ((-60, 0), (60, 0)))
     assert article.evaluate(f"{_ELEMENT}._orbit.distance") < 0.6 * turned[9]
+
+
+def test_two_hundred_frames_leave_nothing_behind(article: Any) -> None:
+    """Of a moving camera and a moving person, only encoders, passes and commands are made."""
+    result = steady_frames(article, 200, are_executed=False)
+    assert result.made == {}
+    assert result.heap_growth < 1 << 20
 
 
 def test_reduced_motion_is_respected(article: Any) -> None:

@@ -20,7 +20,7 @@ Storage = Callable[[str, int], Buffer]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TileLists:
-    """The buffers that splats are listed with, and the number of splats, pairs and tiles.
+    """The buffers that list the splats of each image tile, and their numbers of entries.
 
     Attributes:
         storage: Allocates a buffer of a name and a number of bytes.

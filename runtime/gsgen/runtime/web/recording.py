@@ -198,7 +198,7 @@ def recorded_pool_pages(
 
 
 def page_kind(page: Page) -> str:
-    """Name a page's (GPU buffers) data format: dtype, row stride, and whether of a splat pool."""
+    """Return the name of the row format of splats in GPU buffers, such as ``pool of float16 16``."""
     name = f"{'float16' if page.half else 'float32'} {page.stride}"
     return name if page.slots is None else f"pool of {name}"
 

@@ -138,7 +138,7 @@ def _front(
 def _trace(
     options: CutOptions, fronts: list[_Front | None], children: list[list[int]]
 ) -> Int64[np.ndarray, " n"]:
-    """Return each tile's file quality in the root's Pareto-optimal choice of greatest utility."""
+    """Return which file of each tile (-1: none) the best choice within the byte budget downloads."""
     root = int(np.flatnonzero(options.parent < 0)[0])
     chosen = np.full(len(fronts), -1, np.int64)
     last = fronts[root]

@@ -181,7 +181,7 @@ def _build_level(
     position: Rows,
     hulls: tuple[Int64[np.ndarray, "n q"], Bool[np.ndarray, "n q"]],
 ) -> _Level:
-    """Return tree nodes' utility curves from their file qualities and their children's curves."""
+    """Return what each tile of a tree level and its subtree gain for every number of bytes."""
     level = _Level(nodes=nodes)
     if below is not None:
         _merge_children(level, below, position[options.parent[below.nodes]])

@@ -138,7 +138,7 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
 
 
 def _bare_share(hidden: Float[np.ndarray, "m 10"], drawn: Float[np.ndarray, "n 10"]) -> float:
-    """Return the fraction of sampled hidden Gaussians that no visible Gaussian covers."""
+    """Return the fraction of omitted Gaussians whose centre no drawn Gaussian's extent covers."""
     if not len(drawn):
         return 1.0
     size = np.square(_COVERED) * drawn[:, list(VARIANCES)].max(axis=1)

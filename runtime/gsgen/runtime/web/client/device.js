@@ -8,8 +8,7 @@ const WANTED_LIMITS = [
   "maxComputeWorkgroupStorageSize", "maxComputeInvocationsPerWorkgroup",
   "maxComputeWorkgroupSizeX", "maxComputeWorkgroupSizeY", "maxComputeWorkgroupSizeZ",
 ];
-/** @type {GPUFeatureName[]} */
-const WANTED_FEATURES = ["shader-f16"]; // for generators; no kernel of the renderer needs it
+const WANTED_FEATURES = /** @type {GPUFeatureName[]} */ (["shader-f16"]); // for generators; no kernel of the renderer needs it
 
 /** Open a device with the adapter's own limits. @returns {Promise<GPUDevice>} */
 export async function openDevice() {

@@ -129,7 +129,6 @@ function requireDrawable(manifest, name) {
 
 /** A generator in a page. */
 export class GeneratorModel {
-  /** @param {import("./host.js").KernelCache} kernels */
   static async open(kernels, data, name) {
     const bytes = new Uint8Array(data);
     const findings = findingsOf(bytes, kernels.plans);

@@ -6,7 +6,7 @@
 
 import { inlined } from "./download.js";
 import { GsgenError } from "./errors.js";
-import { once } from "./once.js";
+import { inTurns, once } from "./once.js";
 
 // Where the browser suspends WebAssembly by itself (JSPI), the smaller build runs.
 const HAS_JSPI = "Suspending" in WebAssembly;
@@ -45,6 +45,9 @@ async function load() {
 /** Return the module of ONNX Runtime Web. */
 export const onnxRuntime = once(load);
 
+/** Run what ONNX Runtime refuses or mixes up at the same time: opening sessions, and frames. */
+export const runInTurn = inTurns();
+
 /**
  * Open a session on a device.
  * @param {GPUDevice} device
@@ -54,11 +57,12 @@ export async function openSession(ort, device, bytes, name, { capture }) {
   // Both are needed: the provider's option is what runs, the setting is what `env` tells.
   ort.env.webgpu.device = device;
   try {
-    return await ort.InferenceSession.create(bytes, {
+    const options = {
       executionProviders: [{ name: "webgpu", device }],
       preferredOutputLocation: "gpu-buffer",
       enableGraphCapture: capture,
-    });
+    };
+    return await runInTurn(() => ort.InferenceSession.create(bytes, options));
   } catch (refusal) {
     if (capture && /graph capture/i.test(refusal.message)) return null;
     throw new GsgenError(`ONNX Runtime Web refuses the model: ${refusal.message}`, {

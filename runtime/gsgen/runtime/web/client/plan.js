@@ -25,7 +25,6 @@ import { GsgenError } from "./errors.js";
  */
 /** @typedef {Record<string, any> & {plans: Plan[]}} PlanDocument */
 
-/** @type {Record<string, (a: number, b: number) => number | boolean>} */
 const OPERATORS = {
   add: (a, b) => a + b,
   sub: (a, b) => a - b,

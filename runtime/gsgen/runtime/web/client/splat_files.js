@@ -107,7 +107,6 @@ function plyHeader(data, name) {
   return { columns, size, count, first };
 }
 
-/** @param {ArrayBuffer} data @param {string} name */
 function readPly(data, name) {
   const { columns, size, count, first } = plyHeader(data, name);
   const fail = failing(name, CONVERT);

@@ -91,8 +91,7 @@ export class TilesetModel {
     this._options = { ...options, maxError: options.maxError ?? maxError };
     this._root = new Tile(tileset.root, null, String(new URL(options.source ?? name, document.baseURI)));
     const { center, axes } = this._root;
-    const half = [0, 1, 2].map((i) => axes.reduce((sum, axis) => sum + Math.abs(axis[i]), 0));
-    this.extent = { center, half, reach: Math.hypot(...half) || 1 };
+    this.extent = { center, reach: Math.hypot(...axes.flat()) || 1 };
     this.up = Math.hypot(...center) > FAR ? normalized(center) : [0, 0, 1];
     this.followsCamera = true;
     this.time = null;

@@ -200,7 +200,7 @@ def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 
 
 def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a Slice of all N rows instead of K masked ones; None if it slices the rows."""
+    """Draft the Slice for all N rows, not K masked ones; None if it cuts along the row axis."""
     arrays = [constant_of(value) for value in node.inputs[1:]]
     if any(array is None for array in arrays) or len(arrays) < 2:
         return None
@@ -215,7 +215,7 @@ def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | N
 
 
 def _gather(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Create a Gather of all N rows instead of K masked ones; None if it gathers rows."""
+    """Draft the Gather for all N rows, not K masked ones; None if it gathers along the row axis."""
     rank = rank_of(rows.value) or 1
     axis, index = int_attribute(node, "axis", 0) % rank, rank_of(node.inputs[1])
     if axis == rows.axis or index is None or facts[1] is not None:
